@@ -1,0 +1,74 @@
+//! What passes between a bench and everything else: actions out, readings back.
+
+use serde::{Deserialize, Serialize};
+
+/// Largest shake amplitude, mm.
+pub const SHAKE_MM_MAX: f64 = 16.0;
+/// An amplitude below this is no shake, mm (as on the published robot).
+pub const SHAKE_MM_MIN: f64 = 0.9;
+/// Largest change of the spoon's pitch in one step, degrees.
+pub const INCLINE_CHANGE_DEG_MAX: f64 = 8.0;
+
+/// What a policy proposes for one step: first incline, then shake.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Action {
+    /// Change of the spoon's pitch, degrees, positive is tip down; -8 to 8.
+    pub incline_change_deg: f64,
+    /// Amplitude of one out-and-back shake along the spoon, mm; 0 to 16, below 0.9 is none.
+    pub shake_mm: f64,
+}
+
+impl Action {
+    /// From the two outputs of a policy in -1..=1: incline change first, then shake amplitude.
+    pub fn from_unit(unit: [f64; 2]) -> Self {
+        Self {
+            incline_change_deg: unit[0].clamp(-1.0, 1.0) * INCLINE_CHANGE_DEG_MAX,
+            shake_mm: (unit[1].clamp(-1.0, 1.0) + 1.0) / 2.0 * SHAKE_MM_MAX,
+        }
+    }
+
+    /// The amplitude that is executed: zero below [`SHAKE_MM_MIN`].
+    pub fn executed_shake_mm(&self) -> f64 {
+        if self.shake_mm < SHAKE_MM_MIN { 0.0 } else { self.shake_mm }
+    }
+}
+
+/// One reading of the balance.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Reading {
+    /// Net mass shown, mg; a multiple of the readability.
+    pub mass_mg: f64,
+    /// The balance's own stable flag.
+    pub stable: bool,
+}
+
+/// One step of a weighing: what was done, and what the balance then showed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Tick {
+    /// 0 is the reading after the tare, before any motion.
+    pub step: u32,
+    /// Bench time since the tare, seconds.
+    pub t_s: f64,
+    /// Pitch of the spoon after the step, degrees.
+    pub pitch_deg: f64,
+    /// What the guard let through.
+    pub action: Action,
+    /// What the balance showed once settled.
+    pub reading: Reading,
+}
+
+/// Range of the spoon's pitch.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct PitchLimits {
+    /// Lowest pitch, degrees.
+    pub lower_deg: f64,
+    /// Highest pitch, degrees.
+    pub upper_deg: f64,
+}
+
+impl PitchLimits {
+    /// The published robot's limits.
+    pub const PAPER: Self = Self { lower_deg: -10.0, upper_deg: 36.0 };
+    /// FLIP's default: cohesive powders do not leave the spoon below 36 deg.
+    pub const WIDE: Self = Self { lower_deg: -10.0, upper_deg: 50.0 };
+}

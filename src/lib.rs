@@ -1,0 +1,20 @@
+//! FLIP: flowability-informed powder weighing. `src/ARCHITECTURE.md` is the map.
+
+pub mod domain;
+
+pub mod sim;
+pub mod stats;
+
+pub mod policy;
+
+pub mod calibrate;
+pub mod train;
+pub mod weigh;
+
+pub mod hardware;
+pub mod store;
+
+pub mod api;
+pub mod app;
+pub mod cli;
+pub mod jobs;

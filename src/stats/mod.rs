@@ -1,0 +1,1 @@
+//! Pure numerics used by calibration, evaluation and discovery.
