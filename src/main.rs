@@ -1,1 +1,5 @@
-fn main() {}
+//! The program: `flip --help` lists its commands.
+
+fn main() -> std::process::ExitCode {
+    flip::cli::main()
+}

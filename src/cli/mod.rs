@@ -1,1 +1,86 @@
-//! (under construction)
+//! The command line: a contract that scripts rely on.
+//!
+//! Every command takes `--data-dir`, `--seed` and `--json`. With `--json`, stdout holds one JSON document and nothing
+//! else; progress and logs go to stderr. Exit status 0: done, whatever the outcome; 2: bad input, which names the
+//! field or the missing prerequisite; 1: failure. Commands call the same [`crate::app::App`] as REST and gRPC, in
+//! this process, so there is one path to every effect.
+
+mod failure;
+mod parameters;
+mod repose;
+
+use clap::{Args, Parser, Subcommand};
+use failure::Failure;
+use serde::Serialize;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// Flowability-informed powder weighing: measure how a powder piles, calibrate a simulator, learn to weigh, weigh.
+#[derive(Debug, Parser)]
+#[command(name = "flip", version, after_help = "Exit status: 0 done, 2 bad input, 1 failure.")]
+struct Cli {
+    #[command(flatten)]
+    common: Common,
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// What every command takes.
+#[derive(Debug, Clone, Args)]
+struct Common {
+    /// Folder of the database and its files; made, migrated and seeded with the published powders when absent.
+    #[arg(long, global = true, value_name = "DIR", default_value = "flip-data")]
+    data_dir: PathBuf,
+    /// Seed of every random choice: the same seed gives the same result on any number of threads.
+    #[arg(long, global = true, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// Print one JSON document on stdout and nothing else there.
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Pour a simulated powder and measure its angle of repose.
+    Repose(repose::Arguments),
+}
+
+/// Parse the arguments, run the command, and say how it ended by the exit status.
+pub fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return failure::of_arguments(&error),
+    };
+    let json = cli.common.json;
+    match run(&cli) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => failure.report(json),
+    }
+}
+
+fn run(cli: &Cli) -> Result<(), Failure> {
+    match &cli.command {
+        Command::Repose(arguments) => repose::run(&cli.common, arguments),
+    }
+}
+
+impl Common {
+    /// Print a result on stdout: as JSON when asked, else as `text`.
+    fn print(&self, document: &impl Serialize, text: impl FnOnce() -> String) -> Result<(), Failure> {
+        use std::io::Write;
+        let text = if self.json { serde_json::to_string_pretty(document)? } else { text() };
+        // A reader that has seen enough (`flip … | head`) closes the pipe: that is an error, not a panic.
+        Ok(writeln!(std::io::stdout(), "{}", text.trim_end())?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_definition_of_the_command_line_is_sound() {
+        Cli::command().debug_assert();
+    }
+}

@@ -1,0 +1,55 @@
+# make run    everything from a clean clone: fetch, build, and run the demonstration (ARGS=--exit ends it after the table)
+# make test   every test: Rust, page in a headless Chromium; prints how many ran
+# make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.ONESHELL:
+.PHONY: run test setup web chromium bench lint
+
+ARGS ?=
+LOGS := target/test
+WEB_SOURCES := $(shell find web proto -name node_modules -prune -o -name dist -prune -o -type f -print 2>/dev/null)
+
+run: setup
+	cargo build --release --locked
+	exec cargo run --quiet --release --locked -- demo $(ARGS)
+
+test: setup chromium
+	mkdir -p $(LOGS)
+	cargo test --release --locked 2>&1 | tee $(LOGS)/rust.log
+	(cd web && npm test) 2>&1 | tee $(LOGS)/web.log
+	rust=$$(awk '/^test result:/ { n += $$4 } END { print n + 0 }' $(LOGS)/rust.log)
+	web=$$(sed 's/\x1b\[[0-9;]*m//g' $(LOGS)/web.log | awk '$$1 == "#" && $$2 == "pass" || $$2 == "passed" { n += ($$1 == "#") ? $$3 : $$1 } END { print n + 0 }')
+	echo "tests passed: $$((rust + web)) (Rust $$rust, page $$web)"
+
+# What cargo cannot fetch by itself: libtorch (checked by SHA-256) and the built page, which the binary embeds.
+setup: .libtorch/build-version web
+
+.libtorch/build-version: .cargo/fetch_libtorch.py .cargo/libtorch-requirements.txt
+	python3 .cargo/fetch_libtorch.py
+	touch $@
+
+web: web/dist/index.html
+
+web/node_modules/.package-lock.json: web/package.json web/package-lock.json
+	cd web && npm ci --no-fund --no-audit
+	touch node_modules/.package-lock.json
+
+web/dist/index.html: web/node_modules/.package-lock.json $(WEB_SOURCES)
+	cd web && npm run build
+	touch dist/index.html
+
+chromium:
+	command -v chromium chromium-browser google-chrome > /dev/null && exit 0
+	as_root=; [ "$$(id -u)" = 0 ] || as_root=sudo
+	$$as_root apt-get update
+	DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y --no-install-recommends chromium
+
+bench: setup
+	cargo bench --locked
+
+lint: setup
+	cargo fmt --check
+	cargo clippy --release --locked --all-targets -- -D warnings
+	cargo deny check

@@ -1,0 +1,75 @@
+//! How a command fails: what it prints, and the exit status that scripts see.
+
+use crate::domain::FieldError;
+use serde_json::json;
+use std::process::ExitCode;
+
+/// Why a command did not do what was asked.
+#[derive(Debug)]
+pub(super) enum Failure {
+    /// The input is wrong, field by field. Exit status 2.
+    BadInput(Vec<FieldError>),
+    /// The input is sound and the world is not ready for it: a prerequisite is missing, or another process holds the
+    /// database. Exit status 2.
+    NotNow(String),
+    /// Everything else. Exit status 1.
+    Failed(anyhow::Error),
+}
+
+impl Failure {
+    /// Print the reason (on stderr, and as the one document on stdout with `json`) and return the exit status.
+    pub(super) fn report(&self, json: bool) -> ExitCode {
+        let (status, document) = match self {
+            Self::BadInput(errors) => {
+                let errors: Vec<_> = errors.iter().map(|e| json!({ "field": e.field, "message": e.message })).collect();
+                (2, json!({ "error": { "kind": "bad_input", "errors": errors } }))
+            }
+            Self::NotNow(message) => (2, json!({ "error": { "kind": "not_now", "message": message } })),
+            Self::Failed(error) => (1, json!({ "error": { "kind": "failed", "message": format!("{error:#}") } })),
+        };
+        match self {
+            Self::BadInput(errors) => errors.iter().for_each(|e| eprintln!("flip: {e}")),
+            Self::NotNow(message) => eprintln!("flip: {message}"),
+            Self::Failed(error) => eprintln!("flip: {error:#}"),
+        }
+        if json {
+            println!("{document:#}");
+        }
+        ExitCode::from(status)
+    }
+}
+
+/// The end of a command whose arguments clap refused, or of `--help` and `--version`.
+pub(super) fn of_arguments(error: &clap::Error) -> ExitCode {
+    // A message that cannot be written has nowhere else to go.
+    let _ = error.print();
+    if error.exit_code() != 0 && std::env::args().any(|argument| argument == "--json") {
+        let message = error.render().to_string();
+        println!("{:#}", json!({ "error": { "kind": "bad_input", "message": message } }));
+    }
+    ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(1))
+}
+
+impl From<FieldError> for Failure {
+    fn from(error: FieldError) -> Self {
+        Self::BadInput(vec![error])
+    }
+}
+
+impl From<anyhow::Error> for Failure {
+    fn from(error: anyhow::Error) -> Self {
+        Self::Failed(error)
+    }
+}
+
+impl From<std::io::Error> for Failure {
+    fn from(error: std::io::Error) -> Self {
+        Self::Failed(error.into())
+    }
+}
+
+impl From<serde_json::Error> for Failure {
+    fn from(error: serde_json::Error) -> Self {
+        Self::Failed(error.into())
+    }
+}

@@ -1,0 +1,53 @@
+//! The nine parameters as flags, made from their table so that help, bounds and defaults cannot drift from it.
+
+use crate::domain::FieldError;
+use crate::domain::parameters::{COUNT, PARAMETERS, Parameter, ParameterSet};
+use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
+
+/// The nine values as typed by the caller, not yet checked against their bounds.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Flags([f64; COUNT]);
+
+impl Flags {
+    /// The set these flags describe.
+    ///
+    /// # Errors
+    /// The first value that is not finite or outside its published bounds, by key.
+    pub(super) fn set(&self) -> Result<ParameterSet, FieldError> {
+        ParameterSet::new(self.0)
+    }
+}
+
+impl FromArgMatches for Flags {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        Ok(Self(PARAMETERS.map(|p| *matches.get_one::<f64>(p.key).unwrap_or(&p.default))))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+impl Args for Flags {
+    fn augment_args(command: Command) -> Command {
+        command.next_help_heading("Parameters of the powder").args(PARAMETERS.iter().map(flag))
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+fn flag(parameter: &Parameter) -> Arg {
+    // clap keeps names for the life of the program; nine short strings are made once.
+    let long: &'static str = Box::leak(parameter.key.replace('_', "-").into_boxed_str());
+    let unit = if parameter.unit.is_empty() { String::new() } else { format!(" {}", parameter.unit) };
+    let Parameter { lower, upper, default, meaning, .. } = parameter;
+    Arg::new(parameter.key)
+        .long(long)
+        .value_name("X")
+        .value_parser(clap::value_parser!(f64))
+        .allow_negative_numbers(true)
+        .help(format!("{meaning}; {lower} to {upper}{unit} [default: {default}]"))
+}

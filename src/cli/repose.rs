@@ -1,0 +1,126 @@
+//! `flip repose`: the heap experiment, repeated over seeds in parallel.
+
+use super::failure::Failure;
+use super::{Common, parameters};
+use crate::domain::FieldError;
+use crate::domain::parameters::ParameterSet;
+use crate::domain::seed::derive;
+use crate::sim;
+use crate::sim::repose::{Refusal, Repose, Settings};
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// Repeats beyond this say nothing that fewer do not, and a typing mistake should not run for a day.
+const REPEATS_MAX: u32 = 1000;
+
+/// Arguments of `flip repose`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    /// Grains poured; fewer than cover the base are refused [default: 2000].
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    particles: Option<u32>,
+    /// Heaps poured, each with a seed of its own.
+    #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true)]
+    repeats: u32,
+    #[command(flatten)]
+    parameters: parameters::Flags,
+}
+
+/// The document of `flip repose`: no clock and no thread count in it, so equal inputs give equal bytes.
+#[derive(Debug, Serialize)]
+struct Document {
+    /// Mean over the heaps of atan(2 h / d_base), degrees.
+    repose_deg: f64,
+    /// Mean slope of the cone fitted between 20 % and 80 % of the height, degrees.
+    cone_deg: f64,
+    /// Standard deviation of `repose_deg` over the heaps; absent with fewer than two.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    repose_sd_deg: Option<f64>,
+    particles: u32,
+    /// Mean change of the cone angle over the last 0.2 s.
+    creep_deg_per_s: f64,
+    parameters: ParameterSet,
+    settings: Settings,
+    seed: u64,
+    repeats: u32,
+    simulator: &'static str,
+    heaps: Vec<Repose>,
+    /// Heaps that have no angle, and why; the means above leave them out.
+    refusals: Vec<String>,
+}
+
+/// Pour `--repeats` heaps and print what they measure.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    let set = arguments.parameters.set()?;
+    if !(1..=REPEATS_MAX).contains(&arguments.repeats) {
+        let message = format!("must be from 1 to {REPEATS_MAX} heaps, got {}", arguments.repeats);
+        return Err(FieldError::new("repeats", message).into());
+    }
+    let mut settings = Settings::default();
+    settings.particles = arguments.particles.unwrap_or(settings.particles);
+    let outcomes = pour(&set, &settings, common.seed, arguments.repeats);
+    let document = summarise(set, settings, common.seed, outcomes)?;
+    common.print(&document, || text(&document))
+}
+
+/// One heap per repeat; `collect` keeps their order, so the threads leave no mark on the result.
+fn pour(set: &ParameterSet, settings: &Settings, seed: u64, repeats: u32) -> Vec<Result<Repose, Refusal>> {
+    (0..repeats)
+        .into_par_iter()
+        .map(|repeat| sim::repose::repose(set, settings, derive(seed, &[u64::from(repeat)])))
+        .collect()
+}
+
+fn summarise(
+    parameters: ParameterSet,
+    settings: Settings,
+    seed: u64,
+    outcomes: Vec<Result<Repose, Refusal>>,
+) -> Result<Document, Failure> {
+    let repeats = outcomes.len() as u32;
+    let (mut heaps, mut refusals) = (Vec::new(), Vec::new());
+    for outcome in outcomes {
+        match outcome {
+            Ok(heap) => heaps.push(heap),
+            Err(refusal) => refusals.push(refusal.to_string()),
+        }
+    }
+    if heaps.is_empty() {
+        return Err(Failure::Failed(anyhow::anyhow!("no heap has an angle of repose: {}", refusals.join("; "))));
+    }
+    let mean = |of: fn(&Repose) -> f64| heaps.iter().map(of).sum::<f64>() / heaps.len() as f64;
+    let repose_deg = mean(|heap| heap.tip_deg);
+    let squares: f64 = heaps.iter().map(|heap| (heap.tip_deg - repose_deg).powi(2)).sum();
+    Ok(Document {
+        repose_deg,
+        cone_deg: mean(|heap| heap.cone_deg),
+        repose_sd_deg: (heaps.len() > 1).then(|| (squares / (heaps.len() - 1) as f64).sqrt()),
+        particles: settings.particles,
+        creep_deg_per_s: mean(|heap| heap.creep_deg_per_s),
+        parameters,
+        settings,
+        seed,
+        repeats,
+        simulator: sim::VERSION,
+        heaps,
+        refusals,
+    })
+}
+
+fn text(d: &Document) -> String {
+    let spread = d.repose_sd_deg.map_or(String::new(), |sd| format!(" +- {sd:.2}"));
+    let mut text = format!(
+        "angle of repose  {:.2}{spread} deg (tip)\ncone fit         {:.2} deg\ncreep            {:.3} deg/s\n\
+         particles        {}\nheaps            {} of {}",
+        d.repose_deg,
+        d.cone_deg,
+        d.creep_deg_per_s,
+        d.particles,
+        d.heaps.len(),
+        d.repeats
+    );
+    for refusal in &d.refusals {
+        text.push_str(&format!("\nrefused          {refusal}"));
+    }
+    text
+}

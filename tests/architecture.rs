@@ -1,0 +1,196 @@
+//! The map of `src/ARCHITECTURE.md`, checked: who may import whom, which crate is used where, what no file may hold.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Module, and the modules it may name. A module may always name itself.
+const ARROWS: [(&str, &[&str]); 13] = [
+    ("domain", &[]),
+    ("stats", &[]),
+    ("sim", &["domain"]),
+    ("policy", &["domain"]),
+    ("hardware", &["domain"]),
+    ("calibrate", &["domain", "stats"]),
+    ("train", &["domain", "sim", "policy", "stats"]),
+    ("weigh", &["domain", "hardware", "policy"]),
+    ("store", &["domain"]),
+    ("jobs", &["domain", "stats", "sim", "policy", "hardware", "calibrate", "train", "weigh", "store"]),
+    ("app", &["domain", "store", "jobs", "policy"]),
+    ("api", &["domain", "app"]),
+    ("cli", &["domain", "sim", "app", "api"]),
+];
+
+/// File, and what it may name beyond its module's arrows.
+const EXCEPTIONS: [(&str, &[&str]); 1] = [
+    // The simulated bench is the one driver whose device is the simulator.
+    ("hardware/simulated.rs", &["sim"]),
+];
+
+/// What may be named only in some modules: crates that talk to the world, and words that mark asynchronous code.
+const CONFINED: [(&str, &[&str]); 17] = [
+    ("sqlx::", &["store", "jobs"]),
+    ("apalis", &["jobs"]),
+    ("axum::", &["api"]),
+    ("axum_server::", &["api"]),
+    ("tonic::", &["api"]),
+    ("prost::", &["api"]),
+    ("tower_http::", &["api"]),
+    ("tch::", &["train"]),
+    ("rayon::", &["calibrate", "train", "jobs", "cli"]),
+    ("clap::", &["cli"]),
+    ("indicatif::", &["cli"]),
+    ("anyhow::", &["cli"]),
+    ("tokio::", &["store", "jobs", "app", "api", "cli"]),
+    ("async fn", &["store", "jobs", "app", "api", "cli"]),
+    ("std::fs", &["store", "api", "cli"]),
+    ("std::net", &["api", "cli"]),
+    ("Instant", &["hardware", "jobs", "store", "app", "api", "cli", "train"]),
+];
+
+/// Names that say nothing about what a file holds.
+const BANNED_NAMES: [&str; 8] = ["utils", "util", "helpers", "helper", "common", "manager", "misc", "model"];
+
+/// Lines a file may have; the house looks again at 400.
+const LINES_MAX: usize = 500;
+
+/// One source file: its path below `src/`, its text, and that text without comments and unit tests.
+struct Source {
+    path: String,
+    text: String,
+    code: String,
+}
+
+impl Source {
+    fn module(&self) -> &str {
+        self.path.split('/').next().unwrap_or_default().trim_end_matches(".rs")
+    }
+}
+
+fn files(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        match path.is_dir() {
+            true => files(&path, found),
+            false => found.push(path),
+        }
+    }
+}
+
+fn sources() -> Vec<Source> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut paths = Vec::new();
+    files(&root, &mut paths);
+    paths.retain(|path| path.extension().is_some_and(|e| e == "rs"));
+    paths.sort();
+    let read = |path: PathBuf| {
+        let text = fs::read_to_string(&path).unwrap();
+        let product = text.split("\n#[cfg(test)]\nmod ").next().unwrap_or_default();
+        let uncommented = product.lines().filter(|line| !line.trim_start().starts_with("//"));
+        let code = uncommented.collect::<Vec<_>>().join("\n");
+        Source { path: path.strip_prefix(&root).unwrap().display().to_string(), code, text }
+    };
+    paths.into_iter().map(read).collect()
+}
+
+/// Every module named by a `crate::module` path in `code`.
+fn named_modules(code: &str) -> Vec<&str> {
+    let end = |rest: &str| rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
+    code.split("crate::").skip(1).map(|rest| &rest[..end(rest)]).collect()
+}
+
+/// Every place where `code` holds `word` that does not continue an identifier.
+fn holds(code: &str, word: &str) -> bool {
+    let starts_identifier = |at: usize| !code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_' || c == ':');
+    code.match_indices(word).any(|(at, _)| starts_identifier(at))
+}
+
+fn check(offences: Vec<String>) {
+    assert!(offences.is_empty(), "{} offences:\n{}", offences.len(), offences.join("\n"));
+}
+
+#[test]
+fn modules_import_only_what_the_map_allows() {
+    let mut offences = Vec::new();
+    for source in sources() {
+        let module = source.module();
+        // lib.rs and main.rs see everything; unit tests in a file of their own may cross the map.
+        let Some((_, allowed)) = ARROWS.iter().find(|(name, _)| *name == module) else { continue };
+        if source.path.ends_with("tests.rs") {
+            continue;
+        }
+        let more = EXCEPTIONS.iter().find(|(path, _)| *path == source.path).map_or(&[] as &[&str], |(_, more)| *more);
+        for name in named_modules(&source.code) {
+            if name.is_empty() {
+                offences.push(format!("{}: one `use crate::module::…` a line, please", source.path));
+            } else if name != module && !allowed.contains(&name) && !more.contains(&name) {
+                offences.push(format!("{}: names crate::{name}, which {module} may not", source.path));
+            }
+        }
+    }
+    check(offences);
+}
+
+#[test]
+fn every_folder_of_the_source_is_on_the_map() {
+    let unknown = |source: &Source| {
+        !ARROWS.iter().any(|(name, _)| *name == source.module()) && !["lib.rs", "main.rs"].contains(&&*source.path)
+    };
+    check(sources().into_iter().filter(unknown).map(|source| source.path).collect());
+}
+
+#[test]
+fn crates_and_clocks_stay_where_they_belong() {
+    let mut offences = Vec::new();
+    for source in sources() {
+        for (word, places) in CONFINED {
+            if holds(&source.code, word) && !places.contains(&source.module()) {
+                offences.push(format!("{}: `{word}` belongs in {}", source.path, places.join(", ")));
+            }
+        }
+    }
+    check(offences);
+}
+
+#[test]
+fn files_are_named_for_what_they_hold_and_are_short_enough_to_read() {
+    let mut offences = Vec::new();
+    for source in sources() {
+        for part in source.path.trim_end_matches(".rs").split('/').filter(|part| BANNED_NAMES.contains(part)) {
+            offences.push(format!("{}: `{part}` names nothing", source.path));
+        }
+        let lines = source.text.lines().count();
+        if lines > LINES_MAX {
+            offences.push(format!("{}: {lines} lines; split it where its second idea begins", source.path));
+        }
+    }
+    check(offences);
+}
+
+#[test]
+fn nothing_is_left_unfinished_or_switched_off() {
+    let mut offences = Vec::new();
+    let mut paths = Vec::new();
+    for folder in ["src", "tests", "benches", "examples"] {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
+        if folder.exists() {
+            files(&folder, &mut paths);
+        }
+    }
+    // Split so that this list does not find itself.
+    let marks = [concat!("#[ig", "nore"), concat!("to", "do!("), concat!("unimple", "mented!("), concat!("dbg", "!(")];
+    for path in paths.iter().filter(|path| path.extension().is_some_and(|e| e == "rs")) {
+        let text = fs::read_to_string(path).unwrap();
+        for mark in marks.iter().filter(|mark| text.contains(**mark)) {
+            offences.push(format!("{}: {mark}", path.display()));
+        }
+    }
+    check(offences);
+}
+
+#[test]
+fn the_checks_see_what_they_should() {
+    assert_eq!(named_modules("use crate::domain::seed;\nlet x = crate::sim::VERSION;"), ["domain", "sim"]);
+    assert_eq!(named_modules("use crate::{domain, sim};"), [""]);
+    assert!(holds("use tokio::fs;", "tokio::") && !holds("my_tokio::fs", "tokio::"));
+    assert!(holds("pub async fn go()", "async fn"));
+}
