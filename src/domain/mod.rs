@@ -5,12 +5,13 @@ pub mod job;
 pub mod parameters;
 pub mod powder;
 pub mod seed;
+pub mod timestamp;
 pub mod weighing;
 
 /// What is wrong with one field of an input: which field, what was expected, what to do.
 ///
 /// Every layer that refuses an input says it with this; the API turns it into problem+json.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
 #[error("{field}: {message}")]
 pub struct FieldError {
     /// Path of the field as the caller wrote it, e.g. `target.value`.

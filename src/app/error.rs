@@ -1,0 +1,65 @@
+//! Why a request is refused, in terms of the caller.
+
+use crate::domain::FieldError;
+
+/// Why the application did not do what it was asked. REST and gRPC map each variant once.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// One or more fields are wrong; each entry says which, the bound, and what to do.
+    #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
+    Invalid(Vec<FieldError>),
+    /// There is no such thing.
+    #[error("there is no {what} `{id}`")]
+    NotFound {
+        /// `powder`, `job`, `policy`, ...
+        what: &'static str,
+        /// What was asked for.
+        id: String,
+    },
+    /// The request is right but not now: something is missing, in use, or already there.
+    #[error("{message}")]
+    Conflict {
+        /// Stable name: `powder_exists`, `calibration_missing`, `policy_missing`, `job_finished`, `weighing_finished`.
+        code: &'static str,
+        /// What is in the way and which command or endpoint helps.
+        message: String,
+    },
+    /// The Idempotency-Key was used before with another body.
+    #[error("the Idempotency-Key `{key}` belongs to weighing {weighing}, which was asked for with another body: use a new key for a new weighing")]
+    Unprocessable {
+        /// The key.
+        key: String,
+        /// The weighing that holds it.
+        weighing: String,
+    },
+    /// The bench's queue is full.
+    #[error("{0}")]
+    Busy(String),
+    /// Not now and not the caller's fault: shutting down, or opened to read only.
+    #[error("{0}")]
+    Unavailable(String),
+    /// Ours. The cause goes to the log, never to the caller.
+    #[error("internal error")]
+    Internal(#[source] Box<dyn std::error::Error + Send + Sync>),
+}
+
+/// What every function of the application returns.
+pub type Result<T> = std::result::Result<T, Error>;
+
+impl Error {
+    /// A conflict with a stable code.
+    pub(crate) fn conflict(code: &'static str, message: impl Into<String>) -> Self {
+        Self::Conflict { code, message: message.into() }
+    }
+
+    /// A missing thing.
+    pub(crate) fn not_found(what: &'static str, id: impl Into<String>) -> Self {
+        Self::NotFound { what, id: id.into() }
+    }
+}
+
+impl From<FieldError> for Error {
+    fn from(error: FieldError) -> Self {
+        Self::Invalid(vec![error])
+    }
+}
