@@ -1,0 +1,170 @@
+//! Gaussian process regression with the Matern-5/2 kernel: theory here, fitting in [`evidence`].
+//!
+//! ```text
+//! y_i = f(x_i) + e_i,   e_i ~ N(0, sn^2),   f ~ GP(m, k)
+//! k(x, x') = sf^2 (1 + a + a^2 / 3) exp(-a),   a = sqrt(5) r,   r^2 = sum_j (x_j - x'_j)^2 / l_j^2
+//! K = [k(x_i, x_j)] + (sn^2 + jitter) I,   w = K^-1 (y - m)
+//! mean(x) = m + k(x)^T w          var(x) = sf^2 - k(x)^T K^-1 k(x)
+//! ```
+//!
+//! | symbol | field | shape | unit |
+//! |--------|-------|-------|------|
+//! | l_j | `lengthscales` | `[D]` | of input j |
+//! | sf, sn | `signal_sd`, `noise_sd` | | of the output |
+//! | m | `mean` | | of the output |
+//!
+//! Numerics: Cholesky factor of K; the jitter starts at 1e-10 sf^2 and grows tenfold until the factor exists.
+//! Cost: n^3 / 6 for a factor, n D for a mean, n^2 for a variance; meant for n up to a few hundred.
+//!
+//! Source: Rasmussen, Williams, Gaussian Processes for Machine Learning (2006), eq. 2.23-2.24, 4.17, algorithm 2.1.
+
+pub mod evidence;
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
+/// What shapes a Gaussian process; see the table above.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Hyperparameters<const D: usize> {
+    /// Distance over which the function changes, per input; long where an input does nothing.
+    pub lengthscales: [f64; D],
+    /// Standard deviation of the function around its mean.
+    pub signal_sd: f64,
+    /// Standard deviation of one observation around the function.
+    pub noise_sd: f64,
+    /// Value far from all data.
+    pub mean: f64,
+}
+
+impl<const D: usize> Hyperparameters<D> {
+    /// Distance in lengthscales, `r` above.
+    pub fn scaled_distance(&self, a: &[f64; D], b: &[f64; D]) -> f64 {
+        (0..D).map(|j| ((a[j] - b[j]) / self.lengthscales[j]).powi(2)).sum::<f64>().sqrt()
+    }
+
+    /// Correlation of the function at two points, 0 to 1.
+    pub fn correlation(&self, a: &[f64; D], b: &[f64; D]) -> f64 {
+        let a = 5f64.sqrt() * self.scaled_distance(a, b);
+        (1.0 + a + a * a / 3.0) * (-a).exp()
+    }
+}
+
+/// What the function probably is at one point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Prediction {
+    /// Posterior mean.
+    pub mean: f64,
+    /// Posterior standard deviation of the function itself, without the noise of an observation.
+    pub sd: f64,
+}
+
+/// Why there is no Gaussian process.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum GaussianProcessError {
+    /// No observation, or inputs and outputs differ in number.
+    #[error("needs at least one observation, and one output per input")]
+    Shape,
+    /// An input, an output or a hyperparameter is not a usable number.
+    #[error("inputs, outputs and hyperparameters must be finite, lengthscales and signal positive")]
+    NotFinite,
+    /// No jitter up to a tenth of the signal's variance makes the covariance positive definite.
+    #[error("the covariance matrix is singular")]
+    Singular,
+}
+
+/// A Gaussian process conditioned on observations.
+#[derive(Debug, Clone)]
+pub struct GaussianProcess<const D: usize> {
+    hyperparameters: Hyperparameters<D>,
+    inputs: Vec<[f64; D]>,
+    outputs: Vec<f64>,
+    factor: Cholesky<f64, Dyn>,
+    /// K^-1 (y - m), `[n]`.
+    weights: DVector<f64>,
+}
+
+impl<const D: usize> GaussianProcess<D> {
+    /// Condition on `outputs[i]` observed at `inputs[i]`, hyperparameters given. Repeated inputs are welcome.
+    ///
+    /// # Errors
+    /// [`GaussianProcessError`]
+    pub fn new(
+        inputs: &[[f64; D]],
+        outputs: &[f64],
+        hyperparameters: Hyperparameters<D>,
+    ) -> Result<Self, GaussianProcessError> {
+        if inputs.is_empty() || inputs.len() != outputs.len() {
+            return Err(GaussianProcessError::Shape);
+        }
+        let h = &hyperparameters;
+        let positive = h.lengthscales.iter().chain([&h.signal_sd]).all(|v| v.is_finite() && *v > 0.0);
+        let finite = inputs.iter().flatten().chain(outputs).chain([&h.mean, &h.noise_sd]).all(|v| v.is_finite());
+        if !positive || !finite {
+            return Err(GaussianProcessError::NotFinite);
+        }
+        let factor = factorise(covariance(inputs, h), h.signal_sd.powi(2)).ok_or(GaussianProcessError::Singular)?;
+        let weights = factor.solve(&DVector::from_iterator(outputs.len(), outputs.iter().map(|y| y - h.mean)));
+        Ok(Self { hyperparameters, inputs: inputs.to_vec(), outputs: outputs.to_vec(), factor, weights })
+    }
+
+    /// Posterior at `x`.
+    pub fn predict(&self, x: &[f64; D]) -> Prediction {
+        let h = &self.hyperparameters;
+        let variance = h.signal_sd.powi(2);
+        let n = self.inputs.len();
+        let covariances = DVector::from_iterator(n, self.inputs.iter().map(|xi| variance * h.correlation(xi, x)));
+        let mean = h.mean + covariances.dot(&self.weights);
+        let explained = match self.factor.l_dirty().solve_lower_triangular(&covariances) {
+            Some(v) => v.norm_squared(),
+            None => 0.0,
+        };
+        // Rounding can leave a tiny negative variance at an observed point.
+        Prediction { mean, sd: (variance - explained).max(0.0).sqrt() }
+    }
+
+    /// This process with its own mean at `x` added as an observation (kriging believer): what it would be if `x` were
+    /// evaluated and nothing surprising happened. Unchanged if the point cannot be added.
+    ///
+    /// Source: Ginsbourger, Le Riche, Carraro, Computational Intelligence in Expensive Optimization Problems (2010).
+    pub fn believe(&self, x: &[f64; D]) -> Self {
+        let (mut inputs, mut outputs) = (self.inputs.clone(), self.outputs.clone());
+        inputs.push(*x);
+        outputs.push(self.predict(x).mean);
+        Self::new(&inputs, &outputs, self.hyperparameters.clone()).unwrap_or_else(|_| self.clone())
+    }
+
+    /// The hyperparameters in use.
+    pub fn hyperparameters(&self) -> &Hyperparameters<D> {
+        &self.hyperparameters
+    }
+}
+
+/// `K` above without jitter, `[n, n]`.
+fn covariance<const D: usize>(inputs: &[[f64; D]], h: &Hyperparameters<D>) -> DMatrix<f64> {
+    let (variance, noise) = (h.signal_sd.powi(2), h.noise_sd.powi(2));
+    let n = inputs.len();
+    let mut k = DMatrix::zeros(n, n);
+    for i in 0..n {
+        for j in 0..i {
+            let value = variance * h.correlation(&inputs[i], &inputs[j]);
+            (k[(i, j)], k[(j, i)]) = (value, value);
+        }
+        k[(i, i)] = variance + noise;
+    }
+    k
+}
+
+/// Cholesky factor with the least jitter of 1e-10, 1e-9 ... 0.1 times `variance` that works.
+fn factorise(mut k: DMatrix<f64>, variance: f64) -> Option<Cholesky<f64, Dyn>> {
+    let mut added = 0.0;
+    (-10..=-1).find_map(|exponent| {
+        let jitter = 10f64.powi(exponent) * variance;
+        for i in 0..k.nrows() {
+            k[(i, i)] += jitter - added;
+        }
+        added = jitter;
+        Cholesky::new(k.clone())
+    })
+}
+
+#[cfg(test)]
+mod tests;
