@@ -1,1 +1,231 @@
-//! (under construction)
+//! From a measured angle of repose to parameter sets whose simulated heap has it.
+//!
+//! Bayesian optimisation over the nine parameters within their published bounds. One round after the other:
+//!
+//! 1. the first round is a space-filling design ([`Settings::initial`] points);
+//! 2. search trials within the tolerance are *candidates*; those that the emulator believes in are simulated again with
+//!    fresh seeds ([`Settings::verify_repeats`]), and kept as sets if the mean of these runs is within the tolerance;
+//! 3. with too few sets, a batch of further points is searched: a Gaussian process of the angle is fitted to every trial
+//!    (`stats/gaussian_process.rs`), and expected improvement of the distance to the target (`acquisition.rs`), a
+//!    reluctance to repeat what is accepted, and the chance of a heap (`propose.rs`) choose them;
+//! 4. until there are [`Settings::sets`] sets, or [`Settings::trials_max`] simulations are spent.
+//!
+//! Each round is a pure function of the trials before it. That makes the result independent of the number of threads,
+//! and resuming trivial: the history is replayed through the same rounds, and only what it lacks is simulated.
+//!
+//! The method follows Algorithm 1 of arXiv:2506.03896 in box, tolerance and number of sets; its shrinking of the bounds is
+//! left out, verification and diversity are added.
+
+mod acquisition;
+mod propose;
+mod settings;
+mod space;
+mod trial;
+mod verify;
+
+#[cfg(test)]
+mod tests;
+
+pub use acquisition::{expected_improvement, probability_within};
+pub use settings::Settings;
+pub use trial::{CalibratedSet, Calibration, Heap, Outcome, Phase, Trial};
+
+use crate::domain::FieldError;
+use crate::domain::job::Progress;
+use crate::domain::parameters::ParameterSet;
+use crate::domain::powder::Flowability;
+use crate::domain::seed::derive;
+use crate::stats::latin_hypercube::maximin_latin_hypercube;
+use crate::stats::summary;
+use propose::Emulator;
+use rand::SeedableRng;
+use rand_pcg::Pcg64;
+use rayon::prelude::*;
+use std::fmt::Display;
+use std::ops::ControlFlow;
+use trial::Planned;
+
+/// First index of the seeds of proposals, which no trial has.
+const PROPOSALS: u64 = u64::MAX;
+
+/// Why a calibration has no result.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Error {
+    /// A setting or the target is out of bounds.
+    #[error(transparent)]
+    Settings(#[from] FieldError),
+    /// The history was made with other settings, another target or another version of the code.
+    #[error(
+        "trial {index} of the history is not what these settings and this version propose: start a new calibration"
+    )]
+    History {
+        /// The first trial that differs.
+        index: u32,
+    },
+    /// `on_trial` asked to stop. With the history so far the calibration can be resumed.
+    #[error("stopped on request")]
+    Stopped,
+    /// The budget is spent.
+    #[error(transparent)]
+    TooFew(Box<TooFew>),
+}
+
+/// What was found when the budget was spent before enough sets were.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error(
+    "found {} of {wanted} sets within {tolerance_deg} deg of {:.2} deg in {} simulations ({refused} refused); {}: \
+     allow more trials or a wider tolerance, or check the measurement",
+    .partial.sets.len(), .partial.target.repose_deg, .partial.evaluations + .partial.verification_runs, nearest(*.nearest_deg)
+)]
+pub struct TooFew {
+    /// What there is.
+    pub partial: Calibration,
+    /// Sets that were asked for.
+    pub wanted: u32,
+    /// The tolerance, degrees.
+    pub tolerance_deg: f64,
+    /// Simulations without an angle.
+    pub refused: u32,
+    /// The simulated angle nearest to the target, degrees; none if every simulation was refused.
+    pub nearest_deg: Option<f64>,
+}
+
+fn nearest(tip_deg: Option<f64>) -> String {
+    match tip_deg {
+        Some(deg) => format!("the nearest angle reached was {deg:.2} deg"),
+        None => "no simulation gave an angle".to_owned(),
+    }
+}
+
+/// Parameter sets whose simulated angle of repose is `target`'s.
+///
+/// | argument | meaning |
+/// |----------|---------|
+/// | `target` | the measurement; its mean is aimed at |
+/// | `settings` | tolerance, budget, seed |
+/// | `history` | trials of an interrupted run with the same target and settings, in order; replayed, never simulated again |
+/// | `simulate` | parameters and seed to a heap, or why there is none; called from several threads, must be pure |
+/// | `on_trial` | hears every new trial (not the replayed ones) in order of its index; `Break` stops |
+///
+/// The same target, settings and `simulate` give the same bytes at any number of threads, interrupted or not.
+///
+/// # Errors
+/// [`Error`]
+pub fn calibrate<E: Display + Send>(
+    target: &Flowability,
+    settings: &Settings,
+    history: &[Trial],
+    simulate: impl Fn(&ParameterSet, u64) -> Result<Heap, E> + Sync,
+    mut on_trial: impl FnMut(&Trial, &Progress) -> ControlFlow<()>,
+) -> Result<Calibration, Error> {
+    let settings = settings.clone().checked()?;
+    let target = Flowability::new(target.repose_deg, target.sd_deg, target.n)?;
+    let outcome = |p: &Planned| Outcome::of(simulate(&p.parameters, p.seed).map_err(|e| e.to_string()));
+    let mut trials: Vec<Trial> = Vec::new();
+    loop {
+        let round = plan(&trials, &target, &settings);
+        if round.is_empty() {
+            return match history.len() > trials.len() {
+                true => Err(Error::History { index: trials.len() as u32 }),
+                false => conclude(&trials, &target, &settings),
+            };
+        }
+        for batch in round.chunks(settings.batch as usize) {
+            let new = &batch[replay(batch, &mut trials, history, &target)?..];
+            let outcomes: Vec<Outcome> = new.par_iter().map(outcome).collect();
+            for (planned, outcome) in new.iter().zip(outcomes) {
+                let trial = planned.clone().concluded(trials.len() as u32, outcome, &target);
+                trials.push(trial.clone());
+                if on_trial(&trial, &progress(&trials, &target, &settings)).is_break() {
+                    return Err(Error::Stopped);
+                }
+            }
+        }
+    }
+}
+
+/// Append to `trials` what the history holds of `batch`, after checking that it is just this; how many that were.
+fn replay(batch: &[Planned], trials: &mut Vec<Trial>, history: &[Trial], target: &Flowability) -> Result<usize, Error> {
+    let known = history.get(trials.len()..).unwrap_or_default();
+    for (planned, trial) in batch.iter().zip(known) {
+        let index = trials.len() as u32;
+        if trial.index != index || !planned.is(trial) {
+            return Err(Error::History { index });
+        }
+        // Computed afresh: the stored error may have lost its last bit on the way.
+        trials.push(planned.clone().concluded(index, trial.outcome.clone(), target));
+    }
+    Ok(batch.len().min(known.len()))
+}
+
+/// What to simulate next; nothing when the calibration is over.
+fn plan(trials: &[Trial], target: &Flowability, settings: &Settings) -> Vec<Planned> {
+    let left = (settings.trials_max as usize).saturating_sub(trials.len());
+    let sets = verify::verified(trials, target, settings);
+    let wanted = (settings.sets as usize).saturating_sub(sets.len());
+    if left == 0 || wanted == 0 {
+        return Vec::new();
+    }
+    let mut rng = Pcg64::seed_from_u64(derive(settings.seed, &[PROPOSALS, trials.len() as u64]));
+    let search = |points: Vec<space::Point>| {
+        let indexed = (trials.len() as u32..).zip(points);
+        indexed.map(|(index, point)| Planned::search(index, space::parameters_at(&point), settings.seed)).collect()
+    };
+    if trials.is_empty() {
+        return search(maximin_latin_hypercube((settings.initial as usize).min(left), 50, &mut rng));
+    }
+    let batch = (settings.batch as usize).min(left);
+    let Some(emulator) = Emulator::of(trials, target.repose_deg) else {
+        return search(maximin_latin_hypercube(batch, 50, &mut rng));
+    };
+    let repeats = settings.verify_repeats;
+    let candidates = verify::candidates(trials, settings);
+    let affordable = wanted.min(left / repeats as usize);
+    let points = sets.iter().map(|s| s.parameters.to_unit());
+    let chosen = verify::choose(candidates, points, affordable, &emulator, settings);
+    if chosen.is_empty() {
+        return search(propose::propose(emulator, trials, settings, batch, &mut rng));
+    }
+    let runs = chosen.into_iter().flat_map(|c| (1..=repeats).map(move |r| Planned::verification(c, r, settings.seed)));
+    runs.collect()
+}
+
+fn conclude(trials: &[Trial], target: &Flowability, settings: &Settings) -> Result<Calibration, Error> {
+    let calibration = summarised(trials, target, settings);
+    if calibration.sets.len() >= settings.sets as usize {
+        return Ok(calibration);
+    }
+    let reached = trials.iter().filter_map(|t| Some((t.error_deg?, t.outcome.tip_deg()?)));
+    Err(Error::TooFew(Box::new(TooFew {
+        partial: calibration,
+        wanted: settings.sets,
+        tolerance_deg: settings.tolerance_deg,
+        refused: trials.iter().filter(|t| t.error_deg.is_none()).count() as u32,
+        nearest_deg: reached.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, tip)| tip),
+    })))
+}
+
+fn summarised(trials: &[Trial], target: &Flowability, settings: &Settings) -> Calibration {
+    let evaluations = trials.iter().filter(|t| t.phase == Phase::Search).count();
+    let sets = verify::verified(trials, target, settings);
+    let errors: Vec<f64> = sets.iter().map(|s| s.error_deg).collect();
+    Calibration {
+        target: *target,
+        evaluations: evaluations as u32,
+        verification_runs: (trials.len() - evaluations) as u32,
+        mean_error_deg: summary::mean(&errors),
+        sd_error_deg: summary::sd(&errors),
+        sets,
+    }
+}
+
+/// Done is what is nearer: the sets or the end of the budget.
+fn progress(trials: &[Trial], target: &Flowability, settings: &Settings) -> Progress {
+    let sets = verify::verified(trials, target, settings).len();
+    let found = sets as f64 / f64::from(settings.sets);
+    let spent = trials.len() as f64 / f64::from(settings.trials_max);
+    Progress {
+        fraction: found.max(spent).min(1.0),
+        message: format!("trial {}, {sets} of {} sets", trials.len(), settings.sets),
+    }
+}

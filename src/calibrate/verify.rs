@@ -1,0 +1,76 @@
+//! From search trials that hit the tolerance to sets that keep it.
+
+use super::propose::Emulator;
+use super::settings::Settings;
+use super::space::Point;
+use super::trial::{CalibratedSet, Phase, Trial};
+use crate::domain::powder::Flowability;
+use crate::stats::latin_hypercube::distance;
+use crate::stats::summary;
+
+/// A candidate is verified when the emulator finds it at least this likely to be within the tolerance: a single lucky
+/// seed is not worth the runs.
+const LIKELY: f64 = 0.5;
+
+/// Search trials within the tolerance that were not verified yet, oldest first.
+pub(super) fn candidates<'a>(trials: &'a [Trial], settings: &Settings) -> Vec<&'a Trial> {
+    let verified = |c: &Trial| trials.iter().any(|t| t.phase == Phase::Verification && t.candidate == c.index);
+    let within = |t: &Trial| t.error_deg.is_some_and(|error| error <= settings.tolerance_deg);
+    trials.iter().filter(|t| t.phase == Phase::Search && within(t) && !verified(t)).collect()
+}
+
+/// Up to `wanted` candidates to verify next, spread over the box, near to the target rather than at the tolerance:
+/// one after the other that with the largest
+///
+/// ```text
+/// distance to the nearest set taken * (1 - expected error / (2 tolerance))
+/// ```
+///
+/// `taken` are the points of the sets verified before. The maximin idea is that of Johnson, Moore and Ylvisaker (1990).
+pub(super) fn choose<'a>(
+    mut candidates: Vec<&'a Trial>,
+    taken: impl IntoIterator<Item = Point>,
+    wanted: usize,
+    emulator: &Emulator,
+    settings: &Settings,
+) -> Vec<&'a Trial> {
+    candidates.retain(|c| emulator.probability_within(&c.parameters.to_unit(), settings.tolerance_deg) >= LIKELY);
+    let mut taken: Vec<Point> = taken.into_iter().collect();
+    let mut chosen = Vec::new();
+    while chosen.len() < wanted && !candidates.is_empty() {
+        let merit = |c: &&Trial| {
+            let point = c.parameters.to_unit();
+            // With nothing taken yet every distance is alike.
+            let nearest = taken.iter().map(|other| distance(&point, other)).fold(3.0, f64::min);
+            nearest * (1.0 - emulator.expected_error_deg(&point) / (2.0 * settings.tolerance_deg))
+        };
+        let order = |a: &usize, b: &usize| merit(&candidates[*a]).total_cmp(&merit(&candidates[*b]));
+        let Some(best) = (0..candidates.len()).max_by(order) else { break };
+        let candidate = candidates.remove(best);
+        taken.push(candidate.parameters.to_unit());
+        chosen.push(candidate);
+    }
+    chosen
+}
+
+/// The sets whose verification is complete, without a refusal, and within the tolerance on average.
+pub(super) fn verified(trials: &[Trial], target: &Flowability, settings: &Settings) -> Vec<CalibratedSet> {
+    trials.iter().filter(|t| t.phase == Phase::Search).filter_map(|c| verdict(c, trials, target, settings)).collect()
+}
+
+fn verdict(candidate: &Trial, trials: &[Trial], target: &Flowability, settings: &Settings) -> Option<CalibratedSet> {
+    let runs = trials.iter().filter(|t| t.phase == Phase::Verification && t.candidate == candidate.index);
+    let tips: Vec<f64> = runs.filter_map(|t| t.outcome.tip_deg()).collect();
+    if tips.len() < settings.verify_repeats as usize {
+        return None;
+    }
+    let repose_deg = summary::mean(&tips)?;
+    let error_deg = (repose_deg - target.repose_deg).abs();
+    (error_deg <= settings.tolerance_deg).then_some(CalibratedSet {
+        parameters: candidate.parameters,
+        repose_deg,
+        repose_sd_deg: summary::sd(&tips),
+        runs: tips.len() as u32,
+        error_deg,
+    })
+}
