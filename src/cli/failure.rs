@@ -1,5 +1,6 @@
 //! How a command fails: what it prints, and the exit status that scripts see.
 
+use crate::app::{Error, OpenError};
 use crate::domain::FieldError;
 use serde_json::json;
 use std::process::ExitCode;
@@ -53,6 +54,26 @@ pub(super) fn of_arguments(error: &clap::Error) -> ExitCode {
 impl From<FieldError> for Failure {
     fn from(error: FieldError) -> Self {
         Self::BadInput(vec![error])
+    }
+}
+
+impl From<Error> for Failure {
+    fn from(error: Error) -> Self {
+        match error {
+            Error::Invalid(errors) => Self::BadInput(errors),
+            Error::NotFound { what, ref id } => FieldError::new(what, format!("there is no {what} `{id}`")).into(),
+            Error::Conflict { .. } | Error::Unprocessable { .. } => Self::NotNow(error.to_string()),
+            Error::Busy(_) | Error::Unavailable(_) | Error::Internal(_) => Self::Failed(error.into()),
+        }
+    }
+}
+
+impl From<OpenError> for Failure {
+    fn from(error: OpenError) -> Self {
+        match error {
+            OpenError::Held(message) => Self::NotNow(message),
+            error => Self::Failed(error.into()),
+        }
     }
 }
 

@@ -5,10 +5,21 @@
 //! field or the missing prerequisite; 1: failure. Commands call the same [`crate::app::App`] as REST and gRPC, in
 //! this process, so there is one path to every effect.
 
+mod calibrate;
+mod demo;
+mod evaluate;
 mod failure;
+mod jobs;
 mod parameters;
 mod repose;
+mod session;
+mod table;
+mod token;
+mod train;
+mod watch;
+mod weigh;
 
+use crate::app::{LIST_LIMIT_MAX, PageQuery};
 use clap::{Args, Parser, Subcommand};
 use failure::Failure;
 use serde::Serialize;
@@ -41,9 +52,26 @@ struct Common {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// From published measurements to weighed doses: calibrate, train, weigh, print the table, keep serving.
+    Demo(demo::Arguments),
     /// Pour a simulated powder and measure its angle of repose.
     Repose(repose::Arguments),
+    /// Find simulated powders that pile like a measured one.
+    Calibrate(calibrate::Arguments),
+    /// Learn to weigh on simulated powders.
+    Train(train::Arguments),
+    /// Measure a policy's errors beside those of simple controllers.
+    Evaluate(evaluate::Arguments),
+    /// Weigh one dose on the simulated bench.
+    Weigh(weigh::Arguments),
+    /// List calibrations, trainings and evaluations, also while a server runs.
+    Jobs(jobs::Arguments),
+    /// Make API tokens.
+    Token(token::Arguments),
 }
+
+/// As much of a list as one page holds.
+const FIRST_PAGE: PageQuery = PageQuery { limit: Some(LIST_LIMIT_MAX), after: None };
 
 /// Parse the arguments, run the command, and say how it ended by the exit status.
 pub fn main() -> ExitCode {
@@ -59,8 +87,16 @@ pub fn main() -> ExitCode {
 }
 
 fn run(cli: &Cli) -> Result<(), Failure> {
+    let common = &cli.common;
     match &cli.command {
-        Command::Repose(arguments) => repose::run(&cli.common, arguments),
+        Command::Demo(arguments) => demo::run(common, arguments),
+        Command::Repose(arguments) => repose::run(common, arguments),
+        Command::Calibrate(arguments) => calibrate::run(common, arguments),
+        Command::Train(arguments) => train::run(common, arguments),
+        Command::Evaluate(arguments) => evaluate::run(common, arguments),
+        Command::Weigh(arguments) => weigh::run(common, arguments),
+        Command::Jobs(arguments) => jobs::run(common, arguments),
+        Command::Token(arguments) => token::run(common, arguments),
     }
 }
 

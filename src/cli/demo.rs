@@ -1,0 +1,167 @@
+//! `flip demo`: from published measurements to weighed doses, once; running it again goes on where it was.
+
+use super::Common;
+use super::calibrate::{Search, Target, calibrate};
+use super::failure::Failure;
+use super::session::with_app;
+use super::table::table;
+use super::train::{Timing, train};
+use super::watch::Watch;
+use super::weigh::{request, weigh};
+use crate::app::{App, Calibration, Order, Preset, TrainingRequest, TrainingResult, Weighing, WeighingRequest};
+use crate::domain::powder::PUBLISHED;
+use serde::Serialize;
+use std::time::Instant;
+
+/// The dose that is weighed of every powder, mg.
+const TARGET_MG: f64 = 15.0;
+/// Accepted error of a dose either way, mg.
+const TOLERANCE_MG: f64 = 1.0;
+
+/// Arguments of `flip demo`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    /// End after the table instead of serving on.
+    #[arg(long)]
+    exit: bool,
+    /// Episodes of the training: the demonstration budget. `flip train` uses 4000.
+    #[arg(long, value_name = "N", default_value_t = 400, allow_negative_numbers = true)]
+    episodes: u32,
+    #[command(flatten)]
+    search: Search,
+}
+
+/// The document of `flip demo`.
+#[derive(Debug, Serialize)]
+struct Document {
+    rows: Vec<Row>,
+    mean_abs_error_mg: f64,
+    policy: String,
+    training: Learned,
+    seed: u64,
+    timing: Timing,
+}
+
+/// One line of the table.
+#[derive(Debug, Serialize)]
+struct Row {
+    powder: String,
+    aor_measured_deg: f64,
+    /// Mean over the powder's calibrated sets.
+    aor_simulated_deg: f64,
+    target_mg: f64,
+    dispensed_mg: f64,
+    error_mg: f64,
+    shakes: u32,
+    /// Time on the bench.
+    seconds: f64,
+}
+
+/// What the training came to.
+#[derive(Debug, Serialize)]
+struct Learned {
+    episodes: u32,
+    final_error_mg: f64,
+}
+
+/// Run the demonstration.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    with_app(common, async |app| {
+        let document = demonstrate(app, common, arguments).await?;
+        common.print(&document, || text(&document))
+    })
+}
+
+/// Calibrate, train, weigh.
+async fn demonstrate(app: &App, common: &Common, arguments: &Arguments) -> Result<Document, Failure> {
+    let (began, watch) = (Instant::now(), Watch::new());
+    let targets = PUBLISHED.map(|powder| Target::Powder(powder.id.to_owned()));
+    let calibrations = calibrate(app, &watch, &targets, Some(&arguments.search), common.seed).await?;
+    let learned = learn(app, &watch, common, arguments).await?;
+    let mut rows = Vec::new();
+    for (powder, calibration) in PUBLISHED.iter().zip(&calibrations) {
+        watch.say(&format!("weigh {TARGET_MG} mg of {}", powder.id));
+        let request = request(powder.id, TARGET_MG, TOLERANCE_MG);
+        let request = WeighingRequest { policy: Some(learned.policy.clone()), seed: Some(common.seed), ..request };
+        // The key is made of what the dose depends on: a second run finds the first one's doses and pours nothing.
+        let key = format!("demo-{}-{}-{}-{TARGET_MG}-mg", common.seed, learned.policy, powder.id);
+        rows.push(row(calibration, weigh(app, &watch, request, &key).await?)?);
+    }
+    Ok(Document {
+        mean_abs_error_mg: rows.iter().map(|row| row.error_mg.abs()).sum::<f64>() / rows.len() as f64,
+        rows,
+        policy: learned.policy,
+        training: Learned { episodes: learned.episodes, final_error_mg: learned.final_error_mg },
+        seed: common.seed,
+        timing: Timing { wall_s: began.elapsed().as_secs_f64() },
+    })
+}
+
+async fn learn(app: &App, watch: &Watch, common: &Common, arguments: &Arguments) -> Result<TrainingResult, Failure> {
+    let request = TrainingRequest {
+        order: Order::Curriculum,
+        preset: Preset::Flip,
+        episodes: Some(arguments.episodes),
+        powders: None,
+        seed: Some(common.seed),
+    };
+    let training = train(app, watch, request).await?;
+    Ok(training.result.ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?)
+}
+
+fn row(calibration: &Calibration, weighing: Weighing) -> Result<Row, Failure> {
+    let sets = calibration.result.as_ref().map_or(&[] as &[_], |result| &result.sets);
+    let of_weighing = |what: &str| {
+        let why = weighing.error.as_deref().unwrap_or("it did not end");
+        anyhow::anyhow!("weighing {} has no {what}: {why}", weighing.id)
+    };
+    Ok(Row {
+        aor_measured_deg: calibration.target.repose_deg,
+        aor_simulated_deg: sets.iter().map(|set| set.repose_deg).sum::<f64>() / sets.len() as f64,
+        target_mg: weighing.target_mg,
+        dispensed_mg: weighing.dispensed_mg.ok_or_else(|| of_weighing("dispensed mass"))?,
+        error_mg: weighing.error_mg.ok_or_else(|| of_weighing("error"))?,
+        shakes: weighing.shakes.unwrap_or_default(),
+        seconds: weighing.seconds.unwrap_or_default(),
+        powder: weighing.powder,
+    })
+}
+
+fn text(document: &Document) -> String {
+    let row = |r: &Row| {
+        vec![
+            r.powder.clone(),
+            format!("{:.2}", r.aor_measured_deg),
+            format!("{:.2}", r.aor_simulated_deg),
+            format!("{:.2}", r.target_mg),
+            format!("{:.2}", r.dispensed_mg),
+            format!("{:+.2}", r.error_mg),
+            r.shakes.to_string(),
+            format!("{:.1}", r.seconds),
+        ]
+    };
+    let header = [
+        "powder",
+        "AoR measured deg",
+        "AoR simulated deg",
+        "target mg",
+        "dispensed mg",
+        "error mg",
+        "shakes",
+        "seconds",
+    ];
+    let rows = table(&header, &document.rows.iter().map(row).collect::<Vec<_>>());
+    let worst = document.rows.iter().max_by(|a, b| a.error_mg.abs().total_cmp(&b.error_mg.abs()));
+    let worst = worst.map_or(String::new(), |row| format!(", largest {:+.2} mg ({})", row.error_mg, row.powder));
+    let within = document.rows.iter().filter(|row| row.error_mg.abs() <= TOLERANCE_MG).count();
+    format!(
+        "\n{rows}\n\nmean |error| {:.2} mg{worst}; {within} of {} within {TOLERANCE_MG} mg\n\
+         policy {} after {} episodes, mean error of its last 20 {:.2} mg; {:.0} s in all",
+        document.mean_abs_error_mg,
+        document.rows.len(),
+        document.policy,
+        document.training.episodes,
+        document.training.final_error_mg,
+        document.timing.wall_s
+    )
+}

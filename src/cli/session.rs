@@ -1,0 +1,75 @@
+//! One command's hold on the application: opened, watched for Ctrl-C, closed in good order.
+
+use super::Common;
+use super::failure::Failure;
+use crate::app::{App, OpenError, Options};
+
+/// Run `work` with the application open for writing and its workers running; close it whatever happens.
+///
+/// SIGTERM and Ctrl-C end the work early: running jobs write a checkpoint, the spoon is levelled, and the same command
+/// run again goes on from there.
+pub(super) fn with_app<T>(common: &Common, work: impl AsyncFnOnce(&App) -> Result<T, Failure>) -> Result<T, Failure> {
+    with_options(common, Options { workers: true }, work)
+}
+
+/// As [`with_app`], but leaving queued jobs and weighings where they are.
+pub(super) fn with_writer<T>(
+    common: &Common,
+    work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
+) -> Result<T, Failure> {
+    with_options(common, Options { workers: false }, work)
+}
+
+fn with_options<T>(
+    common: &Common,
+    options: Options,
+    work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
+) -> Result<T, Failure> {
+    runtime()?.block_on(async {
+        let app = App::open(&common.data_dir, options).await?;
+        let result = tokio::select! {
+            result = work(&app) => result,
+            signal = stop_requested() => Err(interrupted(signal?)),
+        };
+        let closed = app.shutdown().await;
+        let result = result?;
+        closed?;
+        Ok(result)
+    })
+}
+
+/// Run `work` with the application open and no workers; when another process holds the folder, open it to read.
+pub(super) fn with_reader<T>(
+    common: &Common,
+    work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
+) -> Result<T, Failure> {
+    runtime()?.block_on(async {
+        let app = match App::open(&common.data_dir, Options { workers: false }).await {
+            Err(OpenError::Held(_)) => App::open_to_read(&common.data_dir).await?,
+            opened => opened?,
+        };
+        let result = work(&app).await?;
+        app.shutdown().await?;
+        Ok(result)
+    })
+}
+
+/// A runtime for one command.
+pub(super) fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
+    Ok(tokio::runtime::Builder::new_multi_thread().enable_all().build()?)
+}
+
+/// Wait for SIGTERM or Ctrl-C; which one it was.
+pub(super) async fn stop_requested() -> std::io::Result<&'static str> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+    Ok(tokio::select! {
+        _ = terminate.recv() => "SIGTERM",
+        _ = interrupt.recv() => "Ctrl-C",
+    })
+}
+
+/// The end of a command that was stopped before it was done.
+pub(super) fn interrupted(signal: &str) -> Failure {
+    Failure::Failed(anyhow::anyhow!("stopped by {signal}; run the same command again to go on from where it was"))
+}

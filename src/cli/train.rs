@@ -1,0 +1,177 @@
+//! `flip train`: a policy learned on simulated powders.
+
+use super::calibrate::{Target, calibrate};
+use super::failure::Failure;
+use super::session::with_app;
+use super::table::table;
+use super::watch::Watch;
+use super::{Common, FIRST_PAGE};
+use crate::app::{App, Error, Job, Order, Preset, Training, TrainingRequest};
+use crate::domain::FieldError;
+use clap::ValueEnum;
+use serde::Serialize;
+
+/// Angles of the published curriculum's levels, degrees.
+const PAPER_LEVELS_DEG: [f64; 3] = [28.0, 33.0, 37.0];
+/// Powders of FLIP's own curriculum.
+const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
+
+/// Arguments of `flip train`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    /// In which order the levels are met.
+    #[arg(long, value_enum)]
+    order: OrderFlag,
+    /// Collection of settings: FLIP's own, or as published.
+    #[arg(long, value_enum, default_value_t = PresetFlag::Flip)]
+    preset: PresetFlag,
+    /// Episodes; 4000 is the full budget.
+    #[arg(long, value_name = "N", default_value_t = 4000, allow_negative_numbers = true)]
+    episodes: u32,
+    /// Powders whose calibrated sets are the levels [default: sand,sugar,salt]; not with the paper preset.
+    #[arg(long, value_name = "ID,…", value_delimiter = ',')]
+    powders: Option<Vec<String>>,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum OrderFlag {
+    /// From the lowest angle of repose to the highest, moving on when the errors are small.
+    Curriculum,
+    /// Levels shuffled once.
+    Random,
+    /// From the highest angle of repose to the lowest.
+    Reverse,
+    /// A level drawn anew for every episode.
+    DomainRandomisation,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum PresetFlag {
+    /// Episodes end near the target; levels are measured powders.
+    Flip,
+    /// Exactly ten steps; levels at 28, 33 and 37 degrees.
+    Paper,
+}
+
+/// The document of `flip train`.
+#[derive(Debug, Serialize)]
+struct Document {
+    /// Policy id, an address of its content.
+    policy: String,
+    episodes: u32,
+    /// Mean absolute error of the last 20 episodes.
+    final_error_mg: f64,
+    levels: Vec<serde_json::Value>,
+    seed: u64,
+    timing: Timing,
+}
+
+/// Wall times, apart from what must be reproducible.
+#[derive(Debug, Serialize)]
+pub(super) struct Timing {
+    /// From when the command was given until its result was there.
+    pub(super) wall_s: f64,
+}
+
+/// Train a policy and print what came out.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    let began = std::time::Instant::now();
+    let request = TrainingRequest {
+        order: arguments.order.into(),
+        preset: arguments.preset.into(),
+        episodes: Some(arguments.episodes),
+        powders: arguments.powders.clone(),
+        seed: Some(common.seed),
+    };
+    let training = with_app(common, async |app| train(app, &Watch::new(), request).await)?;
+    let result = training.result.ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?;
+    let document = Document {
+        policy: result.policy,
+        episodes: result.episodes,
+        final_error_mg: result.final_error_mg,
+        levels: result.levels,
+        seed: common.seed,
+        timing: Timing { wall_s: began.elapsed().as_secs_f64() },
+    };
+    common.print(&document, || text(&document))
+}
+
+/// Train as a job (or find the job that did), calibrating first what is not calibrated, and wait for it.
+pub(super) async fn train(app: &App, watch: &Watch, request: TrainingRequest) -> Result<Training, Failure> {
+    let job = match start(app, &request).await {
+        Err(Error::Conflict { code: "calibration_missing", message }) => {
+            watch.say(&format!("{message}: calibrating first"));
+            let levels = levels(&request);
+            calibrate(app, watch, &levels, None, request.seed.unwrap_or(1)).await?;
+            start(app, &request).await?
+        }
+        started => started?,
+    };
+    watch.job(app, &job.id, "train").await?;
+    Ok(app.training(&job.id).await?)
+}
+
+async fn start(app: &App, request: &TrainingRequest) -> Result<Job, Error> {
+    Ok(app.start_training(request.clone()).await?.0)
+}
+
+fn levels(request: &TrainingRequest) -> Vec<Target> {
+    match (request.preset, &request.powders) {
+        (Preset::Paper, _) => PAPER_LEVELS_DEG.map(Target::Angle).into(),
+        (Preset::Flip, None) => POWDERS.map(|powder| Target::Powder(powder.to_owned())).into(),
+        (Preset::Flip, Some(powders)) => powders.iter().cloned().map(Target::Powder).collect(),
+    }
+}
+
+/// Refuse at once when there is no policy to use: training takes longer than anyone expects of the command at hand.
+///
+/// # Errors
+/// `NotNow` names the command that makes one; an unknown id is bad input.
+pub(super) async fn require_policy(app: &App, id: Option<&str>) -> Result<(), Failure> {
+    match id {
+        Some(id) => app.policy(id).await.map(drop).map_err(|error| match error {
+            Error::NotFound { .. } => FieldError::new("policy", format!("there is no policy `{id}`")).into(),
+            error => Failure::from(error),
+        }),
+        None if app.policies(FIRST_PAGE).await?.items.is_empty() => {
+            Err(Failure::NotNow("there is no policy yet: make one with `flip train --order curriculum`".into()))
+        }
+        None => Ok(()),
+    }
+}
+
+fn text(document: &Document) -> String {
+    let plain = |value: &serde_json::Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+    let keys: Vec<&str> = document.levels.first().and_then(|level| level.as_object()).map_or(Vec::new(), |level| {
+        level.iter().filter(|(_, value)| !value.is_array() && !value.is_object()).map(|(key, _)| &**key).collect()
+    });
+    let rows: Vec<Vec<String>> =
+        document.levels.iter().map(|level| keys.iter().map(|key| plain(&level[*key])).collect()).collect();
+    format!(
+        "policy       {}\nepisodes     {}\nfinal error  {:.2} mg (mean of the last 20)\n\n{}",
+        document.policy,
+        document.episodes,
+        document.final_error_mg,
+        table(&keys, &rows)
+    )
+}
+
+impl From<OrderFlag> for Order {
+    fn from(flag: OrderFlag) -> Self {
+        match flag {
+            OrderFlag::Curriculum => Self::Curriculum,
+            OrderFlag::Random => Self::Random,
+            OrderFlag::Reverse => Self::Reverse,
+            OrderFlag::DomainRandomisation => Self::DomainRandomisation,
+        }
+    }
+}
+
+impl From<PresetFlag> for Preset {
+    fn from(flag: PresetFlag) -> Self {
+        match flag {
+            PresetFlag::Flip => Self::Flip,
+            PresetFlag::Paper => Self::Paper,
+        }
+    }
+}

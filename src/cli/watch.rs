@@ -1,0 +1,129 @@
+//! Waiting for a job: a bar with time left on a terminal, a line now and then elsewhere. Everything goes to stderr.
+
+use super::failure::Failure;
+use crate::app::App;
+use crate::app::Job;
+use crate::domain::job::JobState;
+use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+
+/// How often a job's row is read; a read costs a fraction of a millisecond.
+const LOOK_EVERY: Duration = Duration::from_millis(200);
+/// How often progress is said where no bar can be drawn.
+const SAY_EVERY: Duration = Duration::from_secs(15);
+/// Bar positions for a fraction of 1.
+const STEPS: f64 = 10_000.0;
+
+/// The bars of one command.
+#[derive(Debug)]
+pub(super) struct Watch {
+    bars: MultiProgress,
+    terminal: bool,
+}
+
+impl Watch {
+    /// Bars on stderr, or lines when stderr is no terminal.
+    pub(super) fn new() -> Self {
+        let terminal = std::io::stderr().is_terminal();
+        let target = if terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+        Self { bars: MultiProgress::with_draw_target(target), terminal }
+    }
+
+    /// Wait until the job `id` has succeeded, showing how far it is under `label`.
+    ///
+    /// # Errors
+    /// The job failed or was cancelled: its own reason.
+    pub(super) async fn job(&self, app: &App, id: &str, label: &str) -> Result<Job, Failure> {
+        let mut line = self.line(label);
+        loop {
+            let job = app.job(id).await?;
+            match job.state {
+                JobState::Queued | JobState::Running => line.show(job.progress.fraction, &job.progress.message),
+                JobState::Succeeded => {
+                    line.end("done");
+                    return Ok(job);
+                }
+                JobState::Failed | JobState::Cancelled => {
+                    line.end("ended early");
+                    let reason = job.error.unwrap_or_else(|| "it was cancelled".into());
+                    return Err(Failure::Failed(anyhow::anyhow!("{label}: {reason}")));
+                }
+            }
+            tokio::time::sleep(LOOK_EVERY).await;
+        }
+    }
+
+    /// Say `text` above the bars.
+    pub(super) fn say(&self, text: &str) {
+        // `suspend` lets the bars be redrawn below the line; without a terminal it only prints.
+        self.bars.suspend(|| eprintln!("{text}"));
+    }
+
+    fn line(&self, label: &str) -> Line {
+        let style = ProgressStyle::with_template("{prefix:30} {bar:30} {percent:>3} %  {eta:>5} left  {msg}");
+        let bar = self.bars.add(ProgressBar::new(STEPS as u64));
+        bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+        bar.set_prefix(label.to_owned());
+        Line {
+            bar,
+            label: label.to_owned(),
+            terminal: self.terminal,
+            began: Instant::now(),
+            said: Instant::now(),
+            first: None,
+        }
+    }
+}
+
+/// One job's bar.
+struct Line {
+    bar: ProgressBar,
+    label: String,
+    terminal: bool,
+    began: Instant,
+    said: Instant,
+    /// The fraction first seen: a resumed job starts above zero, and time left counts from there.
+    first: Option<f64>,
+}
+
+impl Line {
+    fn show(&mut self, fraction: f64, message: &str) {
+        if self.first.is_none() {
+            self.bar.reset_eta();
+        }
+        let first = *self.first.get_or_insert(fraction);
+        self.bar.set_position((fraction.clamp(0.0, 1.0) * STEPS) as u64);
+        self.bar.set_message(message.to_owned());
+        if !self.terminal && self.said.elapsed() >= SAY_EVERY {
+            self.said = Instant::now();
+            let left = seconds_left(fraction - first, 1.0 - fraction, self.began.elapsed());
+            let left = left.map_or(String::new(), |s| format!(", about {s:.0} s left"));
+            eprintln!("{}: {:.0} %, {message}{left}", self.label, 100.0 * fraction);
+        }
+    }
+
+    fn end(&self, message: &str) {
+        self.bar.set_position(STEPS as u64);
+        self.bar.finish_with_message(message.to_owned());
+        if !self.terminal {
+            eprintln!("{}: {message} after {:.0} s", self.label, self.began.elapsed().as_secs_f64());
+        }
+    }
+}
+
+/// Time left at the pace so far; nothing before there is a pace.
+fn seconds_left(done: f64, left: f64, elapsed: Duration) -> Option<f64> {
+    (done > 0.0).then(|| elapsed.as_secs_f64() * left / done)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_left_follows_the_pace_since_the_watch_began() {
+        assert_eq!(seconds_left(0.25, 0.75, Duration::from_secs(10)), Some(30.0));
+        assert_eq!(seconds_left(0.0, 1.0, Duration::from_secs(10)), None);
+    }
+}

@@ -1,0 +1,141 @@
+//! `flip weigh`: one dose, through the same intent, bench and guard as a request over HTTP.
+
+use super::Common;
+use super::calibrate::{Target as CalibrationTarget, calibrate};
+use super::failure::Failure;
+use super::session::with_app;
+use super::train::require_policy;
+use super::watch::Watch;
+use crate::app::{App, Error, Target, Tolerance, Weighing, WeighingRequest};
+use crate::domain::weighing::{Outcome, WeighingState};
+use serde::Serialize;
+use std::time::Duration;
+
+/// How often a weighing's row is read.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// Arguments of `flip weigh`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    /// Powder id.
+    #[arg(long, value_name = "ID")]
+    powder: String,
+    /// Mass wanted, mg; at most what the spoon holds.
+    #[arg(long, value_name = "MG", allow_negative_numbers = true)]
+    target_mg: f64,
+    /// Accepted error either way, mg.
+    #[arg(long, value_name = "MG", default_value_t = 1.0, allow_negative_numbers = true)]
+    tolerance_mg: f64,
+    /// Policy id [default: the best evaluated one for the powder, the newest if none is evaluated].
+    #[arg(long, value_name = "ID")]
+    policy: Option<String>,
+}
+
+/// The document of `flip weigh`.
+#[derive(Debug, Serialize)]
+struct Document {
+    outcome: Option<Outcome>,
+    powder: String,
+    target_mg: f64,
+    /// What fell into the vial, which only a simulation knows.
+    dispensed_mg: Option<f64>,
+    /// What the balance showed.
+    reading_mg: Option<f64>,
+    error_mg: Option<f64>,
+    shakes: Option<u32>,
+    /// Time on the bench, which is simulated and reproducible; not wall time.
+    seconds: Option<f64>,
+    policy: String,
+    parameter_set: Option<String>,
+    seed: u64,
+}
+
+/// Weigh one dose and print how it ended.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    let request = request(&arguments.powder, arguments.target_mg, arguments.tolerance_mg);
+    let request = WeighingRequest { policy: arguments.policy.clone(), seed: Some(common.seed), ..request };
+    let weighing = with_app(common, async |app| {
+        require_policy(app, arguments.policy.as_deref()).await?;
+        // A fresh key: asking on the command line again means another dose.
+        weigh(app, &Watch::new(), request, &uuid::Uuid::now_v7().to_string()).await
+    })?;
+    let document = Document {
+        outcome: weighing.outcome,
+        powder: weighing.powder,
+        target_mg: weighing.target_mg,
+        dispensed_mg: weighing.dispensed_mg,
+        reading_mg: weighing.reading_mg,
+        error_mg: weighing.error_mg,
+        shakes: weighing.shakes,
+        seconds: weighing.seconds,
+        policy: weighing.policy,
+        parameter_set: weighing.parameter_set,
+        seed: weighing.seed,
+    };
+    match weighing.error {
+        Some(error) => Err(Failure::Failed(anyhow::anyhow!("weighing {}: {error}", weighing.id))),
+        None => common.print(&document, || text(&document)),
+    }
+}
+
+/// A request in mg with the default policy and a seed of its own.
+pub(super) fn request(powder: &str, target_mg: f64, tolerance_mg: f64) -> WeighingRequest {
+    WeighingRequest {
+        powder: powder.to_owned(),
+        target: Target { value: target_mg, unit: "mg".into() },
+        tolerance: Tolerance { lower: tolerance_mg, upper: tolerance_mg, unit: "mg".into() },
+        policy: None,
+        seed: None,
+    }
+}
+
+/// Commit the intent (or find the one that `key` made before), calibrating the powder first if it is not, and wait
+/// until the bench has carried it out.
+pub(super) async fn weigh(app: &App, watch: &Watch, request: WeighingRequest, key: &str) -> Result<Weighing, Failure> {
+    let (weighing, _) = match app.start_weighing(request.clone(), key).await {
+        Err(Error::Conflict { code: "calibration_missing", message }) => {
+            watch.say(&format!("{message}: calibrating first"));
+            let target = CalibrationTarget::Powder(request.powder.clone());
+            calibrate(app, watch, &[target], None, 1).await?;
+            app.start_weighing(request, key).await.map_err(in_flags)?
+        }
+        started => started.map_err(in_flags)?,
+    };
+    loop {
+        let weighing = app.weighing(&weighing.id).await?.weighing;
+        if matches!(weighing.state, WeighingState::Done | WeighingState::Aborted | WeighingState::Unknown) {
+            return Ok(weighing);
+        }
+        tokio::time::sleep(LOOK_EVERY).await;
+    }
+}
+
+/// The refusal in terms of the flags: `target.value` is `--target-mg` here.
+fn in_flags(error: Error) -> Failure {
+    let Error::Invalid(mut errors) = error else { return error.into() };
+    for error in &mut errors {
+        if error.field.starts_with("target") {
+            error.field = "target_mg".into();
+        } else if error.field.starts_with("tolerance") {
+            error.field = "tolerance_mg".into();
+        }
+    }
+    Failure::BadInput(errors)
+}
+
+fn text(document: &Document) -> String {
+    let mg = |value: Option<f64>| value.map_or_else(|| "unknown".into(), |value| format!("{value:.2} mg"));
+    let outcome = serde_json::to_value(document.outcome).ok();
+    format!(
+        "outcome    {}\ntarget     {:.2} mg\ndispensed  {}\nreading    {}\nerror      {}\nshakes     {}\nseconds    {:.1}\n\
+         policy     {}",
+        outcome.as_ref().and_then(|value| value.as_str()).unwrap_or("unknown"),
+        document.target_mg,
+        mg(document.dispensed_mg),
+        mg(document.reading_mg),
+        mg(document.error_mg),
+        document.shakes.unwrap_or_default(),
+        document.seconds.unwrap_or_default(),
+        document.policy
+    )
+}
