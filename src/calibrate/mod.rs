@@ -3,12 +3,12 @@
 //! Bayesian optimisation over the nine parameters within their published bounds. One round after the other:
 //!
 //! 1. the first round is a space-filling design ([`Settings::initial`] points);
-//! 2. search trials within the tolerance are *candidates*; those that the emulator believes in are simulated again with
-//!    fresh seeds ([`Settings::verify_repeats`]), and kept as sets if the mean of these runs is within the tolerance;
-//! 3. with too few sets, a batch of further points is searched: a Gaussian process of the angle is fitted to every trial
-//!    (`stats/gaussian_process.rs`), and expected improvement of the distance to the target (`acquisition.rs`), a
-//!    reluctance to repeat what is accepted, and the chance of a heap (`propose.rs`) choose them;
-//! 4. until there are [`Settings::sets`] sets, or [`Settings::trials_max`] simulations are spent.
+//! 2. an *emulator*, a Gaussian process of the angle (`stats/gaussian_process.rs`), is fitted to every trial so far;
+//! 3. search trials that it finds likely to be within the tolerance are *candidates*: they are simulated again with fresh
+//!    seeds ([`Settings::verify_repeats`]) and become sets if the mean of these runs is within the tolerance (`verify.rs`);
+//! 4. without candidates, a batch of further points is searched, chosen by the expected improvement of the distance to the
+//!    target (`acquisition.rs`), the chance of a heap at all, and a reluctance to repeat a set (`propose.rs`);
+//! 5. so on, until there are [`Settings::sets`] sets, or [`Settings::trials_max`] simulations are spent.
 //!
 //! Each round is a pure function of the trials before it. That makes the result independent of the number of threads,
 //! and resuming trivial: the history is replayed through the same rounds, and only what it lacks is simulated.
@@ -152,7 +152,6 @@ fn replay(batch: &[Planned], trials: &mut Vec<Trial>, history: &[Trial], target:
         if trial.index != index || !planned.is(trial) {
             return Err(Error::History { index });
         }
-        // Computed afresh: the stored error may have lost its last bit on the way.
         trials.push(planned.clone().concluded(index, trial.outcome.clone(), target));
     }
     Ok(batch.len().min(known.len()))
@@ -179,12 +178,12 @@ fn plan(trials: &[Trial], target: &Flowability, settings: &Settings) -> Vec<Plan
         return search(maximin_latin_hypercube(batch, 50, &mut rng));
     };
     let repeats = settings.verify_repeats;
-    let candidates = verify::candidates(trials, settings);
+    let candidates = verify::candidates(trials, &emulator, settings);
     let affordable = wanted.min(left / repeats as usize);
-    let points = sets.iter().map(|s| s.parameters.to_unit());
-    let chosen = verify::choose(candidates, points, affordable, &emulator, settings);
+    let points: Vec<space::Point> = sets.iter().map(|s| s.parameters.to_unit()).collect();
+    let chosen = verify::choose(candidates, points.clone(), affordable, &emulator, settings);
     if chosen.is_empty() {
-        return search(propose::propose(emulator, trials, settings, batch, &mut rng));
+        return search(propose::propose(emulator, trials, points, settings, batch, &mut rng));
     }
     let runs = chosen.into_iter().flat_map(|c| (1..=repeats).map(move |r| Planned::verification(c, r, settings.seed)));
     runs.collect()

@@ -5,8 +5,8 @@ use super::settings::Settings;
 use super::space::Point;
 use super::trial::Trial;
 use crate::domain::parameters::COUNT;
-use crate::stats::gaussian_process::GaussianProcess;
 use crate::stats::gaussian_process::evidence::Prior;
+use crate::stats::gaussian_process::{GaussianProcess, Prediction};
 use crate::stats::latin_hypercube::{distance, latin_hypercube};
 use crate::stats::normal::cdf;
 use rand::{Rng, RngExt};
@@ -42,9 +42,11 @@ impl Emulator {
         Some(Self { angle, heaps, target_deg })
     }
 
-    /// Probability that the mean angle of `point` is within `tolerance_deg` of the target.
-    pub fn probability_within(&self, point: &Point, tolerance_deg: f64) -> f64 {
-        probability_within(self.angle.predict(point), self.target_deg, tolerance_deg)
+    /// Probability that the mean of `runs` fresh simulations of `point` is within `tolerance_deg` of the target.
+    pub fn probability_within(&self, point: &Point, tolerance_deg: f64, runs: u32) -> f64 {
+        let Prediction { mean, sd } = self.angle.predict(point);
+        let noise_sd = self.angle.hyperparameters().noise_sd / f64::from(runs).sqrt();
+        probability_within(Prediction { mean, sd: sd.hypot(noise_sd) }, self.target_deg, tolerance_deg)
     }
 
     /// Distance of the posterior mean from the target, degrees.
@@ -75,21 +77,20 @@ impl Emulator {
 }
 
 /// The next `count` points to search, chosen one after the other, each as if those before it had come out as expected
-/// (kriging believer).
+/// (kriging believer). `taken` are the points of the sets verified so far.
 ///
 /// The incumbent of the expected improvement is the least error so far, but never below the tolerance: once a set
 /// within it is known, another one elsewhere is worth as much as the first.
 pub(super) fn propose(
     mut emulator: Emulator,
     trials: &[Trial],
+    mut taken: Vec<Point>,
     settings: &Settings,
     count: usize,
     rng: &mut impl Rng,
 ) -> Vec<Point> {
     let least = trials.iter().filter_map(|t| t.error_deg).fold(f64::INFINITY, f64::min);
     let incumbent = least.max(settings.tolerance_deg);
-    let accepted = trials.iter().filter(|t| t.error_deg.is_some_and(|e| e <= settings.tolerance_deg));
-    let mut taken: Vec<Point> = accepted.map(|t| t.parameters.to_unit()).collect();
     (0..count)
         .map(|_| {
             let best = most_worth(&emulator, incumbent, &taken, rng);

@@ -62,6 +62,7 @@ impl Outcome {
     }
 }
 
+/// Rounded to six decimals.
 fn micro(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
@@ -81,7 +82,7 @@ pub struct Trial {
     pub seed: u64,
     /// What came.
     pub outcome: Outcome,
-    /// |tip angle - target|, degrees; none if refused.
+    /// |tip angle - target|, degrees, rounded as the angle is; none if refused.
     pub error_deg: Option<f64>,
 }
 
@@ -114,7 +115,7 @@ impl Planned {
 
     /// The record of this simulation.
     pub fn concluded(self, index: u32, outcome: Outcome, target: &Flowability) -> Trial {
-        let error_deg = outcome.tip_deg().map(|tip| (tip - target.repose_deg).abs());
+        let error_deg = outcome.tip_deg().map(|tip| micro((tip - target.repose_deg).abs()));
         let Self { phase, candidate, parameters, seed } = self;
         Trial { index, phase, candidate, parameters, seed, outcome, error_deg }
     }

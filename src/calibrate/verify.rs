@@ -1,4 +1,4 @@
-//! From search trials that hit the tolerance to sets that keep it.
+//! From search trials that look right to sets that are.
 
 use super::propose::Emulator;
 use super::settings::Settings;
@@ -8,15 +8,20 @@ use crate::domain::powder::Flowability;
 use crate::stats::latin_hypercube::distance;
 use crate::stats::summary;
 
-/// A candidate is verified when the emulator finds it at least this likely to be within the tolerance: a single lucky
-/// seed is not worth the runs.
-const LIKELY: f64 = 0.5;
+/// A search trial becomes a candidate when the emulator, which knows all trials, gives it at least this probability of
+/// passing its verification. Its own angle alone would not do: one lucky seed is not worth the runs, and one unlucky seed
+/// no reason to search again.
+const LIKELY: f64 = 0.6;
 
-/// Search trials within the tolerance that were not verified yet, oldest first.
-pub(super) fn candidates<'a>(trials: &'a [Trial], settings: &Settings) -> Vec<&'a Trial> {
+/// Search trials that are likely to pass their verification and had none yet, oldest first.
+pub(super) fn candidates<'a>(trials: &'a [Trial], emulator: &Emulator, settings: &Settings) -> Vec<&'a Trial> {
     let verified = |c: &Trial| trials.iter().any(|t| t.phase == Phase::Verification && t.candidate == c.index);
-    let within = |t: &Trial| t.error_deg.is_some_and(|error| error <= settings.tolerance_deg);
-    trials.iter().filter(|t| t.phase == Phase::Search && within(t) && !verified(t)).collect()
+    let likely = |c: &Trial| {
+        let point = c.parameters.to_unit();
+        emulator.probability_within(&point, settings.tolerance_deg, settings.verify_repeats) >= LIKELY
+    };
+    let search = trials.iter().filter(|t| t.phase == Phase::Search && t.error_deg.is_some());
+    search.filter(|t| !verified(t) && likely(t)).collect()
 }
 
 /// Up to `wanted` candidates to verify next, spread over the box, near to the target rather than at the tolerance:
@@ -29,13 +34,11 @@ pub(super) fn candidates<'a>(trials: &'a [Trial], settings: &Settings) -> Vec<&'
 /// `taken` are the points of the sets verified before. The maximin idea is that of Johnson, Moore and Ylvisaker (1990).
 pub(super) fn choose<'a>(
     mut candidates: Vec<&'a Trial>,
-    taken: impl IntoIterator<Item = Point>,
+    mut taken: Vec<Point>,
     wanted: usize,
     emulator: &Emulator,
     settings: &Settings,
 ) -> Vec<&'a Trial> {
-    candidates.retain(|c| emulator.probability_within(&c.parameters.to_unit(), settings.tolerance_deg) >= LIKELY);
-    let mut taken: Vec<Point> = taken.into_iter().collect();
     let mut chosen = Vec::new();
     while chosen.len() < wanted && !candidates.is_empty() {
         let merit = |c: &&Trial| {
