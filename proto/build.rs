@@ -1,13 +1,39 @@
 //! Build script: generates the gRPC code and tells the linker where libtorch lies.
 
+use prost::Message;
+use std::error::Error;
 use std::path::PathBuf;
 
-fn main() {
-    let root = PathBuf::from(std::env::var("CARGO_MANIFEST_DIR").expect("cargo sets CARGO_MANIFEST_DIR"));
+fn main() -> Result<(), Box<dyn Error>> {
+    let root = PathBuf::from(std::env::var("CARGO_MANIFEST_DIR")?);
+    println!("cargo:rerun-if-changed=proto");
+    link_libtorch(&root);
+    embed_page(&root)?;
+    generate_grpc()
+}
+
+/// No LD_LIBRARY_PATH: the program finds libtorch beside itself (a container) or where it was fetched.
+fn link_libtorch(root: &std::path::Path) {
     let libtorch = std::env::var("LIBTORCH").map(PathBuf::from).unwrap_or_else(|_| root.join(".libtorch"));
     println!("cargo:rerun-if-env-changed=LIBTORCH");
-    println!("cargo:rerun-if-changed=proto/build.rs");
-    // No LD_LIBRARY_PATH: the program finds libtorch beside itself (a container) or where it was fetched.
     println!("cargo:rustc-link-arg=-Wl,-rpath,$ORIGIN/lib");
     println!("cargo:rustc-link-arg=-Wl,-rpath,{}", libtorch.join("lib").display());
+}
+
+/// The page is built apart from cargo; watching its (git-ignored) folder embeds it again when it was rebuilt. The folder
+/// must exist to be watched: cargo takes a missing path for a change and would build the crate anew every time.
+fn embed_page(root: &std::path::Path) -> Result<(), Box<dyn Error>> {
+    std::fs::create_dir_all(root.join("web/dist"))?;
+    println!("cargo:rerun-if-changed=web/dist");
+    Ok(())
+}
+
+/// `flip.v1.rs` for the server and the tests' client, `flip.v1.bin` for reflection. protox is a protobuf compiler in Rust,
+/// so no protoc has to be installed.
+fn generate_grpc() -> Result<(), Box<dyn Error>> {
+    let files = protox::compile(["flip/v1/flip.proto"], ["proto"])?;
+    let out = PathBuf::from(std::env::var("OUT_DIR")?);
+    std::fs::write(out.join("flip.v1.bin"), files.encode_to_vec())?;
+    tonic_prost_build::configure().compile_fds(files)?;
+    Ok(())
 }

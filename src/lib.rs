@@ -18,3 +18,4 @@ pub mod api;
 pub mod app;
 pub mod cli;
 pub mod jobs;
+pub mod telemetry;

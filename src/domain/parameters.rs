@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 /// One of the nine parameters: key, unit, published bounds, default and what it does in FLIP's simulator.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct Parameter {
     /// The name in JSON, in the database and (with dashes) on the command line.
     pub key: &'static str,

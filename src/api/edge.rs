@@ -1,0 +1,83 @@
+//! The outermost layer: gives a request its id, answers in the caller's protocol, hardens the headers, counts and logs.
+
+use super::grpc;
+use super::problem::Problem;
+use axum::extract::MatchedPath;
+use axum::extract::Request;
+use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use std::time::Instant;
+use tracing::Instrument;
+
+/// Headers on every answer. No script, style or connection but our own; nobody may frame or sniff.
+const HARDENING: [(HeaderName, &str); 5] = [
+    (
+        header::CONTENT_SECURITY_POLICY,
+        "default-src 'self'; base-uri 'none'; object-src 'none'; form-action 'none'; frame-ancestors 'none'",
+    ),
+    (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    (header::REFERRER_POLICY, "no-referrer"),
+    (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+    (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
+];
+
+/// See the module.
+pub async fn edge(request: Request, next: Next) -> Response {
+    let id = uuid::Uuid::now_v7().to_string();
+    let grpc = grpc::is_grpc(request.headers());
+    let method = request.method().clone();
+    // The route, not the path: ids would make a metric per weighing.
+    let route = request.extensions().get::<MatchedPath>().map_or("none", MatchedPath::as_str).to_owned();
+    let span = tracing::info_span!("request", id, %method, route);
+
+    let started = Instant::now();
+    let response = next.run(request).instrument(span.clone()).await;
+    let mut response = in_callers_protocol(response, grpc, &id);
+    harden(response.headers_mut(), &id);
+
+    let seconds = started.elapsed().as_secs_f64();
+    let status = response.status().as_u16();
+    span.in_scope(|| tracing::debug!(status, seconds, "answered"));
+    let labels = [("method", method.to_string()), ("route", route), ("status", status.to_string())];
+    metrics::counter!("flip_requests_total", &labels).increment(1);
+    metrics::histogram!("flip_request_seconds", &labels).record(seconds);
+    response
+}
+
+/// Writes a [`Problem`] as the caller reads it: with the request's id, and as a status over gRPC.
+fn in_callers_protocol(mut response: Response, grpc: bool, id: &str) -> Response {
+    let Some(problem) = response.extensions_mut().remove::<Problem>() else {
+        return if grpc { grpc::status::explain(response, id) } else { response };
+    };
+    let problem = Problem { instance: Some(format!("urn:uuid:{id}")), ..problem };
+    if grpc {
+        return grpc::status::from_problem(problem).into_http();
+    }
+    // Keeps what inner layers said in headers, such as Allow.
+    let mut written = problem.into_response();
+    for (name, value) in response.headers() {
+        if name != header::CONTENT_LENGTH {
+            written.headers_mut().insert(name, value.clone());
+        }
+    }
+    written
+}
+
+fn harden(headers: &mut HeaderMap, id: &str) {
+    for (name, value) in HARDENING {
+        headers.insert(name, HeaderValue::from_static(value));
+    }
+    // Answers change and may be private; what may be cached says so itself.
+    headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
+    if let Ok(id) = HeaderValue::from_str(id) {
+        headers.insert("x-request-id", id);
+    }
+}
+
+/// What a handler that panicked answers; the panic itself is in the log.
+pub fn panicked(cause: Box<dyn std::any::Any + Send>) -> Response {
+    let text = cause.downcast_ref::<String>().map(String::as_str).or_else(|| cause.downcast_ref::<&str>().copied());
+    tracing::error!(panic = text.unwrap_or("of unknown cause"), "a request handler panicked");
+    Problem::internal().into_response()
+}

@@ -1,0 +1,38 @@
+//! `flip.v1.Calibrations`.
+
+use super::convert::{all, page};
+use super::proto::*;
+use super::{Service, read, write};
+use crate::app::CalibrationRequest;
+use tonic::{Request, Response, Status};
+
+#[tonic::async_trait]
+impl calibrations_server::Calibrations for Service {
+    async fn start_calibration(
+        &self,
+        request: Request<StartCalibrationRequest>,
+    ) -> Result<Response<StartJobResponse>, Status> {
+        let StartCalibrationRequest { powder, repose_deg, sets, tolerance_deg, particles, trials_max, seed } =
+            write(request)?;
+        let request = CalibrationRequest { powder, repose_deg, sets, tolerance_deg, particles, trials_max, seed };
+        Ok(Response::new(self.app.start_calibration(request).await?.into()))
+    }
+
+    async fn list_calibrations(
+        &self,
+        request: Request<ListCalibrationsRequest>,
+    ) -> Result<Response<ListCalibrationsResponse>, Status> {
+        let found = self.app.calibrations(page(read(request)?.page)).await?;
+        Ok(Response::new(ListCalibrationsResponse { items: all(found.items), next: found.next }))
+    }
+
+    async fn get_calibration(&self, request: Request<GetCalibrationRequest>) -> Result<Response<Calibration>, Status> {
+        Ok(Response::new(self.app.calibration(&read(request)?.id).await?.into()))
+    }
+
+    async fn list_trials(&self, request: Request<ListTrialsRequest>) -> Result<Response<ListTrialsResponse>, Status> {
+        let request = read(request)?;
+        let found = self.app.trials(&request.calibration, page(request.page)).await?;
+        Ok(Response::new(ListTrialsResponse { items: all(found.items), next: found.next }))
+    }
+}

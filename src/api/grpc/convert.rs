@@ -1,0 +1,221 @@
+//! Between the application's types and the contract's messages: the same fields under the same names.
+
+use super::proto;
+use crate::app;
+use crate::app::PageQuery;
+use crate::domain::FieldError;
+use crate::domain::bench::Tick;
+use crate::domain::job::{JobKind, JobState};
+use crate::domain::parameters::{Parameter, ParameterSet};
+use crate::domain::powder::{Flowability, Method};
+use crate::domain::weighing::{Outcome, WeighingState};
+use prost_types::Timestamp;
+
+/// Enums whose variants have the same names on both sides.
+macro_rules! same_names {
+    ($($ours:ty = $wire:ident { $($variant:ident)* })*) => {$(
+        impl From<$ours> for proto::$wire {
+            fn from(ours: $ours) -> Self {
+                match ours { $(<$ours>::$variant => Self::$variant,)* }
+            }
+        }
+
+        impl From<proto::$wire> for Option<$ours> {
+            fn from(wire: proto::$wire) -> Self {
+                match wire {
+                    proto::$wire::Unspecified => None,
+                    $(proto::$wire::$variant => Some(<$ours>::$variant),)*
+                }
+            }
+        }
+    )*};
+}
+
+same_names! {
+    Method = Method { Automated Manual }
+    JobKind = JobKind { Calibration Training Evaluation }
+    JobState = JobState { Queued Running Succeeded Failed Cancelled }
+    Outcome = Outcome { Within Under Over Stopped Aborted Unknown }
+    WeighingState = WeighingState { Planned Armed Dosing Done Aborted Unknown }
+    app::TrialPhase = TrialPhase { Search Verification }
+    app::Order = Order { Curriculum Random Reverse DomainRandomisation }
+    app::Preset = Preset { Flip Paper }
+}
+
+/// Messages made from our structs: first the fields that move over as they are, then those that need a word.
+macro_rules! same_fields {
+    ($($this:ident: $ours:ty => $wire:ident { $($plain:ident)* } { $($field:ident: $value:expr,)* })*) => {$(
+        impl From<$ours> for proto::$wire {
+            fn from($this: $ours) -> Self {
+                Self { $($field: $value,)* $($plain: $this.$plain,)* }
+            }
+        }
+    )*};
+}
+
+same_fields! {
+    f: Flowability => Flowability { repose_deg sd_deg n } {}
+    p: app::Powder => Powder { id name } {
+        flowability: p.flowability.map(Into::into),
+        created_at: at(p.created_at),
+    }
+    m: app::Measurement => Measurement { id powder repose_deg sd_deg n source } {
+        method: proto::Method::from(m.method).into(),
+        created_at: at(m.created_at),
+    }
+    d: app::PowderDetail => PowderDetail {} {
+        powder: Some(d.powder.into()),
+        measurements: all(d.measurements),
+        sets: all(d.sets),
+    }
+    p: Parameter => Parameter { lower upper default } {
+        key: p.key.to_owned(),
+        unit: p.unit.to_owned(),
+        meaning: p.meaning.to_owned(),
+    }
+    s: app::CalibratedSet => CalibratedSet { id powder calibration repose_deg repose_sd_deg runs error_deg } {
+        parameters: Some(s.parameters.into()),
+        created_at: at(s.created_at),
+    }
+    j: app::Job => Job { id attempts cancelling error } {
+        kind: proto::JobKind::from(j.kind).into(),
+        state: proto::JobState::from(j.state).into(),
+        fraction: j.progress.fraction,
+        message: j.progress.message,
+        created_at: at(j.created_at),
+        started_at: j.started_at.and_then(at),
+        finished_at: j.finished_at.and_then(at),
+    }
+    c: app::Calibration => Calibration { powder } {
+        job: Some(c.job.into()),
+        target: Some(c.target.into()),
+        settings_json: c.settings.to_string(),
+        result: c.result.map(Into::into),
+    }
+    r: app::CalibrationResult => CalibrationResult { evaluations verification_runs mean_error_deg sd_error_deg } {
+        sets: all(r.sets),
+    }
+    s: app::CalibrationSet => CalibrationSet { id repose_deg repose_sd_deg runs error_deg } {
+        parameters: Some(s.parameters.into()),
+    }
+    t: app::Trial => Trial { index seed tip_deg cone_deg creep_deg_per_s refusal error_deg } {
+        phase: proto::TrialPhase::from(t.phase).into(),
+        parameters: Some(t.parameters.into()),
+    }
+    t: app::Training => Training { episodes } {
+        job: Some(t.job.into()),
+        order: proto::Order::from(t.order).into(),
+        preset: proto::Preset::from(t.preset).into(),
+        levels: all(t.levels),
+        settings_json: t.settings.to_string(),
+        result: t.result.map(Into::into),
+    }
+    l: app::TrainingLevel => TrainingLevel { powder repose_deg sets } {}
+    r: app::TrainingResult => TrainingResult { policy episodes final_error_mg } {
+        levels_json: r.levels.iter().map(ToString::to_string).collect(),
+    }
+    e: app::Episode => Episode {
+        index level powder target_mg final_error_mg reward steps alpha critic_loss actor_loss
+    } {}
+    p: app::Policy => Policy { id kind training sha256 size_bytes } {
+        manifest_json: p.manifest.to_string(),
+        evaluated: all(p.evaluated),
+        created_at: at(p.created_at),
+    }
+    e: app::PolicyError => PolicyError { powder mae_mg n } {}
+    e: app::Evaluation => Evaluation {
+        policy controllers powders targets_mg repeats readability_mg max_shakes seed
+    } {
+        job: Some(e.job.into()),
+        result: e.result.map(Into::into),
+    }
+    r: app::EvaluationResult => EvaluationResult {} {
+        rows: all(r.rows),
+        summary: all(r.summary),
+    }
+    r: app::EvaluationRow => EvaluationRow {
+        controller powder target_mg n mae_mg sd_mg bias_mg over_share zero_share shakes_mean
+    } {}
+    s: app::EvaluationSummary => EvaluationSummary { controller mae_mg sd_trials_mg sd_within_cells_mg } {
+        ci95_lower_mg: s.ci95[0],
+        ci95_upper_mg: s.ci95[1],
+    }
+    w: app::Weighing => Weighing {
+        id powder target_mg tolerance_lower_mg tolerance_upper_mg policy parameter_set seed
+        dispensed_mg reading_mg error_mg shakes seconds error
+    } {
+        state: proto::WeighingState::from(w.state).into(),
+        outcome: w.outcome.map(|outcome| proto::Outcome::from(outcome).into()),
+        created_at: at(w.created_at),
+        started_at: w.started_at.and_then(at),
+        finished_at: w.finished_at.and_then(at),
+    }
+    d: app::WeighingDetail => WeighingDetail {} {
+        weighing: Some(d.weighing.into()),
+        ticks: all(d.ticks),
+    }
+    t: Tick => Tick { step t_s pitch_deg } {
+        incline_change_deg: t.action.incline_change_deg,
+        shake_mm: t.action.shake_mm,
+        mass_mg: t.reading.mass_mg,
+        stable: t.reading.stable,
+    }
+    e: app::Event => Event { seq topic kind } {
+        data_json: e.data.to_string(),
+        at: at(e.at),
+    }
+}
+
+impl From<ParameterSet> for proto::ParameterSet {
+    fn from(set: ParameterSet) -> Self {
+        Self {
+            particle_diameter_mm: set.particle_diameter_mm(),
+            adhesion: set.adhesion(),
+            particle_adhesion_scale: set.particle_adhesion_scale(),
+            adhesion_offset_scale: set.adhesion_offset_scale(),
+            friction: set.friction(),
+            gravity_scale: set.gravity_scale(),
+            damping: set.damping(),
+            cohesion: set.cohesion(),
+            particle_mass_ug: set.particle_mass_ug(),
+        }
+    }
+}
+
+impl From<(app::Job, bool)> for proto::StartJobResponse {
+    fn from((job, created): (app::Job, bool)) -> Self {
+        Self { job: Some(job.into()), created }
+    }
+}
+
+/// The value of the enum in `field`; `None` if the caller left it unspecified.
+///
+/// # Errors
+/// A number that has no name in the contract.
+pub fn named<W: TryFrom<i32>, T>(field: &str, number: i32) -> Result<Option<T>, FieldError>
+where
+    Option<T>: From<W>,
+{
+    let wire = W::try_from(number).map_err(|_| FieldError::new(field, "is not one of the values of its enum"))?;
+    Ok(wire.into())
+}
+
+/// Every item converted.
+pub fn all<T: Into<W>, W>(items: Vec<T>) -> Vec<W> {
+    items.into_iter().map(Into::into).collect()
+}
+
+/// `None` for an empty list: proto3 cannot tell the two apart, and no list of ours may be empty.
+pub fn given<T>(items: Vec<T>) -> Option<Vec<T>> {
+    if items.is_empty() { None } else { Some(items) }
+}
+
+/// The page asked for; the first one if none is.
+pub fn page(request: Option<proto::PageRequest>) -> PageQuery {
+    request.map_or_else(PageQuery::default, |page| PageQuery { limit: page.limit, after: page.after })
+}
+
+fn at(time: app::Timestamp) -> Option<Timestamp> {
+    let ms = time.unix_ms();
+    Some(Timestamp { seconds: ms.div_euclid(1000), nanos: (ms.rem_euclid(1000) * 1_000_000) as i32 })
+}

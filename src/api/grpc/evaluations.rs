@@ -1,0 +1,40 @@
+//! `flip.v1.Evaluations`.
+
+use super::convert::{all, given, page};
+use super::proto::*;
+use super::{Service, read, write};
+use crate::app::EvaluationRequest;
+use tonic::{Request, Response, Status};
+
+#[tonic::async_trait]
+impl evaluations_server::Evaluations for Service {
+    async fn start_evaluation(
+        &self,
+        request: Request<StartEvaluationRequest>,
+    ) -> Result<Response<StartJobResponse>, Status> {
+        let asked = write(request)?;
+        let request = EvaluationRequest {
+            policy: asked.policy,
+            controllers: given(asked.controllers),
+            powders: given(asked.powders),
+            targets_mg: given(asked.targets_mg),
+            repeats: asked.repeats,
+            readability_mg: asked.readability_mg,
+            max_shakes: asked.max_shakes,
+            seed: asked.seed,
+        };
+        Ok(Response::new(self.app.start_evaluation(request).await?.into()))
+    }
+
+    async fn list_evaluations(
+        &self,
+        request: Request<ListEvaluationsRequest>,
+    ) -> Result<Response<ListEvaluationsResponse>, Status> {
+        let found = self.app.evaluations(page(read(request)?.page)).await?;
+        Ok(Response::new(ListEvaluationsResponse { items: all(found.items), next: found.next }))
+    }
+
+    async fn get_evaluation(&self, request: Request<GetEvaluationRequest>) -> Result<Response<Evaluation>, Status> {
+        Ok(Response::new(self.app.evaluation(&read(request)?.id).await?.into()))
+    }
+}

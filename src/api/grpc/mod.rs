@@ -1,0 +1,136 @@
+//! gRPC: one file for each service of `proto/flip/v1/flip.proto`, each method one call of the application.
+
+mod calibrations;
+mod convert;
+mod evaluations;
+mod jobs;
+mod policies;
+mod powders;
+pub mod status;
+mod trainings;
+mod weighings;
+
+use super::auth;
+use super::rest::extract::BODY_BYTES_MAX;
+use crate::app::App;
+use crate::app::Event;
+use crate::app::Role;
+use crate::domain::FieldError;
+use axum::Router;
+use axum::http::{HeaderMap, header};
+use futures::StreamExt;
+use futures::stream::BoxStream;
+use proto::calibrations_server::CalibrationsServer;
+use proto::evaluations_server::EvaluationsServer;
+use proto::jobs_server::JobsServer;
+use proto::policies_server::PoliciesServer;
+use proto::powders_server::PowdersServer;
+use proto::trainings_server::TrainingsServer;
+use proto::weighings_server::WeighingsServer;
+use tokio_util::sync::CancellationToken;
+use tonic::service::Routes;
+use tonic::{Request, Status};
+use tonic_health::ServingStatus;
+
+/// Messages, servers and clients, generated from the contract.
+#[expect(missing_docs, reason = "generated; the contract has the comments")]
+pub mod proto {
+    tonic::include_proto!("flip.v1");
+}
+
+const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/flip.v1.bin"));
+
+/// Names that the health service knows; the empty one is the whole service.
+const SERVICES: [&str; 8] = [
+    "",
+    "flip.v1.Powders",
+    "flip.v1.Calibrations",
+    "flip.v1.Trainings",
+    "flip.v1.Policies",
+    "flip.v1.Evaluations",
+    "flip.v1.Weighings",
+    "flip.v1.Jobs",
+];
+
+/// All services with health and reflection; once `closing` is cancelled, health says that they do not serve.
+pub fn router(app: App, closing: CancellationToken) -> Router {
+    let (reporter, health) = tonic_health::server::health_reporter();
+    tokio::spawn(async move {
+        for name in SERVICES {
+            reporter.set_service_status(name, ServingStatus::Serving).await;
+        }
+        closing.cancelled().await;
+        for name in SERVICES {
+            reporter.set_service_status(name, ServingStatus::NotServing).await;
+        }
+    });
+    let service = Service { app };
+    macro_rules! limited {
+        ($server:ident) => {
+            $server::new(service.clone()).max_decoding_message_size(BODY_BYTES_MAX)
+        };
+    }
+    let mut routes = Routes::new(health);
+    if let Ok(reflection) = reflection().build_v1() {
+        routes = routes.add_service(reflection);
+    }
+    // Python's and older Go clients ask for the first version.
+    if let Ok(reflection) = reflection().build_v1alpha() {
+        routes = routes.add_service(reflection);
+    }
+    routes
+        .add_service(limited!(PowdersServer))
+        .add_service(limited!(CalibrationsServer))
+        .add_service(limited!(TrainingsServer))
+        .add_service(limited!(PoliciesServer))
+        .add_service(limited!(EvaluationsServer))
+        .add_service(limited!(WeighingsServer))
+        .add_service(limited!(JobsServer))
+        .into_axum_router()
+        .reset_fallback()
+}
+
+fn reflection() -> tonic_reflection::server::Builder<'static> {
+    tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(DESCRIPTORS)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+}
+
+/// Whether a request is written in gRPC, and its answer must be.
+pub fn is_grpc(headers: &HeaderMap) -> bool {
+    let kind = headers.get(header::CONTENT_TYPE).map(|value| value.as_bytes());
+    kind.is_some_and(|kind| kind.starts_with(b"application/grpc"))
+}
+
+/// Implements every service.
+#[derive(Clone)]
+struct Service {
+    app: App,
+}
+
+/// The message of a caller who may read.
+fn read<T>(request: Request<T>) -> Result<T, Status> {
+    auth::require(request.extensions(), Role::Viewer)?;
+    Ok(request.into_inner())
+}
+
+/// The message of a caller who may start, stop and add things.
+fn write<T>(request: Request<T>) -> Result<T, Status> {
+    auth::require(request.extensions(), Role::Operator)?;
+    Ok(request.into_inner())
+}
+
+/// What the watching methods answer with.
+type EventStream = BoxStream<'static, Result<proto::Event, Status>>;
+
+fn watch(events: BoxStream<'static, crate::app::Result<Event>>) -> EventStream {
+    events.map(|event| Ok(event?.into())).boxed()
+}
+
+/// Position after which a stream begins.
+fn after(seq: i64) -> Result<i64, FieldError> {
+    match seq {
+        ..0 => Err(FieldError::new("after_seq", "must be the position of an event, a number from 0")),
+        seq => Ok(seq),
+    }
+}

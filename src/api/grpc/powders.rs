@@ -1,0 +1,60 @@
+//! `flip.v1.Powders`.
+
+use super::convert::{all, named, page};
+use super::proto::*;
+use super::{Service, read, write};
+use crate::app;
+use crate::domain::FieldError;
+use crate::domain::parameters::PARAMETERS;
+use tonic::{Request, Response, Status};
+
+#[tonic::async_trait]
+impl powders_server::Powders for Service {
+    async fn list_powders(
+        &self,
+        request: Request<ListPowdersRequest>,
+    ) -> Result<Response<ListPowdersResponse>, Status> {
+        let found = self.app.powders(page(read(request)?.page)).await?;
+        Ok(Response::new(ListPowdersResponse { items: all(found.items), next: found.next }))
+    }
+
+    async fn get_powder(&self, request: Request<GetPowderRequest>) -> Result<Response<PowderDetail>, Status> {
+        Ok(Response::new(self.app.powder(&read(request)?.id).await?.into()))
+    }
+
+    async fn create_powder(&self, request: Request<CreatePowderRequest>) -> Result<Response<Powder>, Status> {
+        let CreatePowderRequest { id, name } = write(request)?;
+        Ok(Response::new(self.app.create_powder(app::NewPowder { id, name }).await?.into()))
+    }
+
+    async fn add_measurement(&self, request: Request<AddMeasurementRequest>) -> Result<Response<Measurement>, Status> {
+        let AddMeasurementRequest { powder, method, repose_deg, sd_deg, n, source } = write(request)?;
+        let method = named::<Method, _>("method", method)?.ok_or_else(|| FieldError::new("method", "is missing"))?;
+        let new = app::NewMeasurement { method, repose_deg, sd_deg, n, source };
+        Ok(Response::new(self.app.add_measurement(&powder, new).await?.into()))
+    }
+
+    async fn list_parameters(
+        &self,
+        request: Request<ListParametersRequest>,
+    ) -> Result<Response<ListParametersResponse>, Status> {
+        read(request)?;
+        Ok(Response::new(ListParametersResponse { items: all(PARAMETERS.to_vec()) }))
+    }
+
+    async fn list_parameter_sets(
+        &self,
+        request: Request<ListParameterSetsRequest>,
+    ) -> Result<Response<ListParameterSetsResponse>, Status> {
+        let request = read(request)?;
+        let found = self.app.parameter_sets(request.powder.as_deref(), page(request.page)).await?;
+        Ok(Response::new(ListParameterSetsResponse { items: all(found.items), next: found.next }))
+    }
+
+    async fn get_parameter_set(
+        &self,
+        request: Request<GetParameterSetRequest>,
+    ) -> Result<Response<CalibratedSet>, Status> {
+        Ok(Response::new(self.app.parameter_set(&read(request)?.id).await?.into()))
+    }
+}

@@ -1,0 +1,68 @@
+//! Problems as gRPC statuses.
+//!
+//! The code follows from the HTTP status; the message is the problem's detail; the whole problem travels as JSON in the
+//! binary trailer `flip-problem-bin`, so that a gRPC caller reads the same fields as a REST caller.
+
+use crate::api::problem::Problem;
+use crate::app;
+use crate::domain::FieldError;
+use axum::response::Response;
+use tonic::metadata::MetadataValue;
+use tonic::{Code, Status};
+
+/// Trailer that holds the problem as JSON.
+pub const PROBLEM_TRAILER: &str = "flip-problem-bin";
+
+/// The status that says what `problem` says.
+pub fn from_problem(problem: Problem) -> Status {
+    let mut status = Status::new(code(&problem), problem.detail.clone());
+    if let Ok(json) = serde_json::to_vec(&problem) {
+        status.metadata_mut().insert_bin(PROBLEM_TRAILER, MetadataValue::from_bytes(&json));
+    }
+    status
+}
+
+fn code(problem: &Problem) -> Code {
+    match problem.status {
+        400 | 415 => Code::InvalidArgument,
+        401 => Code::Unauthenticated,
+        403 => Code::PermissionDenied,
+        404 => Code::NotFound,
+        405 => Code::Unimplemented,
+        409 if problem.kind.ends_with(":queue-full") => Code::ResourceExhausted,
+        409 => Code::FailedPrecondition,
+        413 => Code::ResourceExhausted,
+        422 => Code::AlreadyExists,
+        503 => Code::Unavailable,
+        _ => Code::Internal,
+    }
+}
+
+/// Gives statuses that did not come from a [`Problem`] one. Those are tonic's own: it reads the message before we do, and
+/// calls one that does not decode an internal error, where the caller is at fault.
+pub fn explain(response: Response, id: &str) -> Response {
+    let Some(status) = response.extensions().get::<Status>() else { return response };
+    if status.code() != Code::Internal || status.metadata().contains_key(PROBLEM_TRAILER) {
+        return response;
+    }
+    let problem = Problem::malformed(format!("the message does not decode: {}", status.message()));
+    from_problem(Problem { instance: Some(format!("urn:uuid:{id}")), ..problem }).into_http()
+}
+
+impl From<Problem> for Status {
+    fn from(problem: Problem) -> Self {
+        from_problem(problem)
+    }
+}
+
+impl From<app::Error> for Status {
+    fn from(error: app::Error) -> Self {
+        Problem::from(error).into()
+    }
+}
+
+impl From<FieldError> for Status {
+    fn from(error: FieldError) -> Self {
+        Problem::from(error).into()
+    }
+}

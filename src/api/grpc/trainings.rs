@@ -1,0 +1,46 @@
+//! `flip.v1.Trainings`.
+
+use super::convert::{all, given, named, page};
+use super::proto::*;
+use super::{Service, read, write};
+use crate::app::TrainingRequest;
+use tonic::{Request, Response, Status};
+
+#[tonic::async_trait]
+impl trainings_server::Trainings for Service {
+    async fn start_training(
+        &self,
+        request: Request<StartTrainingRequest>,
+    ) -> Result<Response<StartJobResponse>, Status> {
+        let StartTrainingRequest { order, preset, episodes, powders, seed } = write(request)?;
+        let request = TrainingRequest {
+            order: named::<Order, _>("order", order)?.unwrap_or_default(),
+            preset: named::<Preset, _>("preset", preset)?.unwrap_or_default(),
+            episodes,
+            powders: given(powders),
+            seed,
+        };
+        Ok(Response::new(self.app.start_training(request).await?.into()))
+    }
+
+    async fn list_trainings(
+        &self,
+        request: Request<ListTrainingsRequest>,
+    ) -> Result<Response<ListTrainingsResponse>, Status> {
+        let found = self.app.trainings(page(read(request)?.page)).await?;
+        Ok(Response::new(ListTrainingsResponse { items: all(found.items), next: found.next }))
+    }
+
+    async fn get_training(&self, request: Request<GetTrainingRequest>) -> Result<Response<Training>, Status> {
+        Ok(Response::new(self.app.training(&read(request)?.id).await?.into()))
+    }
+
+    async fn list_episodes(
+        &self,
+        request: Request<ListEpisodesRequest>,
+    ) -> Result<Response<ListEpisodesResponse>, Status> {
+        let request = read(request)?;
+        let found = self.app.training_episodes(&request.training, page(request.page)).await?;
+        Ok(Response::new(ListEpisodesResponse { items: all(found.items), next: found.next }))
+    }
+}

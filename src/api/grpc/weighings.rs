@@ -1,0 +1,80 @@
+//! `flip.v1.Weighings`.
+
+use super::convert::{all, page};
+use super::proto::*;
+use super::{EventStream, Service, after, read, watch, write};
+use crate::api::rest::idempotency_key;
+use crate::app;
+use crate::app::Topic;
+use crate::app::WeighingRequest;
+use crate::domain::FieldError;
+use tonic::{Request, Response, Status};
+
+#[tonic::async_trait]
+impl weighings_server::Weighings for Service {
+    async fn start_weighing(
+        &self,
+        request: Request<StartWeighingRequest>,
+    ) -> Result<Response<StartWeighingResponse>, Status> {
+        let asked = write(request)?;
+        let key = idempotency_key("idempotency_key", &asked.idempotency_key)?;
+        let request = WeighingRequest {
+            powder: asked.powder,
+            target: target(asked.target)?,
+            tolerance: tolerance(asked.tolerance)?,
+            policy: asked.policy,
+            seed: asked.seed,
+        };
+        let (weighing, replayed) = self.app.start_weighing(request, key).await?;
+        Ok(Response::new(StartWeighingResponse { weighing: Some(weighing.into()), replayed }))
+    }
+
+    async fn list_weighings(
+        &self,
+        request: Request<ListWeighingsRequest>,
+    ) -> Result<Response<ListWeighingsResponse>, Status> {
+        let found = self.app.weighings(page(read(request)?.page)).await?;
+        Ok(Response::new(ListWeighingsResponse { items: all(found.items), next: found.next }))
+    }
+
+    async fn get_weighing(&self, request: Request<GetWeighingRequest>) -> Result<Response<WeighingDetail>, Status> {
+        Ok(Response::new(self.app.weighing(&read(request)?.id).await?.into()))
+    }
+
+    async fn stop_weighing(&self, request: Request<StopWeighingRequest>) -> Result<Response<Weighing>, Status> {
+        Ok(Response::new(self.app.stop_weighing(&write(request)?.id).await?.into()))
+    }
+
+    type WatchWeighingStream = EventStream;
+
+    async fn watch_weighing(&self, request: Request<WatchRequest>) -> Result<Response<EventStream>, Status> {
+        let WatchRequest { id, after_seq } = read(request)?;
+        let events = self.app.events(Topic::Weighing(id), after(after_seq)?).await?;
+        Ok(Response::new(watch(events)))
+    }
+}
+
+fn target(target: Option<Target>) -> Result<app::Target, FieldError> {
+    let target = target.ok_or_else(|| missing("target"))?;
+    let unit = match target.unit() {
+        MassUnit::Unspecified => return Err(missing("target.unit")),
+        MassUnit::Mg => "mg",
+        MassUnit::G => "g",
+    };
+    Ok(app::Target { value: target.value, unit: unit.to_owned() })
+}
+
+fn tolerance(tolerance: Option<Tolerance>) -> Result<app::Tolerance, FieldError> {
+    let tolerance = tolerance.ok_or_else(|| missing("tolerance"))?;
+    let unit = match tolerance.unit() {
+        ToleranceUnit::Unspecified => return Err(missing("tolerance.unit")),
+        ToleranceUnit::Mg => "mg",
+        ToleranceUnit::G => "g",
+        ToleranceUnit::Percent => "%",
+    };
+    Ok(app::Tolerance { lower: tolerance.lower, upper: tolerance.upper, unit: unit.to_owned() })
+}
+
+fn missing(field: &str) -> FieldError {
+    FieldError::new(field, "is missing")
+}

@@ -1,0 +1,119 @@
+//! Where the service listens, and what it refuses to expose.
+
+use rustls::crypto::ring;
+use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::path::PathBuf;
+
+/// Where and how to serve.
+#[derive(Debug, Clone)]
+pub struct ServeConfig {
+    /// Address and port; port 0 lets the system choose.
+    pub listen: SocketAddr,
+    /// Certificate chain and private key, PEM files.
+    pub tls: Option<Tls>,
+    /// Accept a non-loopback address without TLS: tokens then cross the network readable.
+    pub insecure_lan: bool,
+}
+
+/// PEM files of a TLS server.
+#[derive(Debug, Clone)]
+pub struct Tls {
+    /// Certificate chain, leaf first.
+    pub certificate: PathBuf,
+    /// Private key.
+    pub key: PathBuf,
+}
+
+/// Why the service did not start or did not end well.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// An address others can reach, without encryption and without the explicit flag.
+    #[error(
+        "{0} can be reached from other machines: give --tls-cert and --tls-key, or accept readable traffic with --insecure-lan"
+    )]
+    Exposed(SocketAddr),
+    /// The port is taken or the address is not ours.
+    #[error("cannot listen on {address}: {source}")]
+    Listen {
+        /// The address asked for.
+        address: SocketAddr,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The certificate or the key cannot be used.
+    #[error("TLS files cannot be used: {0}")]
+    Tls(std::io::Error),
+    /// The server broke down.
+    #[error("the server stopped: {0}")]
+    Broken(#[from] std::io::Error),
+}
+
+impl ServeConfig {
+    /// Plain HTTP on an address, which must be a loopback one.
+    pub fn loopback(listen: SocketAddr) -> Self {
+        Self { listen, tls: None, insecure_lan: false }
+    }
+
+    /// Whether only this machine can reach the address.
+    pub fn is_loopback(&self) -> bool {
+        self.listen.ip().is_loopback()
+    }
+
+    /// A bound listener.
+    ///
+    /// # Errors
+    /// [`ServeError::Exposed`] before anything is bound; [`ServeError::Listen`] from the system.
+    pub fn listen(&self) -> Result<TcpListener, ServeError> {
+        if !self.is_loopback() && self.tls.is_none() && !self.insecure_lan {
+            return Err(ServeError::Exposed(self.listen));
+        }
+        let broken = |source| ServeError::Listen { address: self.listen, source };
+        let listener = TcpListener::bind(self.listen).map_err(broken)?;
+        listener.set_nonblocking(true).map_err(broken)?;
+        Ok(listener)
+    }
+
+    /// The TLS settings, read from their files.
+    ///
+    /// # Errors
+    /// [`ServeError::Tls`] if a file is missing, is not PEM, or certificate and key do not belong together.
+    pub async fn tls(&self) -> Result<Option<axum_server::tls_rustls::RustlsConfig>, ServeError> {
+        let Some(tls) = &self.tls else { return Ok(None) };
+        // A second call in one process finds the provider in place, which is as good.
+        let _installed = ring::default_provider().install_default();
+        let config = axum_server::tls_rustls::RustlsConfig::from_pem_file(&tls.certificate, &tls.key);
+        Ok(Some(config.await.map_err(ServeError::Tls)?))
+    }
+}
+
+/// Whether a Host header or authority, with or without port, names this machine.
+///
+/// A page elsewhere can point its own name at 127.0.0.1 (DNS rebinding) and then read as if it were ours; its name gives it away.
+pub fn is_loopback_name(authority: &str) -> bool {
+    let Ok(authority) = authority.parse::<axum::http::uri::Authority>() else { return false };
+    let host = authority.host();
+    let address = host.trim_start_matches('[').trim_end_matches(']').parse::<IpAddr>();
+    host.eq_ignore_ascii_case("localhost") || address.is_ok_and(|ip| ip.is_loopback())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_names_of_this_machine_count_as_loopback() {
+        for name in ["localhost", "LOCALHOST:8080", "127.0.0.1:1", "127.9.9.9", "[::1]:8080", "[::1]"] {
+            assert!(is_loopback_name(name), "{name}");
+        }
+        for name in ["localhost.evil.example", "example.org:8080", "10.0.0.1", "127.0.0.1.nip.io", "", "a b"] {
+            assert!(!is_loopback_name(name), "{name}");
+        }
+    }
+
+    #[test]
+    fn an_exposed_address_is_refused_before_it_is_bound() {
+        let exposed = ServeConfig::loopback("0.0.0.0:0".parse().unwrap());
+        assert!(matches!(exposed.listen(), Err(ServeError::Exposed(_))));
+        assert!(ServeConfig { insecure_lan: true, ..exposed }.listen().is_ok());
+    }
+}

@@ -1,0 +1,88 @@
+//! The page: the files of `web/dist`, embedded when the program was built.
+
+use super::problem::Problem;
+use axum::body::Body;
+use axum::http::{HeaderValue, Method, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use rust_embed::{EmbeddedFile, RustEmbed};
+
+#[derive(RustEmbed)]
+#[folder = "web/dist"]
+#[allow_missing = true]
+struct Files;
+
+/// Answers everything that no route takes: a file of the page, the page itself for the addresses it makes up
+/// (`/weighings/…`), or a problem.
+pub async fn fallback(method: Method, uri: Uri) -> Response {
+    let path = uri.path().trim_start_matches('/');
+    if path.starts_with("v1/") || path == "v1" || !matches!(method, Method::GET | Method::HEAD) {
+        return Problem::not_found("no such path; /openapi.json lists all").into_response();
+    }
+    answer(path, Files::get)
+}
+
+fn answer(path: &str, find: impl Fn(&str) -> Option<EmbeddedFile>) -> Response {
+    let is_page = path.is_empty() || path == "index.html";
+    if let Some(file) = find(path).filter(|_| !is_page) {
+        // Vite puts a hash of the content in the name of everything below assets/.
+        let hashed = path.starts_with("assets/");
+        return serve(file, if hashed { "public, max-age=31536000, immutable" } else { "no-cache" });
+    }
+    let looks_like_a_file = path.rsplit('/').next().is_some_and(|name| name.contains('.'));
+    if looks_like_a_file && !is_page {
+        return Problem::not_found("the page has no such file").into_response();
+    }
+    match find("index.html") {
+        Some(page) => serve(page, "no-cache"),
+        None => (StatusCode::OK, "FLIP is running. The page is not built: run make web, then build again.\n")
+            .into_response(),
+    }
+}
+
+fn serve(file: EmbeddedFile, cache: &'static str) -> Response {
+    let kind =
+        HeaderValue::from_str(file.metadata.mimetype()).unwrap_or(HeaderValue::from_static("application/octet-stream"));
+    let headers = [(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, HeaderValue::from_static(cache))];
+    (headers, Body::from(file.data)).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(RustEmbed)]
+    #[folder = "proto"]
+    struct Any;
+
+    /// A page made of `index.html` and one asset; what the files hold does not matter here.
+    fn built(name: &str) -> Option<EmbeddedFile> {
+        matches!(name, "index.html" | "assets/app-1a2b.js").then(|| Any::get("build.rs").unwrap())
+    }
+
+    fn cache(response: &Response) -> &str {
+        response.headers().get(header::CACHE_CONTROL).map_or("", |v| v.to_str().unwrap())
+    }
+
+    #[test]
+    fn hashed_files_are_kept_for_ever_and_the_page_is_asked_for_again() {
+        assert!(cache(&answer("assets/app-1a2b.js", built)).contains("immutable"));
+        for path in ["", "index.html", "weighings/01890000"] {
+            let response = answer(path, built);
+            assert_eq!((response.status(), cache(&response)), (StatusCode::OK, "no-cache"), "{path}");
+        }
+    }
+
+    #[test]
+    fn a_missing_file_is_not_answered_with_the_page() {
+        for path in ["assets/old-0000.js", "favicon.png", "../Cargo.toml"] {
+            assert_eq!(answer(path, built).status(), StatusCode::NOT_FOUND, "{path}");
+        }
+    }
+
+    #[test]
+    fn without_a_built_page_the_root_says_how_to_build_it() {
+        let response = answer("", |_| None);
+        assert_eq!(response.status(), StatusCode::OK);
+        assert!(response.headers()[header::CONTENT_TYPE].to_str().unwrap().starts_with("text/plain"));
+    }
+}

@@ -1,0 +1,161 @@
+//! One kind of refusal for both transports: RFC 9457 problem details.
+//!
+//! A handler, an extractor or a layer returns a [`Problem`]; [`super::edge`] gives it the request's id and writes it as
+//! `application/problem+json`, or as a gRPC status ([`super::grpc::status`]) when the caller speaks gRPC.
+
+use crate::app;
+use crate::domain::FieldError;
+use axum::Json;
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+
+/// What went wrong, for programs (`type`, `status`, `errors`) and people (`title`, `detail`).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Problem {
+    /// Stable name of the kind of problem, e.g. `urn:flip:problem:invalid`.
+    #[serde(rename = "type")]
+    pub kind: String,
+    /// The kind in words; the same for every problem of one type.
+    pub title: String,
+    /// HTTP status.
+    pub status: u16,
+    /// What went wrong this time and what to do.
+    pub detail: String,
+    /// The request, as in its `x-request-id` header and in the logs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub instance: Option<String>,
+    /// The fields that were refused; empty when no single field is at fault.
+    pub errors: Vec<FieldError>,
+}
+
+/// The content type of [`Problem`].
+pub const CONTENT_TYPE: &str = "application/problem+json";
+
+impl Problem {
+    fn new(status: StatusCode, kind: &str, title: &str, detail: impl Into<String>) -> Self {
+        Self {
+            kind: format!("urn:flip:problem:{kind}"),
+            title: title.to_owned(),
+            status: status.as_u16(),
+            detail: detail.into(),
+            instance: None,
+            errors: Vec::new(),
+        }
+    }
+
+    /// 400: fields with their bounds.
+    pub fn invalid(errors: impl IntoIterator<Item = FieldError>) -> Self {
+        let errors: Vec<_> = errors.into_iter().collect();
+        let detail = errors.iter().map(|e| format!("{} {}", e.field, e.message)).collect::<Vec<_>>().join("; ");
+        Self { errors, ..Self::new(StatusCode::BAD_REQUEST, "invalid", "The request is not valid", detail) }
+    }
+
+    /// 400: the request cannot be read at all.
+    pub fn malformed(detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::BAD_REQUEST, "malformed", "The request cannot be read", detail)
+    }
+
+    /// 401: a token is needed, or the one given is not known.
+    pub fn unauthorized(detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::UNAUTHORIZED, "unauthorized", "A valid token is needed", detail)
+    }
+
+    /// 403: the token's role does not reach.
+    pub fn forbidden(detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::FORBIDDEN, "forbidden", "Not allowed", detail)
+    }
+
+    /// 404: no such thing.
+    pub fn not_found(detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::NOT_FOUND, "not-found", "Not found", detail)
+    }
+
+    /// 405: the path exists, the method does not.
+    pub fn method_not_allowed() -> Self {
+        let detail = "the Allow header lists the methods of this path";
+        Self::new(StatusCode::METHOD_NOT_ALLOWED, "method-not-allowed", "Method not allowed", detail)
+    }
+
+    /// 409: the state of things is in the way; `code` names how.
+    pub fn conflict(code: &str, detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::CONFLICT, code, "In conflict with the present state", detail)
+    }
+
+    /// 413: the body is larger than the service reads.
+    pub fn too_large(limit_bytes: usize) -> Self {
+        let detail = format!("a request body may hold at most {limit_bytes} bytes");
+        Self::new(StatusCode::PAYLOAD_TOO_LARGE, "too-large", "The body is too large", detail)
+    }
+
+    /// 415: not JSON.
+    pub fn unsupported_media_type() -> Self {
+        let detail = "send the body as Content-Type: application/json";
+        Self::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", "Unsupported media type", detail)
+    }
+
+    /// 422: an idempotency key came back with another request.
+    pub fn key_reused(detail: impl Into<String>) -> Self {
+        Self::new(
+            StatusCode::UNPROCESSABLE_ENTITY,
+            "idempotency-key-reused",
+            "The key belongs to another request",
+            detail,
+        )
+    }
+
+    /// 500: our fault; the cause is in the log under the request's id.
+    pub fn internal() -> Self {
+        let detail = "the request failed for a reason of ours; the log tells it under this instance";
+        Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", "Internal error", detail)
+    }
+
+    /// 503: not now; the same request may succeed later.
+    pub fn unavailable(detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::SERVICE_UNAVAILABLE, "unavailable", "Not available now", detail)
+    }
+
+    /// The HTTP status.
+    pub fn status(&self) -> StatusCode {
+        StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR)
+    }
+}
+
+impl From<app::Error> for Problem {
+    fn from(error: app::Error) -> Self {
+        use app::Error;
+        let detail = error.to_string();
+        match error {
+            Error::Invalid(errors) => Self::invalid(errors),
+            Error::NotFound { .. } => Self::not_found(detail),
+            Error::Conflict { code, .. } => Self::conflict(&code.replace('_', "-"), detail),
+            Error::Busy(_) => Self::conflict("queue-full", detail),
+            Error::Unprocessable { .. } => Self::key_reused(detail),
+            Error::Unavailable(_) => Self::unavailable(detail),
+            Error::Internal(cause) => {
+                tracing::error!(cause = ?cause, "internal error");
+                Self::internal()
+            }
+        }
+    }
+}
+
+impl From<FieldError> for Problem {
+    fn from(error: FieldError) -> Self {
+        Self::invalid([error])
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let mut response = (self.status(), Json(&self)).into_response();
+        let headers = response.headers_mut();
+        headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(CONTENT_TYPE));
+        if self.status() == StatusCode::UNAUTHORIZED {
+            headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer realm=\"flip\""));
+        }
+        // For `edge`, which writes it again with the request's id.
+        response.extensions_mut().insert(self);
+        response
+    }
+}

@@ -1,0 +1,65 @@
+//! `/v1/calibrations`: from a measured angle of repose to parameter sets.
+
+use super::extract::{Input, Path, Query};
+use super::list::{ListParams, SeriesParams, respond};
+use super::started;
+use crate::api::auth::{Operator, Viewer};
+use crate::api::problem::Problem;
+use crate::app::App;
+use crate::app::{Calibration, CalibrationRequest, Job, Page, Trial};
+use axum::Json;
+use axum::extract::{OriginalUri, State};
+use axum::response::Response;
+
+/// List calibrations, newest first.
+#[utoipa::path(get, path = "/v1/calibrations", tag = "calibrations", params(ListParams),
+    responses((status = 200, description = "A page of calibrations", body = Page<Calibration>)))]
+pub async fn list_calibrations(
+    _: Viewer,
+    State(app): State<App>,
+    OriginalUri(uri): OriginalUri,
+    Query(params): Query<ListParams>,
+) -> Result<Response, Problem> {
+    Ok(respond(&uri, app.calibrations(params.into()).await?))
+}
+
+/// Queue a calibration.
+#[utoipa::path(post, path = "/v1/calibrations", tag = "calibrations", request_body = CalibrationRequest,
+    responses((status = 202, description = "Queued; the calibration has the id of its job", body = Job,
+        headers(("Location" = String, description = "Where the calibration is"))),
+        (status = 200, description = "Asked for before: the job that does it", body = Job),
+        (status = 409, description = "Something it needs is missing", body = Problem,
+            content_type = "application/problem+json")))]
+pub async fn start_calibration(
+    _: Operator,
+    State(app): State<App>,
+    Input(request): Input<CalibrationRequest>,
+) -> Result<Response, Problem> {
+    Ok(started("calibrations", app.start_calibration(request).await?))
+}
+
+/// One calibration.
+#[utoipa::path(get, path = "/v1/calibrations/{id}", tag = "calibrations",
+    params(("id" = String, Path, description = "Id of the calibration, which is the id of its job")),
+    responses((status = 200, description = "The calibration", body = Calibration)))]
+pub async fn get_calibration(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Json<Calibration>, Problem> {
+    Ok(Json(app.calibration(&id).await?))
+}
+
+/// List the trials of a calibration in order, also while it runs.
+#[utoipa::path(get, path = "/v1/calibrations/{id}/trials", tag = "calibrations",
+    params(("id" = String, Path, description = "Id of the calibration"), SeriesParams),
+    responses((status = 200, description = "A page of trials", body = Page<Trial>)))]
+pub async fn list_trials(
+    _: Viewer,
+    State(app): State<App>,
+    OriginalUri(uri): OriginalUri,
+    Path(id): Path<String>,
+    Query(params): Query<SeriesParams>,
+) -> Result<Response, Problem> {
+    Ok(respond(&uri, app.trials(&id, params.into()).await?))
+}

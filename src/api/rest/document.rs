@@ -1,0 +1,106 @@
+//! What the OpenAPI document says besides what each route says of itself.
+
+use crate::api::problem::{CONTENT_TYPE, Problem};
+use utoipa::openapi::path::{Operation, PathItem};
+use utoipa::openapi::schema::{ArrayBuilder, Schema};
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
+use utoipa::openapi::{ContentBuilder, OpenApi, Ref, RefOr, Response, ResponseBuilder};
+use utoipa::{Modify, OpenApi as _};
+
+const TOKEN: &str = "token";
+
+#[derive(utoipa::OpenApi)]
+#[openapi(
+    info(
+        title = "FLIP",
+        description = "Flowability-informed powder weighing. Masses are in mg, angles in degrees, times on the bench in \
+            seconds, unless a name says otherwise. Reading needs no token on a loopback address; writing always does. \
+            Every refusal is an RFC 9457 problem that names the fields at fault."
+    ),
+    components(schemas(Problem)),
+    tags(
+        (name = "powders", description = "Real powders and their measured flowability"),
+        (name = "parameters", description = "The nine parameters of simulated powders, and calibrated sets of them"),
+        (name = "calibrations", description = "From a flowability to parameter sets"),
+        (name = "trainings", description = "From parameter sets to a policy"),
+        (name = "policies", description = "Trained policies and their files"),
+        (name = "evaluations", description = "A policy's errors on the simulated bench"),
+        (name = "weighings", description = "Doses of powder"),
+        (name = "jobs", description = "Long computations: watch, cancel"),
+        (name = "events", description = "Everything that happens, live"),
+        (name = "tokens", description = "Keys for programs and people"),
+    ),
+    modifiers(&Token),
+)]
+struct Head;
+
+struct Token;
+
+impl Modify for Token {
+    fn modify(&self, document: &mut OpenApi) {
+        let scheme = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).bearer_format("flip_…").build();
+        let components = document.components.get_or_insert_default();
+        components.add_security_scheme(TOKEN, SecurityScheme::Http(scheme));
+    }
+}
+
+/// Title, tags and the token scheme.
+pub fn head() -> OpenApi {
+    Head::openapi()
+}
+
+/// The document with what follows from the shape of each operation: who may call it and which refusals it has.
+pub fn complete(mut document: OpenApi) -> OpenApi {
+    for (path, item) in &mut document.paths.paths {
+        let has_id = path.contains('{');
+        for (safe, operation) in operations(item) {
+            operation.security = Some(security(safe));
+            let has_body = operation.request_body.is_some();
+            let refuse = |operation: &mut Operation, status: &str, meaning: &str| {
+                operation.responses.responses.entry(status.to_owned()).or_insert_with(|| RefOr::T(problem(meaning)));
+            };
+            refuse(operation, "400", "The request is not valid; `errors` names the fields");
+            refuse(operation, "401", "A valid token is needed");
+            refuse(operation, "403", "The token's role does not reach, or a page of another origin asks");
+            if has_id {
+                refuse(operation, "404", "No such thing");
+            }
+            if has_body {
+                refuse(operation, "413", "The body is larger than 1 MiB");
+                refuse(operation, "415", "The body is not JSON");
+            }
+            refuse(operation, "500", "Our fault; the log tells the cause under `instance`");
+            refuse(operation, "503", "Not now, e.g. while shutting down");
+        }
+    }
+    name_items(&mut document);
+    document
+}
+
+/// Lets a page's schema name the schema of its items, where utoipa writes it out again.
+fn name_items(document: &mut OpenApi) {
+    for (name, schema) in &mut document.components.get_or_insert_default().schemas {
+        if let (Some(item), RefOr::T(Schema::Object(page))) = (name.strip_prefix("Page_"), schema) {
+            let items = ArrayBuilder::new().items(Ref::from_schema_name(item)).build();
+            page.properties.insert("items".to_owned(), RefOr::T(Schema::Array(items)));
+        }
+    }
+}
+
+/// The operations of a path, and whether each only reads.
+fn operations(item: &mut PathItem) -> impl Iterator<Item = (bool, &mut Operation)> {
+    let reads = item.get.iter_mut().map(|operation| (true, operation));
+    let writes = [&mut item.post, &mut item.put, &mut item.patch, &mut item.delete];
+    reads.chain(writes.into_iter().flatten().map(|operation| (false, operation)))
+}
+
+/// An empty requirement means: nothing is needed (on a loopback address).
+fn security(safe: bool) -> Vec<SecurityRequirement> {
+    let token = SecurityRequirement::new(TOKEN, Vec::<String>::new());
+    if safe { vec![SecurityRequirement::default(), token] } else { vec![token] }
+}
+
+fn problem(meaning: &str) -> Response {
+    let body = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem"))).build();
+    ResponseBuilder::new().description(meaning).content(CONTENT_TYPE, body).build()
+}

@@ -1,0 +1,51 @@
+//! `/v1/evaluations`: a policy's errors on the simulated bench, beside those of simple controllers.
+
+use super::extract::{Input, Path, Query};
+use super::list::{ListParams, respond};
+use super::started;
+use crate::api::auth::{Operator, Viewer};
+use crate::api::problem::Problem;
+use crate::app::App;
+use crate::app::{Evaluation, EvaluationRequest, Job, Page};
+use axum::Json;
+use axum::extract::{OriginalUri, State};
+use axum::response::Response;
+
+/// List evaluations, newest first.
+#[utoipa::path(get, path = "/v1/evaluations", tag = "evaluations", params(ListParams),
+    responses((status = 200, description = "A page of evaluations", body = Page<Evaluation>)))]
+pub async fn list_evaluations(
+    _: Viewer,
+    State(app): State<App>,
+    OriginalUri(uri): OriginalUri,
+    Query(params): Query<ListParams>,
+) -> Result<Response, Problem> {
+    Ok(respond(&uri, app.evaluations(params.into()).await?))
+}
+
+/// Queue an evaluation.
+#[utoipa::path(post, path = "/v1/evaluations", tag = "evaluations", request_body = EvaluationRequest,
+    responses((status = 202, description = "Queued; the evaluation has the id of its job", body = Job,
+        headers(("Location" = String, description = "Where the evaluation is"))),
+        (status = 200, description = "Asked for before: the job that does it", body = Job),
+        (status = 409, description = "Something it needs is missing", body = Problem,
+            content_type = "application/problem+json")))]
+pub async fn start_evaluation(
+    _: Operator,
+    State(app): State<App>,
+    Input(request): Input<EvaluationRequest>,
+) -> Result<Response, Problem> {
+    Ok(started("evaluations", app.start_evaluation(request).await?))
+}
+
+/// One evaluation.
+#[utoipa::path(get, path = "/v1/evaluations/{id}", tag = "evaluations",
+    params(("id" = String, Path, description = "Id of the evaluation, which is the id of its job")),
+    responses((status = 200, description = "The evaluation", body = Evaluation)))]
+pub async fn get_evaluation(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Json<Evaluation>, Problem> {
+    Ok(Json(app.evaluation(&id).await?))
+}

@@ -1,0 +1,134 @@
+//! Live views as server-sent events.
+//!
+//! Every event has the `id:` of its sequence number; a client that reconnects sends it back as `Last-Event-ID` (browsers
+//! do so by themselves) and misses nothing. A job's or weighing's stream ends with it, and is then answered with 204,
+//! which tells browsers not to come back.
+
+use super::extract::{Path, Query};
+use crate::api::auth::Viewer;
+use crate::api::problem::Problem;
+use crate::app::App;
+use crate::app::{Event, Topic};
+use crate::domain::FieldError;
+use crate::domain::weighing::WeighingState;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::sse::{self, KeepAlive, Sse};
+use axum::response::{IntoResponse, Response};
+use futures::StreamExt;
+use futures::stream::{self, BoxStream};
+use serde::Deserialize;
+use std::time::Duration;
+
+/// A comment is sent when nothing happens for this long, so that proxies keep the connection.
+const KEEP_ALIVE: Duration = Duration::from_secs(15);
+
+/// Where to begin.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct WatchParams {
+    /// Sequence number of the last event already seen, for clients that cannot send `Last-Event-ID`.
+    #[param(minimum = 0)]
+    after_seq: Option<i64>,
+}
+
+impl WatchParams {
+    /// The header counts more: it is what a reconnecting browser adds to the address it first asked for.
+    fn after(&self, headers: &HeaderMap) -> Result<Option<i64>, Problem> {
+        let Some(header) = headers.get("last-event-id") else { return checked("after_seq", self.after_seq) };
+        let number = header.to_str().ok().and_then(|text| text.trim().parse().ok());
+        checked("Last-Event-ID", Some(number.unwrap_or(-1)))
+    }
+}
+
+fn checked(field: &str, seq: Option<i64>) -> Result<Option<i64>, Problem> {
+    match seq {
+        Some(..0) => Err(FieldError::new(field, "must be the id of an event of this stream, a number from 0").into()),
+        seq => Ok(seq),
+    }
+}
+
+/// Follow everything.
+///
+/// From now on, or from the event named.
+#[utoipa::path(get, path = "/v1/events", tag = "events",
+    params(WatchParams, ("Last-Event-ID" = Option<i64>, Header, description = "Sequence number of the last event seen")),
+    responses((status = 200, description = "Events; `data` holds one Event as JSON", body = Event,
+        content_type = "text/event-stream")))]
+pub async fn watch_all(
+    _: Viewer,
+    State(app): State<App>,
+    headers: HeaderMap,
+    Query(params): Query<WatchParams>,
+) -> Result<Response, Problem> {
+    let after = params.after(&headers)?.unwrap_or_else(|| app.last_event());
+    Ok(live(app.events(Topic::All, after).await?))
+}
+
+/// Follow a job.
+///
+/// Its state, progress, trials and episodes from its beginning, or from the event named. Ends with the job.
+#[utoipa::path(get, path = "/v1/jobs/{id}/events", tag = "jobs",
+    params(("id" = String, Path, description = "Job id"), WatchParams,
+        ("Last-Event-ID" = Option<i64>, Header, description = "Sequence number of the last event seen")),
+    responses((status = 200, description = "Events; `data` holds one Event as JSON", body = Event,
+            content_type = "text/event-stream"),
+        (status = 204, description = "The job has ended and every event was seen")))]
+pub async fn watch_job(
+    _: Viewer,
+    State(app): State<App>,
+    headers: HeaderMap,
+    Path(id): Path<String>,
+    Query(params): Query<WatchParams>,
+) -> Result<Response, Problem> {
+    let after = params.after(&headers)?.unwrap_or(0);
+    let ended = app.job(&id).await?.state.is_terminal();
+    follow(app.events(Topic::Job(id), after).await?, ended).await
+}
+
+/// Follow a weighing.
+///
+/// Its state and ticks from its beginning, or from the event named. Ends with the weighing.
+#[utoipa::path(get, path = "/v1/weighings/{id}/events", tag = "weighings",
+    params(("id" = String, Path, description = "Weighing id"), WatchParams,
+        ("Last-Event-ID" = Option<i64>, Header, description = "Sequence number of the last event seen")),
+    responses((status = 200, description = "Events; `data` holds one Event as JSON", body = Event,
+            content_type = "text/event-stream"),
+        (status = 204, description = "The weighing has ended and every event was seen")))]
+pub async fn watch_weighing(
+    _: Viewer,
+    State(app): State<App>,
+    headers: HeaderMap,
+    Path(id): Path<String>,
+    Query(params): Query<WatchParams>,
+) -> Result<Response, Problem> {
+    let after = params.after(&headers)?.unwrap_or(0);
+    let state = app.weighing(&id).await?.weighing.state;
+    let ended = matches!(state, WeighingState::Done | WeighingState::Aborted | WeighingState::Unknown);
+    follow(app.events(Topic::Weighing(id), after).await?, ended).await
+}
+
+type Events = BoxStream<'static, crate::app::Result<Event>>;
+
+/// The stream, or 204 if its subject has `ended` and nothing is left to tell.
+async fn follow(mut events: Events, ended: bool) -> Result<Response, Problem> {
+    if !ended {
+        return Ok(live(events));
+    }
+    // What has ended has all its events stored: the first one comes at once, or none does.
+    match events.next().await {
+        None => Ok(StatusCode::NO_CONTENT.into_response()),
+        Some(first) => Ok(live(stream::iter([first]).chain(events).boxed())),
+    }
+}
+
+/// Server-sent events until the stream ends; an error ends it too, and the client resumes where it was.
+fn live(events: Events) -> Response {
+    Sse::new(events.map(frame)).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response()
+}
+
+fn frame(event: crate::app::Result<Event>) -> Result<sse::Event, axum::BoxError> {
+    let event = event.inspect_err(|error| tracing::warn!(%error, "an event stream broke off"))?;
+    Ok(sse::Event::default().id(event.seq.to_string()).event(&event.kind).json_data(&event)?)
+}

@@ -1,0 +1,78 @@
+//! Pages of lists: `?limit=&after=` in, `{items, next}` and a `Link` header out.
+
+use crate::app::Page;
+use crate::app::PageQuery;
+use axum::Json;
+use axum::http::{HeaderMap, HeaderValue, Uri, header};
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+
+/// Which page of a list.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ListParams {
+    /// Items on the page, 1 to 200.
+    #[param(minimum = 1, maximum = 200, default = 50)]
+    pub limit: Option<u32>,
+    /// `next` of the page before.
+    pub after: Option<String>,
+}
+
+/// Which page of a series that is drawn as a curve.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct SeriesParams {
+    /// Items on the page, 1 to 5000.
+    #[param(minimum = 1, maximum = 5000, default = 50)]
+    pub limit: Option<u32>,
+    /// `next` of the page before.
+    pub after: Option<String>,
+}
+
+impl From<ListParams> for PageQuery {
+    fn from(params: ListParams) -> Self {
+        Self { limit: params.limit, after: params.after }
+    }
+}
+
+impl From<SeriesParams> for PageQuery {
+    fn from(params: SeriesParams) -> Self {
+        Self { limit: params.limit, after: params.after }
+    }
+}
+
+/// A page, with `Link: <…>; rel="next"` when another follows.
+pub fn respond<T: Serialize>(uri: &Uri, page: Page<T>) -> Response {
+    let mut headers = HeaderMap::new();
+    let link = page.next.as_deref().map(|next| link(uri, next));
+    if let Some(link) = link.and_then(|link| HeaderValue::from_str(&link).ok()) {
+        headers.insert(header::LINK, link);
+    }
+    (headers, Json(page)).into_response()
+}
+
+fn link(uri: &Uri, next: &str) -> String {
+    let pairs = uri.query().unwrap_or_default().split('&');
+    let kept: String = pairs
+        .filter(|pair| !pair.is_empty() && pair.split('=').next() != Some("after"))
+        .map(|pair| format!("{pair}&"))
+        .collect();
+    format!("<{}?{kept}after={next}>; rel=\"next\"", uri.path())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_link_keeps_the_filter_and_moves_the_cursor() {
+        let next = |uri: &'static str| link(&Uri::from_static(uri), "abc");
+        assert_eq!(next("/v1/jobs"), "</v1/jobs?after=abc>; rel=\"next\"");
+        assert_eq!(
+            next("/v1/jobs?limit=2&after=xyz&state=failed"),
+            "</v1/jobs?limit=2&state=failed&after=abc>; rel=\"next\""
+        );
+    }
+}

@@ -1,0 +1,96 @@
+//! REST under `/v1`: every route on one screen, and the OpenAPI document that is made from the same routes.
+
+mod calibrations;
+mod document;
+mod evaluations;
+mod events;
+pub mod extract;
+mod jobs;
+mod list;
+mod parameters;
+mod policies;
+mod powders;
+mod tokens;
+mod trainings;
+mod weighings;
+
+pub use weighings::idempotency_key;
+
+use super::problem::Problem;
+use crate::app::App;
+use axum::extract::DefaultBodyLimit;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use axum::{Json, Router};
+use utoipa::openapi::OpenApi;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::with_openapi(document::head())
+        .routes(routes!(powders::list_powders, powders::create_powder))
+        .routes(routes!(powders::get_powder))
+        .routes(routes!(powders::list_measurements, powders::add_measurement))
+        .routes(routes!(parameters::list_parameters))
+        .routes(routes!(parameters::list_parameter_sets))
+        .routes(routes!(parameters::get_parameter_set))
+        .routes(routes!(calibrations::list_calibrations, calibrations::start_calibration))
+        .routes(routes!(calibrations::get_calibration))
+        .routes(routes!(calibrations::list_trials))
+        .routes(routes!(trainings::list_trainings, trainings::start_training))
+        .routes(routes!(trainings::get_training))
+        .routes(routes!(trainings::list_episodes))
+        .routes(routes!(policies::list_policies))
+        .routes(routes!(policies::get_policy))
+        .routes(routes!(policies::get_policy_manifest))
+        .routes(routes!(policies::download_policy_weights))
+        .routes(routes!(evaluations::list_evaluations, evaluations::start_evaluation))
+        .routes(routes!(evaluations::get_evaluation))
+        .routes(routes!(weighings::list_weighings, weighings::start_weighing))
+        .routes(routes!(weighings::get_weighing))
+        .routes(routes!(weighings::get_trace))
+        .routes(routes!(weighings::download_trace))
+        .routes(routes!(weighings::stop_weighing))
+        .routes(routes!(jobs::list_jobs))
+        .routes(routes!(jobs::get_job))
+        .routes(routes!(jobs::cancel_job))
+        .routes(routes!(events::watch_all))
+        .routes(routes!(events::watch_job))
+        .routes(routes!(events::watch_weighing))
+        .routes(routes!(tokens::create_token))
+}
+
+/// The OpenAPI document of everything below `/v1`.
+pub fn openapi() -> OpenApi {
+    document::complete(routes().into_openapi())
+}
+
+/// The routes, with `/openapi.json`.
+pub fn router(app: App) -> Router {
+    let document = openapi();
+    let describe = move || async move { Json(document) };
+    Router::from(routes())
+        .with_state(app)
+        .route("/openapi.json", get(describe))
+        .method_not_allowed_fallback(async || Problem::method_not_allowed())
+        .layer(DefaultBodyLimit::max(extract::BODY_BYTES_MAX))
+}
+
+/// 202 for work that was taken on, with where to look for it.
+fn accepted(location: String, body: impl serde::Serialize) -> Response {
+    (StatusCode::ACCEPTED, [(header::LOCATION, location)], Json(body)).into_response()
+}
+
+/// 201 for a thing that now exists, with where it is.
+fn created(location: String, body: impl serde::Serialize) -> Response {
+    (StatusCode::CREATED, [(header::LOCATION, location)], Json(body)).into_response()
+}
+
+/// The answer to a request for long work: 202 if it was queued, 200 with the job that already does it.
+fn started(resource: &str, (job, created): (crate::app::Job, bool)) -> Response {
+    match created {
+        true => accepted(format!("/v1/{resource}/{}", job.id), job),
+        false => Json(job).into_response(),
+    }
+}

@@ -1,0 +1,72 @@
+//! `/v1/policies`: trained policies, and their files.
+
+use super::extract::{Path, Query};
+use super::list::{ListParams, respond};
+use crate::api::auth::Viewer;
+use crate::api::problem::Problem;
+use crate::app::App;
+use crate::app::{Page, Policy};
+use axum::Json;
+use axum::extract::{OriginalUri, State};
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+
+/// A file that never changes, because its address is made from its content.
+const IMMUTABLE: &str = "private, max-age=31536000, immutable";
+
+/// List policies, newest first.
+#[utoipa::path(get, path = "/v1/policies", tag = "policies", params(ListParams),
+    responses((status = 200, description = "A page of policies", body = Page<Policy>)))]
+pub async fn list_policies(
+    _: Viewer,
+    State(app): State<App>,
+    OriginalUri(uri): OriginalUri,
+    Query(params): Query<ListParams>,
+) -> Result<Response, Problem> {
+    Ok(respond(&uri, app.policies(params.into()).await?))
+}
+
+/// One policy.
+#[utoipa::path(get, path = "/v1/policies/{id}", tag = "policies",
+    params(("id" = String, Path, description = "Policy id, `p-…`")),
+    responses((status = 200, description = "The policy", body = Policy)))]
+pub async fn get_policy(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Json<Policy>, Problem> {
+    Ok(Json(app.policy(&id).await?))
+}
+
+/// Download a policy's manifest.
+///
+/// Its settings, seed, parameter sets, curriculum history and versions.
+#[utoipa::path(get, path = "/v1/policies/{id}/manifest", tag = "policies",
+    params(("id" = String, Path, description = "Policy id, `p-…`")),
+    responses((status = 200, description = "The manifest", body = serde_json::Value)))]
+pub async fn get_policy_manifest(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
+    let policy = app.policy(&id).await?;
+    let name = format!("attachment; filename=\"{}.json\"", policy.id);
+    Ok(([(header::CONTENT_DISPOSITION, name)], Json(policy.manifest)).into_response())
+}
+
+/// Download a policy's weights.
+///
+/// A safetensors file; the ETag is its SHA-256.
+#[utoipa::path(get, path = "/v1/policies/{id}/weights", tag = "policies",
+    params(("id" = String, Path, description = "Policy id, `p-…`")),
+    responses((status = 200, description = "The file", body = Vec<u8>, content_type = "application/octet-stream")))]
+pub async fn download_policy_weights(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
+    let policy = app.policy(&id).await?;
+    let headers = [
+        (header::CONTENT_TYPE, "application/octet-stream".to_owned()),
+        (header::CONTENT_DISPOSITION, format!("attachment; filename=\"{}.safetensors\"", policy.id)),
+        (header::ETAG, format!("\"{}\"", policy.sha256)),
+        (header::CACHE_CONTROL, IMMUTABLE.to_owned()),
+    ];
+    Ok((headers, app.policy_bytes(&id).await?).into_response())
+}

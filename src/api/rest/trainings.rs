@@ -1,0 +1,65 @@
+//! `/v1/trainings`: from parameter sets to a policy.
+
+use super::extract::{Input, Path, Query};
+use super::list::{ListParams, SeriesParams, respond};
+use super::started;
+use crate::api::auth::{Operator, Viewer};
+use crate::api::problem::Problem;
+use crate::app::App;
+use crate::app::{Episode, Job, Page, Training, TrainingRequest};
+use axum::Json;
+use axum::extract::{OriginalUri, State};
+use axum::response::Response;
+
+/// List trainings, newest first.
+#[utoipa::path(get, path = "/v1/trainings", tag = "trainings", params(ListParams),
+    responses((status = 200, description = "A page of trainings", body = Page<Training>)))]
+pub async fn list_trainings(
+    _: Viewer,
+    State(app): State<App>,
+    OriginalUri(uri): OriginalUri,
+    Query(params): Query<ListParams>,
+) -> Result<Response, Problem> {
+    Ok(respond(&uri, app.trainings(params.into()).await?))
+}
+
+/// Queue a training.
+#[utoipa::path(post, path = "/v1/trainings", tag = "trainings", request_body = TrainingRequest,
+    responses((status = 202, description = "Queued; the training has the id of its job", body = Job,
+        headers(("Location" = String, description = "Where the training is"))),
+        (status = 200, description = "Asked for before: the job that does it", body = Job),
+        (status = 409, description = "Something it needs is missing", body = Problem,
+            content_type = "application/problem+json")))]
+pub async fn start_training(
+    _: Operator,
+    State(app): State<App>,
+    Input(request): Input<TrainingRequest>,
+) -> Result<Response, Problem> {
+    Ok(started("trainings", app.start_training(request).await?))
+}
+
+/// One training.
+#[utoipa::path(get, path = "/v1/trainings/{id}", tag = "trainings",
+    params(("id" = String, Path, description = "Id of the training, which is the id of its job")),
+    responses((status = 200, description = "The training", body = Training)))]
+pub async fn get_training(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Json<Training>, Problem> {
+    Ok(Json(app.training(&id).await?))
+}
+
+/// List the episodes of a training in order, also while it runs.
+#[utoipa::path(get, path = "/v1/trainings/{id}/episodes", tag = "trainings",
+    params(("id" = String, Path, description = "Id of the training"), SeriesParams),
+    responses((status = 200, description = "A page of episodes", body = Page<Episode>)))]
+pub async fn list_episodes(
+    _: Viewer,
+    State(app): State<App>,
+    OriginalUri(uri): OriginalUri,
+    Path(id): Path<String>,
+    Query(params): Query<SeriesParams>,
+) -> Result<Response, Problem> {
+    Ok(respond(&uri, app.training_episodes(&id, params.into()).await?))
+}

@@ -1,0 +1,148 @@
+//! `/v1/weighings`: doses of powder.
+
+use super::accepted;
+use super::extract::{Input, Path, Query};
+use super::list::{ListParams, respond};
+use crate::api::auth::{Operator, Viewer};
+use crate::api::problem::Problem;
+use crate::app::App;
+use crate::app::{Page, Weighing, WeighingDetail, WeighingRequest};
+use crate::domain::FieldError;
+use crate::domain::bench::Tick;
+use axum::Json;
+use axum::extract::{OriginalUri, State};
+use axum::http::{HeaderMap, HeaderValue, header};
+use axum::response::{IntoResponse, Response};
+use std::fmt::Write;
+
+/// List weighings, newest first.
+#[utoipa::path(get, path = "/v1/weighings", tag = "weighings", params(ListParams),
+    responses((status = 200, description = "A page of weighings", body = Page<Weighing>)))]
+pub async fn list_weighings(
+    _: Viewer,
+    State(app): State<App>,
+    OriginalUri(uri): OriginalUri,
+    Query(params): Query<ListParams>,
+) -> Result<Response, Problem> {
+    Ok(respond(&uri, app.weighings(params.into()).await?))
+}
+
+/// Weigh.
+///
+/// Stores the intent, then pours. The same key with the same body answers with the first weighing and never pours
+/// twice.
+#[utoipa::path(post, path = "/v1/weighings", tag = "weighings", request_body = WeighingRequest,
+    params(("Idempotency-Key" = String, Header, description = "New for every weighing, 1 to 200 visible characters")),
+    responses(
+        (status = 202, description = "Planned, or the weighing that the key made before", body = Weighing, headers(
+            ("Location" = String, description = "Where the weighing is"),
+            ("Idempotency-Replayed" = String, description = "`true` if the key was used before"))),
+        (status = 409, description = "64 weighings wait already, or a calibration or policy is missing", body = Problem,
+            content_type = "application/problem+json"),
+        (status = 422, description = "The key belongs to another request", body = Problem,
+            content_type = "application/problem+json")))]
+pub async fn start_weighing(
+    _: Operator,
+    State(app): State<App>,
+    headers: HeaderMap,
+    Input(request): Input<WeighingRequest>,
+) -> Result<Response, Problem> {
+    let key = headers.get("idempotency-key").and_then(|key| key.to_str().ok()).unwrap_or_default();
+    let key = idempotency_key("Idempotency-Key", key)?;
+    let (weighing, replayed) = app.start_weighing(request, key).await?;
+    let mut response = accepted(format!("/v1/weighings/{}", weighing.id), weighing);
+    if replayed {
+        response.headers_mut().insert("idempotency-replayed", HeaderValue::from_static("true"));
+    }
+    Ok(response)
+}
+
+/// A key that can tell weighings apart; `field` is where the caller wrote it.
+///
+/// # Errors
+/// An empty key, one of more than 200 characters, or one with blanks or other invisible characters.
+pub fn idempotency_key<'a>(field: &str, key: &'a str) -> Result<&'a str, FieldError> {
+    let ok = (1..=200).contains(&key.len()) && key.chars().all(|c| c.is_ascii_graphic());
+    let expected = "must be 1 to 200 visible ASCII characters, new for every weighing (a UUID does), so that a repeated \
+                    request never pours twice";
+    if ok { Ok(key) } else { Err(FieldError::new(field, expected)) }
+}
+
+/// One weighing with its ticks so far.
+#[utoipa::path(get, path = "/v1/weighings/{id}", tag = "weighings",
+    params(("id" = String, Path, description = "Weighing id")),
+    responses((status = 200, description = "The weighing", body = WeighingDetail)))]
+pub async fn get_weighing(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Json<WeighingDetail>, Problem> {
+    Ok(Json(app.weighing(&id).await?))
+}
+
+/// The ticks of a weighing: what the bench did and the balance showed.
+#[utoipa::path(get, path = "/v1/weighings/{id}/trace", tag = "weighings",
+    params(("id" = String, Path, description = "Weighing id")),
+    responses((status = 200, description = "The ticks in order", body = Vec<Tick>)))]
+pub async fn get_trace(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Json<Vec<Tick>>, Problem> {
+    Ok(Json(app.weighing(&id).await?.ticks))
+}
+
+/// Download the ticks of a weighing as CSV.
+#[utoipa::path(get, path = "/v1/weighings/{id}/trace.csv", tag = "weighings",
+    params(("id" = String, Path, description = "Weighing id")),
+    responses((status = 200, description = "One line for each tick", body = String, content_type = "text/csv")))]
+pub async fn download_trace(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
+    let detail = app.weighing(&id).await?;
+    let headers = [
+        (header::CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()),
+        (header::CONTENT_DISPOSITION, format!("attachment; filename=\"weighing-{}.csv\"", detail.weighing.id)),
+    ];
+    Ok((headers, csv(&detail.ticks)).into_response())
+}
+
+/// Numbers as in JSON, so that both forms of a trace hold the same digits.
+fn csv(ticks: &[Tick]) -> String {
+    let mut text = String::from("step,t_s,pitch_deg,incline_change_deg,shake_mm,mass_mg,stable\n");
+    for Tick { step, t_s, pitch_deg, action, reading } in ticks {
+        let _infallible = writeln!(
+            text,
+            "{step},{t_s},{pitch_deg},{},{},{},{}",
+            action.incline_change_deg, action.shake_mm, reading.mass_mg, reading.stable
+        );
+    }
+    text
+}
+
+/// Stop a weighing and level the spoon.
+///
+/// At once when it waits, at the next tick when it runs. Not an emergency stop: that one is wired.
+#[utoipa::path(post, path = "/v1/weighings/{id}/stop", tag = "weighings",
+    params(("id" = String, Path, description = "Weighing id")),
+    responses((status = 202, description = "The weighing, stopping or stopped", body = Weighing),
+        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
+pub async fn stop_weighing(_: Operator, State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
+    let weighing = app.stop_weighing(&id).await?;
+    Ok(accepted(format!("/v1/weighings/{}", weighing.id), weighing))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::domain::bench::{Action, Reading};
+
+    #[test]
+    fn the_csv_of_a_trace_holds_the_digits_of_its_json() {
+        let action = Action { incline_change_deg: -0.1, shake_mm: 8.0 };
+        let tick = Tick { step: 1, t_s: 0.3, pitch_deg: 20.5, action, reading: Reading { mass_mg: 4.0, stable: true } };
+        assert_eq!(csv(&[tick]).lines().nth(1), Some("1,0.3,20.5,-0.1,8,4,true"));
+    }
+
+    #[test]
+    fn a_key_must_be_visible_and_of_sensible_length() {
+        assert_eq!(idempotency_key("k", "a-1"), Ok("a-1"));
+        for key in ["", "a b", "ä", "\u{7f}", &"x".repeat(201)] {
+            assert!(idempotency_key("k", key).is_err(), "{key}");
+        }
+    }
+}

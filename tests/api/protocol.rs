@@ -1,0 +1,73 @@
+//! What holds for every address: problems, methods, headers, probes, the page.
+
+use crate::harness::{Service, problem};
+use flip::api::{self, ServeConfig, ServeError};
+
+#[tokio::test]
+async fn unknown_paths_and_wrong_methods_are_problems() {
+    let service = Service::start().await;
+    problem(service.get("/v1/nothing").await, 404).await;
+    problem(service.request("DELETE", "/nothing").send().await.unwrap(), 404).await;
+    let response = service.request("DELETE", "/v1/parameters").send().await.unwrap();
+    assert_eq!(response.headers()["allow"], "GET,HEAD");
+    problem(response, 405).await;
+    problem(service.request("POST", "/healthz").send().await.unwrap(), 405).await;
+}
+
+#[tokio::test]
+async fn every_answer_is_hardened() {
+    let service = Service::start().await;
+    for path in ["/", "/v1/parameters", "/v1/nothing", "/openapi.json", "/healthz", "/weighings/1", "/assets/none.js"] {
+        let response = service.get(path).await;
+        let header =
+            |name: &str| response.headers().get(name).unwrap_or_else(|| panic!("{path}: {name}")).to_str().unwrap();
+        let csp = header("content-security-policy");
+        assert!(csp.starts_with("default-src 'self';") && !csp.contains("unsafe"), "{path}: {csp}");
+        assert_eq!(header("x-content-type-options"), "nosniff", "{path}");
+        assert_eq!(header("referrer-policy"), "no-referrer", "{path}");
+        assert!(!header("x-request-id").is_empty());
+        assert!(!header("cache-control").is_empty());
+    }
+}
+
+#[tokio::test]
+async fn the_page_is_served_at_the_root_and_at_addresses_of_its_own() {
+    let service = Service::start().await;
+    let root = service.get("/").await;
+    assert_eq!(root.status(), 200);
+    let root = root.text().await.unwrap();
+    assert!(root.contains("FLIP"), "{root}");
+    assert_eq!(service.get("/weighings/some").await.text().await.unwrap(), root);
+    problem(service.get("/assets/missing.js").await, 404).await;
+}
+
+#[tokio::test]
+async fn probes_answer_and_metrics_count_requests() {
+    let service = Service::start().await;
+    assert_eq!(service.get("/healthz").await.status(), 200);
+    assert_eq!(service.get("/readyz").await.status(), 200);
+    service.get("/v1/parameters").await;
+    let metrics = service.get("/metrics").await.text().await.unwrap();
+    let counted = |line: &&str| line.starts_with("flip_requests_total{") && line.contains("route=\"/v1/parameters\"");
+    assert!(metrics.lines().any(|line| counted(&line)), "{metrics}");
+    assert!(metrics.contains("flip_request_seconds_bucket"), "{metrics}");
+}
+
+#[tokio::test]
+async fn an_address_that_others_reach_is_refused_without_tls_or_the_flag() {
+    let service = Service::start().await;
+    let exposed = ServeConfig::loopback("0.0.0.0:0".parse().unwrap());
+    let refused = api::bind(service.app.clone(), exposed.clone()).err().unwrap();
+    assert!(matches!(refused, ServeError::Exposed(_)));
+    assert!(refused.to_string().contains("--insecure-lan"));
+    assert!(api::bind(service.app.clone(), ServeConfig { insecure_lan: true, ..exposed }).is_ok());
+}
+
+#[tokio::test]
+async fn shutting_down_ends_the_service() {
+    let service = Service::start().await;
+    let url = service.url("/healthz");
+    assert_eq!(service.get("/healthz").await.status(), 200);
+    service.stop().await;
+    assert!(reqwest::get(url).await.is_err());
+}
