@@ -1,0 +1,61 @@
+/** Every call the page makes, through the client generated from openapi.json. A refusal is thrown as a {@link Problem}. */
+import createClient, { type Middleware } from 'openapi-fetch'
+import type { Query } from '../resource.svelte'
+import { settings } from '../settings.svelte'
+import { Problem } from './problem'
+import type { paths } from './schema'
+import type * as T from './types'
+
+const client = createClient<paths>()
+
+const authorize: Middleware = {
+  onRequest({ request }) {
+    if (settings.token) request.headers.set('authorization', `Bearer ${settings.token}`)
+    return request
+  },
+}
+client.use(authorize)
+
+/** The body of an answer, or the problem it names. */
+async function body<D>(answer: Promise<{ data?: D; error?: unknown; response: Response }>): Promise<D> {
+  const { data, error, response } = await answer
+  if (!response.ok || data === undefined) throw Problem.from(error, response.status)
+  return data
+}
+const at = (id: string) => ({ path: { id } })
+
+export const powders = (query: Query = {}) => body(client.GET('/v1/powders', { params: { query } }))
+export const powder = (id: string) => body(client.GET('/v1/powders/{id}', { params: at(id) }))
+export const createPowder = (powder: T.NewPowder) => body(client.POST('/v1/powders', { body: powder }))
+export const addMeasurement = (powder: string, measurement: T.NewMeasurement) =>
+  body(client.POST('/v1/powders/{id}/measurements', { params: at(powder), body: measurement }))
+
+export const calibrations = (query: Query = {}) => body(client.GET('/v1/calibrations', { params: { query } }))
+export const calibration = (id: string) => body(client.GET('/v1/calibrations/{id}', { params: at(id) }))
+export const trials = (id: string, query: Query) => body(client.GET('/v1/calibrations/{id}/trials', { params: { ...at(id), query } }))
+export const startCalibration = (request: T.CalibrationRequest) => body(client.POST('/v1/calibrations', { body: request }))
+
+export const trainings = (query: Query = {}) => body(client.GET('/v1/trainings', { params: { query } }))
+export const training = (id: string) => body(client.GET('/v1/trainings/{id}', { params: at(id) }))
+export const episodes = (id: string, query: Query) => body(client.GET('/v1/trainings/{id}/episodes', { params: { ...at(id), query } }))
+export const startTraining = (request: T.TrainingRequest) => body(client.POST('/v1/trainings', { body: request }))
+
+export const policies = (query: Query = {}) => body(client.GET('/v1/policies', { params: { query } }))
+export const policy = (id: string) => body(client.GET('/v1/policies/{id}', { params: at(id) }))
+/** The safetensors file. */
+export const policyWeights = (id: string): Promise<Blob> =>
+  body(client.GET('/v1/policies/{id}/weights', { params: at(id), parseAs: 'blob' })) as Promise<unknown> as Promise<Blob>
+
+export const evaluations = (query: Query = {}) => body(client.GET('/v1/evaluations', { params: { query } }))
+export const evaluation = (id: string) => body(client.GET('/v1/evaluations/{id}', { params: at(id) }))
+export const startEvaluation = (request: T.EvaluationRequest) => body(client.POST('/v1/evaluations', { body: request }))
+
+export const weighings = (query: Query = {}) => body(client.GET('/v1/weighings', { params: { query } }))
+export const weighing = (id: string) => body(client.GET('/v1/weighings/{id}', { params: at(id) }))
+/** The same key with the same request never pours twice. */
+export const startWeighing = (request: T.WeighingRequest, key: string) =>
+  body(client.POST('/v1/weighings', { params: { header: { 'Idempotency-Key': key } }, body: request }))
+export const stopWeighing = (id: string) => body(client.POST('/v1/weighings/{id}/stop', { params: at(id) }))
+
+export const jobs = (query: Query & { kind?: T.JobKind; state?: T.JobState } = {}) => body(client.GET('/v1/jobs', { params: { query } }))
+export const cancelJob = (id: string) => body(client.POST('/v1/jobs/{id}/cancel', { params: at(id) }))

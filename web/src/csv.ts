@@ -1,0 +1,56 @@
+/** CSV as RFC 4180 writes it, from exactly the cells a table shows. */
+import { NONE } from './format'
+
+/** A column of a table: its heading, and the text of its cell. */
+export interface Column<Row> {
+  /** Unique within the table; names the sort order in the address. */
+  key: string
+  label: string
+  /** Goes into the heading, so that cells stay numbers. */
+  unit?: string
+  /** Text shown and exported. */
+  text: (row: Row) => string
+  /** What sorting compares; without it the column does not sort. */
+  sort?: (row: Row) => number | string | null | undefined
+  /** An ISO time behind a local one: shown on hover, exported instead of the text. */
+  iso?: (row: Row) => string | null | undefined
+  /** Text columns stand left; numbers (the default) right. */
+  left?: boolean
+  /** Where the cell leads. */
+  href?: (row: Row) => string | null | undefined
+  mono?: boolean
+  /** Long text that may break over lines. */
+  wrap?: boolean
+  /** Read out for the row. */
+  rowHeader?: boolean
+  /** Explains the heading on hover. */
+  title?: string
+}
+
+/** Heading with its unit, as shown and exported. */
+export function heading<Row>(column: Column<Row>): string {
+  return column.unit ? `${column.label} (${column.unit})` : column.label
+}
+
+/** The cell as exported: an ISO time where there is one, ASCII minus, no group spaces, empty for none. */
+export function exported<Row>(column: Column<Row>, row: Row): string {
+  const text = column.iso?.(row) ?? column.text(row)
+  return text === NONE ? '' : text.replaceAll('−', '-').replaceAll('\u2009', '')
+}
+
+/** The whole document, lines ended by CRLF. */
+export function toCsv<Row>(columns: Column<Row>[], rows: Row[]): string {
+  const quote = (text: string) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text)
+  const lines = [columns.map(heading), ...rows.map((row) => columns.map((column) => exported(column, row)))]
+  return lines.map((cells) => cells.map(quote).join(',') + '\r\n').join('')
+}
+
+/** Hands `content` to the browser as a file. */
+export function download(name: string, content: string | Blob, type = 'text/csv;charset=utf-8'): void {
+  const url = URL.createObjectURL(new Blob([content], { type }))
+  const link = document.createElement('a')
+  link.href = url
+  link.download = name
+  link.click()
+  setTimeout(() => URL.revokeObjectURL(url), 10_000)
+}

@@ -1,0 +1,19 @@
+/** Names of powders by id, read once and again when one is missing. */
+import { powders } from './api/calls'
+import { words } from './format'
+import { all, Resource } from './resource.svelte'
+
+const list = new Resource(() => all(powders))
+
+/** All powders, oldest first. */
+export function knownPowders() {
+  return list.value ?? []
+}
+
+export function powderName(id: string | null | undefined): string {
+  if (!id) return 'Bare angle'
+  return list.value?.find((p) => p.id === id)?.name ?? words(id)
+}
+
+/** After a powder was added. */
+export const reloadNames = list.reload

@@ -1,0 +1,86 @@
+/** Values that come from the service, with what went wrong and a way to ask again. */
+import { Problem } from './api/problem'
+
+/** One document. */
+export class Resource<T> {
+  value = $state.raw<T | undefined>()
+  problem = $state.raw<Problem | undefined>()
+  #asked = 0
+
+  constructor(private readonly fetch: () => Promise<T>) {
+    void this.reload()
+  }
+
+  /** Asks again; the old value stays until the new one is here. A late answer to an older question is dropped. */
+  reload = async (): Promise<void> => {
+    const question = ++this.#asked
+    try {
+      const value = await this.fetch()
+      if (question !== this.#asked) return
+      this.value = value
+      this.problem = undefined
+    } catch (error) {
+      if (question === this.#asked) this.problem = Problem.of(error)
+    }
+  }
+}
+
+export interface Page<T> {
+  items: T[]
+  next?: string | null
+}
+
+/** Which page of a list is asked for. */
+export interface Query {
+  limit?: number
+  after?: string
+}
+
+const PAGE = 50
+const PAGE_MAX = 200
+
+/** A list read page by page. */
+export class Pages<T> {
+  items = $state.raw<T[] | undefined>()
+  next = $state.raw<string | null | undefined>()
+  problem = $state.raw<Problem | undefined>()
+  #asked = 0
+
+  constructor(private readonly fetch: (query: Query) => Promise<Page<T>>) {
+    void this.reload()
+  }
+
+  /** Asks again for as many as are shown. */
+  reload = () => this.#ask(Math.min(PAGE_MAX, Math.max(PAGE, this.items?.length ?? 0)))
+
+  /** Appends the next page. */
+  more = () => this.#ask(PAGE, this.next ?? undefined)
+
+  async #ask(limit: number, after?: string): Promise<void> {
+    const question = ++this.#asked
+    try {
+      const page = await this.fetch({ limit, after })
+      if (question !== this.#asked) return
+      this.items = after ? [...(this.items ?? []), ...page.items] : page.items
+      this.next = page.next
+      this.problem = undefined
+    } catch (error) {
+      if (question === this.#asked) this.problem = Problem.of(error)
+    }
+  }
+}
+
+/** Most items on a page of a series (trials, episodes). */
+export const SERIES = 5000
+
+/** Every item of a list that is known to be of modest length, read in pages of `limit`. */
+export async function all<T>(fetch: (query: Query) => Promise<Page<T>>, limit = PAGE_MAX, most = 40_000): Promise<T[]> {
+  const items: T[] = []
+  let after: string | undefined
+  do {
+    const page = await fetch({ limit, after })
+    items.push(...page.items)
+    after = page.next ?? undefined
+  } while (after && items.length < most)
+  return items
+}

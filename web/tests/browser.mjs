@@ -1,0 +1,92 @@
+/** Debian's Chromium without a window, with what the tests look for on every view. */
+import { chromium } from 'playwright-core'
+import { existsSync, mkdirSync, readFileSync } from 'node:fs'
+import { createRequire } from 'node:module'
+import { fileURLToPath } from 'node:url'
+
+const CHROMIUM = [process.env.CHROMIUM, '/usr/bin/chromium', '/usr/bin/chromium-browser', '/usr/bin/google-chrome'].find((path) => path && existsSync(path))
+const ARGS = ['--headless', '--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run', '--disable-background-networking', '--disable-component-update', '--disable-sync']
+const AXE = readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8')
+const SHOTS = fileURLToPath(new URL('screenshots', import.meta.url))
+
+export async function openBrowser(base) {
+  // Playwright gives each launch a user data folder of its own.
+  const browser = await chromium.launch({ executablePath: CHROMIUM, args: ARGS })
+  const complaints = []
+
+  /** A tab that reports what the console and the network complain about. */
+  async function tab(options = {}) {
+    const context = await browser.newContext({ viewport: { width: 1400, height: 900 }, acceptDownloads: true, ...options })
+    const page = await context.newPage()
+    page.on('console', (message) => {
+      if (['error', 'warning'].includes(message.type())) complaints.push(message.text())
+    })
+    page.on('pageerror', (error) => complaints.push(error.message))
+    page.on('request', (request) => {
+      const address = request.url()
+      if (!address.startsWith(base) && !address.startsWith('blob:')) complaints.push(`asked for ${address}`)
+    })
+    return page
+  }
+
+  /** Goes to a view and waits until its first heading and data are there. */
+  async function open(page, hash = '') {
+    await page.goto('about:blank')
+    await page.goto(`${base}/#/${hash}`)
+    await page.locator('main h1').waitFor()
+  }
+
+  return { browser, tab, open, complaints }
+}
+
+/** Keeps the token as the dialog would. */
+export async function unlock(page, token) {
+  await page.getByRole('button', { name: /Read only|Token set/ }).click()
+  await page.getByRole('dialog').getByLabel('Token').fill(token)
+  await page.getByRole('button', { name: 'Use this token' }).click()
+  await page.getByRole('button', { name: 'Token set' }).waitFor()
+}
+
+/** What axe finds wrong, by rule and place. */
+export async function accessibilityFaults(page) {
+  // Under the page's policy no script may be injected as a tag; evaluating one is the debugger's, not the page's.
+  await page.evaluate(AXE)
+  const { violations } = await page.evaluate(() => globalThis.axe.run(document, { resultTypes: ['violations'] }))
+  return violations.flatMap((rule) => rule.nodes.map((node) => `${rule.id}: ${node.target.join(' ')}: ${node.failureSummary}`))
+}
+
+/** Heading and cells of a table as its CSV must hold them. */
+export function tableCells(table) {
+  return table.evaluate((element) => {
+    const plain = (cell) => {
+      const time = cell.querySelector('time')
+      const text = time ? time.getAttribute('datetime') : cell.textContent.trim()
+      return text === '–' ? '' : text.replaceAll('−', '-').replaceAll('\u2009', '')
+    }
+    const rows = [...element.querySelectorAll('tr')].map((row) => [...row.children].filter((cell) => !cell.classList.contains('no-print') && !cell.classList.contains('empty')))
+    return rows.filter((cells) => cells.length > 0).map((cells) => cells.map(plain))
+  })
+}
+
+/** Presses the CSV button of the table with this caption and reads the file. */
+export async function csvOf(page, caption) {
+  const [file] = await Promise.all([page.waitForEvent('download'), page.getByRole('button', { name: `CSV of ${caption}`, exact: true }).click()])
+  return { name: file.suggestedFilename(), rows: parseCsv(readFileSync(await file.path(), 'utf8')) }
+}
+
+/** Cells of RFC 4180 text whose lines end in CRLF. */
+function parseCsv(text) {
+  const rows = [[]]
+  for (const [, quoted, plain, end] of text.matchAll(/(?:"((?:[^"]|"")*)"|([^",\r\n]*))(,|\r\n)/g)) {
+    rows.at(-1).push(quoted?.replaceAll('""', '"') ?? plain)
+    if (end !== ',') rows.push([])
+  }
+  rows.pop()
+  return rows
+}
+
+/** A picture for a person to look at. */
+export async function picture(page, name) {
+  mkdirSync(SHOTS, { recursive: true })
+  await page.screenshot({ path: `${SHOTS}/${name}.png`, fullPage: true })
+}
