@@ -5,8 +5,10 @@ import { settings } from './settings.svelte'
 type Listener = (event: Event) => void
 
 const RETRY_MS = 2000
-/** Bursts of events (trials, episodes) ask for a view's data at most this often. */
+/** Bursts of events ask for a view's data at most this often. */
 const SETTLE_MS = 400
+/** A growing series of thousands of trials or episodes is asked for at most this often. */
+export const SERIES_MS = 2500
 
 class Live {
   /** Whether events arrive. */
@@ -26,14 +28,14 @@ class Live {
   }
 
   /** Calls `reload` soon after events that `concerns` picks, many events at once. For use as an effect's body. */
-  reloads(concerns: (event: Event) => boolean, reload: () => unknown): () => void {
+  reloads(concerns: (event: Event) => boolean, reload: () => unknown, settle = SETTLE_MS): () => void {
     let timer: ReturnType<typeof setTimeout> | undefined
     const off = this.on((event) => {
       if (!concerns(event)) return
       timer ??= setTimeout(() => {
         timer = undefined
         void reload()
-      }, SETTLE_MS)
+      }, settle)
     })
     return () => {
       off()
