@@ -1,1 +1,18 @@
-//! (under construction)
+//! What decides the next action: observations in, actions out, in plain Rust.
+//!
+//! A [`Policy`] is a file that any robot can carry: a [`Controller`] and the [`Manifest`] that says where it came from.
+//! Nothing here needs libtorch; `train` makes the weights, [`Actor`] runs them.
+
+mod actor;
+mod artifact;
+mod controller;
+mod episode;
+mod manifest;
+mod observation;
+
+pub use actor::{Actor, Head, LOG_STD_MAX, LOG_STD_MIN, Malformed, OUTPUTS, normal};
+pub use artifact::{ArtifactError, Policy, decode, encode, id};
+pub use controller::{Controller, Schedule, ScheduledStep};
+pub use episode::{Ending, Episode, ON_TARGET_MG, Rules, is_on_target};
+pub use manifest::{Kind, LevelManifest, Manifest, SetManifest, Switch, SwitchReason};
+pub use observation::{Encoding, Observation};

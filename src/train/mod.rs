@@ -1,1 +1,30 @@
-//! (under construction)
+//! Learning to weigh: parameter sets in, a policy out.
+//!
+//! [`train`] plays episodes on simulated spoons ([`environment`]), remembers their steps ([`replay`]), improves a policy by
+//! Soft Actor-Critic ([`sac`]) and moves from powder to powder as a [`curriculum`] says. [`evaluate`] measures any controller on
+//! doses it never practised, and [`schedule`] tunes the open-loop rival that a policy has to beat.
+//!
+//! *Reproducible*: the same levels, settings and seed give the same bytes at any number of threads and across any
+//! interruption. Episodes are played in rounds of a fixed number, each with a seed of its own; every random number comes
+//! from a stream named by a counter, so a checkpoint needs no generator's state; libtorch runs on one thread.
+//!
+//! libtorch stays in this folder: a policy is run by [`crate::policy`], in plain Rust.
+
+mod adam;
+mod checkpoint;
+mod collect;
+pub mod curriculum;
+pub mod environment;
+pub mod evaluate;
+pub mod formula;
+mod networks;
+pub mod replay;
+pub mod sac;
+pub mod schedule;
+mod settings;
+mod spoons;
+mod training;
+
+pub use adam::Adam;
+pub use settings::{Order, PAPER_LEVELS_DEG, Preset, Settings};
+pub use training::{EpisodeRecord, Event, Level, RANDOMISED, TrainError, Trained, train, train_on};

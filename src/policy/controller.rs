@@ -1,0 +1,127 @@
+//! The controllers FLIP can weigh with.
+
+use super::actor::Actor;
+use super::observation::{Encoding, Observation};
+use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX};
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+use serde::{Deserialize, Serialize};
+
+/// What proposes an action for each step. A closed set: the weighing loop asks, the guard decides.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Controller {
+    /// A trained network, at the centre of its distribution.
+    Learned(Actor),
+    /// One pitch and one shake, whatever happens.
+    Fixed(ScheduledStep),
+    /// A list of pitches and shakes, whatever happens.
+    Schedule(Schedule),
+}
+
+/// A pitch to be at and a shake to make there.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ScheduledStep {
+    /// Pitch, degrees; approached by at most 8 deg per step, and no shake is made before it is reached.
+    pub pitch_deg: f64,
+    /// Amplitude of the shake, mm.
+    pub shake_mm: f64,
+}
+
+/// Steps to be carried out one after another; the last one repeats. A step lasts until its pitch is reached.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Schedule {
+    /// Incline before the first shake and after each one, with the shake made at that pitch.
+    pub steps: Vec<ScheduledStep>,
+}
+
+impl ScheduledStep {
+    /// The fixed action that policies are compared with: 8 mm shakes at 20 deg.
+    pub const FIXED: Self = Self { pitch_deg: 20.0, shake_mm: 8.0 };
+
+    /// One step from the present pitch towards this one, with a shake if it arrives.
+    fn approach(&self, pitch_deg: f64) -> Action {
+        let missing = self.pitch_deg - pitch_deg;
+        let change = missing.clamp(-INCLINE_CHANGE_DEG_MAX, INCLINE_CHANGE_DEG_MAX);
+        // A servo may stop a little short: half a degree is there.
+        let arrives = (missing - change).abs() < 0.5;
+        Action { incline_change_deg: change, shake_mm: if arrives { self.shake_mm } else { 0.0 } }
+    }
+}
+
+impl Schedule {
+    /// The step to carry out after `steps` steps from a level spoon: inclines that take several steps are counted.
+    fn step(&self, steps: u32) -> ScheduledStep {
+        let mut pitch = 0.0f64;
+        let mut done = 0;
+        for step in &self.steps {
+            let needed = ((step.pitch_deg - pitch).abs() / INCLINE_CHANGE_DEG_MAX).ceil().max(1.0) as u32;
+            done += needed;
+            pitch = step.pitch_deg;
+            if steps < done {
+                return *step;
+            }
+        }
+        self.steps.last().copied().unwrap_or(ScheduledStep::FIXED)
+    }
+}
+
+impl Controller {
+    /// A network that never trained, by seed: what learning is compared with.
+    pub fn untrained(seed: u64) -> Self {
+        Self::Learned(Actor::untrained(Encoding::Missing, &[128, 128], &mut Pcg64Mcg::seed_from_u64(seed)))
+    }
+
+    /// The action for the step after `steps` steps. Deterministic.
+    pub fn propose(&self, steps: u32, observation: &Observation) -> Action {
+        match self {
+            Self::Learned(actor) => actor.act(observation),
+            Self::Fixed(step) => step.approach(observation.pitch_deg),
+            Self::Schedule(schedule) => schedule.step(steps).approach(observation.pitch_deg),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Pitches and shakes of the first steps of a controller on a spoon that does as told.
+    fn carry_out(controller: &Controller, steps: u32) -> Vec<(f64, f64)> {
+        let mut pitch_deg = 0.0;
+        (0..steps)
+            .map(|k| {
+                let action = controller.propose(k, &Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg });
+                pitch_deg += action.incline_change_deg;
+                (pitch_deg, action.shake_mm)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_fixed_controller_inclines_to_20_deg_and_then_shakes_8_mm() {
+        let done = carry_out(&Controller::Fixed(ScheduledStep::FIXED), 5);
+        assert_eq!(done, [(8.0, 0.0), (16.0, 0.0), (20.0, 8.0), (20.0, 8.0), (20.0, 8.0)]);
+    }
+
+    #[test]
+    fn a_schedule_finishes_each_incline_before_it_shakes_and_repeats_its_last_step() {
+        let step = |pitch_deg, shake_mm| ScheduledStep { pitch_deg, shake_mm };
+        let schedule = Schedule { steps: vec![step(12.0, 5.0), step(14.0, 4.0), step(30.0, 3.0)] };
+        let done = carry_out(&Controller::Schedule(schedule), 7);
+        assert_eq!(
+            done,
+            [(8.0, 0.0), (12.0, 5.0), (14.0, 4.0), (22.0, 0.0), (30.0, 3.0), (30.0, 3.0), (30.0, 3.0)]
+        );
+    }
+
+    #[test]
+    fn untrained_controllers_differ_by_seed_and_stay_in_range() {
+        let seen = Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg: 0.0 };
+        let actions: Vec<Action> = (0..3).map(|seed| Controller::untrained(seed).propose(0, &seen)).collect();
+        assert_ne!(actions[0], actions[1]);
+        assert_eq!(actions[2], Controller::untrained(2).propose(0, &seen));
+        assert!(actions.iter().all(|a| a.incline_change_deg.abs() <= 8.0 && (0.0..=16.0).contains(&a.shake_mm)));
+    }
+}

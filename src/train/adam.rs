@@ -1,0 +1,73 @@
+//! Adam on one flat block of parameters.
+
+/// Adam's state for a block of parameters (Kingma and Ba 2015, algorithm 1).
+///
+/// ```text
+/// m = b1 m + (1 - b1) g            v = b2 v + (1 - b2) g^2
+/// theta -= lr * (m / (1 - b1^t)) / (sqrt(v / (1 - b2^t)) + eps)
+/// ```
+///
+/// with b1 = 0.9, b2 = 0.999 and eps = 1e-8, libtorch's defaults. One loop over flat memory: libtorch's optimiser keeps its
+/// moments where no checkpoint can reach them, and for small networks its dispatch costs more than the arithmetic.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Adam {
+    /// Running mean of the gradient.
+    pub m: Vec<f32>,
+    /// Running mean of its square.
+    pub v: Vec<f32>,
+    /// Steps so far.
+    pub t: u64,
+}
+
+const B1: f32 = 0.9;
+const B2: f32 = 0.999;
+const EPS: f32 = 1e-8;
+
+impl Adam {
+    /// For `parameters` parameters, before the first step.
+    pub fn new(parameters: usize) -> Self {
+        Self { m: vec![0.0; parameters], v: vec![0.0; parameters], t: 0 }
+    }
+
+    /// One step of size `learning_rate` down `gradient`.
+    ///
+    /// # Panics
+    /// When the lengths differ.
+    pub fn step(&mut self, theta: &mut [f32], gradient: &[f32], learning_rate: f64) {
+        assert!(theta.len() == self.m.len() && gradient.len() == self.m.len());
+        self.t += 1;
+        let correct1 = 1.0 - f64::from(B1).powf(self.t as f64);
+        let correct2 = 1.0 - f64::from(B2).powf(self.t as f64);
+        let size = (learning_rate / correct1) as f32;
+        let scale = (1.0 / correct2.sqrt()) as f32;
+        for (((theta, g), m), v) in theta.iter_mut().zip(gradient).zip(&mut self.m).zip(&mut self.v) {
+            *m = B1 * *m + (1.0 - B1) * g;
+            *v = B2 * *v + (1.0 - B2) * g * g;
+            *theta -= size * *m / (v.sqrt() * scale + EPS);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_step_has_the_size_of_the_learning_rate_whatever_the_gradient() {
+        let mut theta = [1.0, 1.0, 1.0];
+        Adam::new(3).step(&mut theta, &[1e-3, -50.0, 0.0], 0.01);
+        for (theta, expected) in theta.iter().zip([0.99, 1.01, 1.0]) {
+            assert!((theta - expected).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn a_bowl_is_descended_to_its_bottom() {
+        let (mut theta, mut adam) = ([3.0, -2.0], Adam::new(2));
+        for _ in 0..2000 {
+            let gradient = [2.0 * (theta[0] - 1.0), 20.0 * (theta[1] - 0.5)];
+            adam.step(&mut theta, &gradient, 0.01);
+        }
+        assert!((theta[0] - 1.0).abs() < 1e-3 && (theta[1] - 0.5).abs() < 1e-3, "{theta:?}");
+    }
+}

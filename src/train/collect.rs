@@ -1,0 +1,94 @@
+//! A round of episodes, played in parallel with one snapshot of the policy.
+
+use super::environment::{Filling, Played, play};
+use super::replay::Memory;
+use super::settings::{Order, Settings};
+use super::spoons::Spoons;
+use super::training::Level;
+use crate::domain::parameters::ParameterSet;
+use crate::domain::seed::derive;
+use crate::policy::{Actor, OUTPUTS};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use rayon::prelude::*;
+
+/// Names of the random streams: the first index after the training's seed.
+pub(super) mod stream {
+    pub const INITIALISE: u64 = 1;
+    pub const EPISODE: u64 = 2;
+    pub const UPDATE: u64 = 3;
+    pub const SPOONS: u64 = 4;
+}
+
+/// An episode before it is played: everything is drawn from its own seed.
+pub struct Planned {
+    /// Index over the whole training.
+    pub index: u32,
+    /// Level it belongs to.
+    pub level: u32,
+    /// Powder.
+    pub set: ParameterSet,
+    heap: u32,
+    target_mg: f64,
+    rng: Pcg64Mcg,
+    seed: u64,
+}
+
+/// Draw episode `index` of a training that now stands at `level`.
+pub fn plan(index: u32, level: u32, levels: &[Level], settings: &Settings) -> Planned {
+    let seed = derive(settings.seed, &[stream::EPISODE, index.into()]);
+    let mut rng = Pcg64Mcg::seed_from_u64(seed);
+    let target_mg = settings.target_mg_min + (settings.target_mg_max - settings.target_mg_min) * rng.random::<f64>();
+    let level = match settings.order {
+        Order::Random => rng.random_range(0..levels.len() as u32),
+        Order::DomainRandomisation => 0,
+        Order::Curriculum | Order::Reverse => level,
+    };
+    let set = match settings.order {
+        Order::DomainRandomisation => ParameterSet::from_unit(std::array::from_fn(|_| rng.random())),
+        _ => {
+            let sets = &levels[level as usize].sets;
+            sets[rng.random_range(0..sets.len())]
+        }
+    };
+    let heap = rng.random_range(0..settings.fills_per_set);
+    Planned { index, level, set, heap, target_mg, rng, seed }
+}
+
+/// Play these episodes, one per task; results are in order. Without an actor the actions are random.
+pub fn play_round<F: Filling>(
+    planned: Vec<Planned>,
+    actor: Option<&Actor>,
+    spoons: &Spoons<F>,
+    settings: &Settings,
+) -> Vec<(Planned, Played)> {
+    planned
+        .into_par_iter()
+        .map(|mut plan| {
+            let mut spoon = match settings.order {
+                Order::DomainRandomisation => spoons.fill(&plan.set, plan.index),
+                _ => spoons.take(&plan.set, plan.heap),
+            };
+            let rng = &mut plan.rng;
+            let tilt = settings.warmup_tilt as f32 * rng.random::<f32>();
+            let played = play(&mut spoon, &settings.rules, &settings.balance, plan.target_mg, plan.seed, |seen| match actor {
+                Some(actor) => actor.sample(seen, rng),
+                None => random_action(tilt, rng),
+            });
+            (plan, played)
+        })
+        .collect()
+}
+
+/// Uniform over all actions, with the incline change shifted by `tilt`.
+fn random_action(tilt: f32, rng: &mut Pcg64Mcg) -> [f32; OUTPUTS] {
+    let mut uniform = || 2.0 * rng.random::<f32>() - 1.0;
+    [(uniform() + tilt).clamp(-1.0, 1.0), uniform()]
+}
+
+/// What the learner remembers of an episode.
+pub fn memories(set: &ParameterSet, played: &Played) -> impl Iterator<Item = Memory> {
+    let parameters = set.to_unit().map(|x| x as f32);
+    let target_mg = played.target_mg as f32;
+    played.steps.iter().map(move |&step| Memory { step, target_mg, parameters })
+}

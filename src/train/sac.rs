@@ -1,0 +1,200 @@
+//! Soft Actor-Critic: losses and one update, in reading order.
+//!
+//! Haarnoja et al., "Soft Actor-Critic Algorithms and Applications", arXiv:1812.05905 (2018). Twin critics with target
+//! networks, a squashed Gaussian actor, a temperature that is learned. The critics alone also see the nine parameters of
+//! the simulated powder, since only training needs them (asymmetric actor and critic: Pinto et al., RSS 2018).
+//!
+//! | call            | arguments                                    | gives             |
+//! |-----------------|----------------------------------------------|-------------------|
+//! | `squash`        | head `[batch, 4]`, noise `[batch, 2]`        | action, log-prob  |
+//! | `td_target`     | reward, goes on, next Q and log-prob         | y `[batch]`       |
+//! | `critic_loss`   | Q `[2, batch]`, y `[batch]`                  | scalar            |
+//! | `actor_loss`    | Q `[2, batch]`, log-prob `[batch]`           | scalar            |
+//! | `Learner::update` | batch, noise                               | one step of each  |
+
+use super::adam::Adam;
+use super::networks::{forward, forward_twins, initialise};
+use super::replay::Batch;
+use super::settings::Settings;
+use crate::domain::parameters::COUNT;
+use crate::policy::{Actor, LOG_STD_MAX, LOG_STD_MIN, OUTPUTS};
+use rand::Rng;
+use serde::{Deserialize, Serialize};
+use tch::Tensor;
+
+/// Actions and their log-probabilities from a network's outputs.
+///
+/// ```text
+/// u = mean + exp(log_std) * noise,   a = tanh(u)
+/// log pi = sum_k [ -noise^2 / 2 - log_std - ln(2 pi) / 2 - 2 (ln 2 - u - softplus(-2 u)) ]
+/// ```
+///
+/// The last term is ln(1 - tanh(u)^2) of eq. 26, written so that it stays finite where tanh rounds to one.
+/// Shapes: head `[batch, 4]`, noise `[batch, 2]` -> action `[batch, 2]`, log-probability `[batch]`.
+pub fn squash(head: &Tensor, noise: &Tensor) -> (Tensor, Tensor) {
+    let parts = head.split_with_sizes([OUTPUTS as i64, OUTPUTS as i64], 1);
+    let log_std = parts[1].clamp(f64::from(LOG_STD_MIN), f64::from(LOG_STD_MAX));
+    let u = &parts[0] + log_std.exp() * noise;
+    let gauss = noise.square() * -0.5 - log_std - 0.5 * (2.0 * std::f64::consts::PI).ln();
+    let slope = (std::f64::consts::LN_2 - &u - (&u * -2.0).softplus()) * 2.0;
+    let log_prob = (gauss - slope).sum_dim_intlist([1i64].as_slice(), false, tch::Kind::Float);
+    (u.tanh(), log_prob)
+}
+
+/// What the critics should say (eq. 3 and 5): `y = r + gamma * goes_on * (min Q' - alpha log pi')`, all `[batch]`.
+///
+/// `goes_on` is 0 only where the episode terminated. Where it was cut off by its step limit the future is still worth
+/// something, so the target bootstraps through a time-out (Pardo et al., ICML 2018).
+pub fn td_target(reward: &Tensor, goes_on: &Tensor, next_q: &Tensor, next_log_prob: &Tensor, alpha: f64, gamma: f64) -> Tensor {
+    let value = next_q.amin(0, false) - next_log_prob * alpha;
+    reward + goes_on * value * gamma
+}
+
+/// Eq. 5 for both critics: the sum over the twins of `mean (Q - y)^2 / 2`. Q `[2, batch]`, y `[batch]`.
+pub fn critic_loss(q: &Tensor, y: &Tensor) -> Tensor {
+    // The mean over 2 * batch entries is half of the sum of the two means.
+    (q - y).square().mean(tch::Kind::Float)
+}
+
+/// Eq. 9: `mean (alpha log pi - min Q)`. Q `[2, batch]`, log-probability `[batch]`.
+pub fn actor_loss(q: &Tensor, log_prob: &Tensor, alpha: f64) -> Tensor {
+    (log_prob * alpha - q.amin(0, false)).mean(tch::Kind::Float)
+}
+
+/// Derivative with respect to `ln alpha` of eq. 18, `mean (-alpha (log pi + target entropy))`.
+pub fn temperature_gradient(alpha: f64, mean_log_prob: f64, target_entropy: f64) -> f64 {
+    -alpha * (mean_log_prob + target_entropy)
+}
+
+/// What one update saw.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Losses {
+    /// Of both critics.
+    pub critic: f64,
+    /// Of the actor.
+    pub actor: f64,
+    /// Entropy of the policy, nats.
+    pub entropy: f64,
+    /// Temperature before the update.
+    pub alpha: f64,
+}
+
+/// Networks, targets, temperature and the optimisers of each: everything that learns.
+///
+/// Parameters live in flat vectors; libtorch is asked for gradients only. A snapshot or a checkpoint is a copy.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Learner {
+    /// Actor's parameters.
+    pub actor: Vec<f32>,
+    /// Both critics' parameters, one after the other.
+    pub critics: Vec<f32>,
+    /// The slow copies of the critics.
+    pub targets: Vec<f32>,
+    /// Logarithm of the temperature.
+    pub log_alpha: Vec<f32>,
+    /// Optimiser of the actor.
+    pub actor_adam: Adam,
+    /// Optimiser of the critics.
+    pub critics_adam: Adam,
+    /// Optimiser of the temperature.
+    pub alpha_adam: Adam,
+    actor_widths: Vec<usize>,
+    critic_widths: Vec<usize>,
+}
+
+impl Learner {
+    /// Freshly initialised networks.
+    pub fn new(settings: &Settings, rng: &mut impl Rng) -> Self {
+        let (inputs, hidden) = (settings.encoding.width(), settings.hidden as usize);
+        let actor_widths = vec![inputs, hidden, hidden, 2 * OUTPUTS];
+        let critic_widths = vec![inputs + COUNT + OUTPUTS, hidden, hidden, 1];
+        let actor = initialise(&actor_widths, 1, rng);
+        let critics = initialise(&critic_widths, 2, rng);
+        Self {
+            actor_adam: Adam::new(actor.len()),
+            critics_adam: Adam::new(critics.len()),
+            alpha_adam: Adam::new(1),
+            targets: critics.clone(),
+            log_alpha: vec![settings.initial_alpha.ln() as f32],
+            actor,
+            critics,
+            actor_widths,
+            critic_widths,
+        }
+    }
+
+    /// The temperature.
+    pub fn alpha(&self) -> f64 {
+        f64::from(self.log_alpha[0]).exp()
+    }
+
+    /// The actor as it is now, in plain Rust; `None` when its weights are no longer finite.
+    pub fn snapshot(&self, settings: &Settings) -> Option<Actor> {
+        Actor::from_flat(settings.encoding, &self.actor_widths, &self.actor).ok()
+    }
+
+    /// Sizes of the actor's layers.
+    pub fn actor_widths(&self) -> &[usize] {
+        &self.actor_widths
+    }
+
+    /// One update of critics, actor, temperature and targets from one batch.
+    ///
+    /// `noise` holds `[2, batch, 2]` standard normal numbers: for the next actions, then for the present ones.
+    pub fn update(&mut self, batch: &Batch, noise: &[f32], settings: &Settings) -> Losses {
+        // Of every thread that ever updates: libtorch keeps the number per thread, and one is the reproducible one.
+        tch::set_num_threads(1);
+        let n = settings.batch as i64;
+        let state = self.actor_widths[0] as i64 + COUNT as i64;
+        let now = Tensor::from_slice(&batch.now).view([n, state + OUTPUTS as i64]);
+        let next = Tensor::from_slice(&batch.next).view([n, state]);
+        let noise = Tensor::from_slice(noise).view([2, n, OUTPUTS as i64]);
+        let alpha = self.alpha();
+
+        let y = tch::no_grad(|| self.target(&next, &noise.get(0), batch, alpha, settings.gamma));
+        let critics = Tensor::from_slice(&self.critics).view([2, -1]).set_requires_grad(true);
+        let critic_loss = critic_loss(&forward_twins(&critics, &self.critic_widths, &now), &y);
+        let gradient = gradient_of(&critic_loss, &critics);
+        self.critics_adam.step(&mut self.critics, &gradient, settings.learning_rate);
+
+        let actor = Tensor::from_slice(&self.actor).set_requires_grad(true);
+        let (action, log_prob) = squash(&self.head(&actor, &now), &noise.get(1));
+        let input = Tensor::cat(&[now.narrow(1, 0, state), action], 1);
+        let critics = Tensor::from_slice(&self.critics).view([2, -1]);
+        let actor_loss = actor_loss(&forward_twins(&critics, &self.critic_widths, &input), &log_prob, alpha);
+        let gradient = gradient_of(&actor_loss, &actor);
+        self.actor_adam.step(&mut self.actor, &gradient, settings.learning_rate);
+
+        let mean_log_prob = log_prob.mean(tch::Kind::Float).double_value(&[]);
+        let gradient = temperature_gradient(alpha, mean_log_prob, settings.target_entropy);
+        self.alpha_adam.step(&mut self.log_alpha, &[gradient as f32], settings.learning_rate);
+
+        let tau = settings.tau as f32;
+        for (slow, fast) in self.targets.iter_mut().zip(&self.critics) {
+            *slow += tau * (fast - *slow);
+        }
+        Losses { critic: critic_loss.double_value(&[]), actor: actor_loss.double_value(&[]), entropy: -mean_log_prob, alpha }
+    }
+
+    fn target(&self, next: &Tensor, noise: &Tensor, batch: &Batch, alpha: f64, gamma: f64) -> Tensor {
+        let actor = Tensor::from_slice(&self.actor);
+        let (action, log_prob) = squash(&self.head(&actor, next), noise);
+        let targets = Tensor::from_slice(&self.targets).view([2, -1]);
+        let next_q = forward_twins(&targets, &self.critic_widths, &Tensor::cat(&[next, &action], 1));
+        let (reward, goes_on) = (Tensor::from_slice(&batch.reward), Tensor::from_slice(&batch.goes_on));
+        td_target(&reward, &goes_on, &next_q, &log_prob, alpha, gamma)
+    }
+
+    /// The actor's outputs for rows that begin with an encoded observation.
+    fn head(&self, actor: &Tensor, rows: &Tensor) -> Tensor {
+        forward(actor, &self.actor_widths, &rows.narrow(1, 0, self.actor_widths[0] as i64))
+    }
+}
+
+/// The gradient of a scalar with respect to one block, flat.
+fn gradient_of(loss: &Tensor, block: &Tensor) -> Vec<f32> {
+    let gradient = &Tensor::run_backward(&[loss], &[block], false, false)[0];
+    let mut flat = vec![0.0; gradient.numel()];
+    gradient.contiguous().copy_data(&mut flat, gradient.numel());
+    flat
+}

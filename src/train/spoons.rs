@@ -1,0 +1,57 @@
+//! Filled spoons, kept: filling takes as long as several steps.
+
+use super::environment::Filling;
+use crate::domain::parameters::ParameterSet;
+use crate::domain::seed::derive;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, OnceLock};
+
+type Slot<S> = Arc<OnceLock<S>>;
+
+/// Filled spoons by parameter set and heap number. A clone of one is a new dose from the same heap.
+pub struct Spoons<'a, F: Filling> {
+    filling: &'a F,
+    seed: u64,
+    kept: Mutex<HashMap<(String, u32), Slot<F::Spoon>>>,
+}
+
+impl<'a, F: Filling> Spoons<'a, F> {
+    /// None filled yet.
+    pub fn new(filling: &'a F, seed: u64) -> Self {
+        Self { filling, seed, kept: Mutex::new(HashMap::new()) }
+    }
+
+    /// Heap `heap` of this powder, filled on first use. The same whoever asks first.
+    pub fn take(&self, set: &ParameterSet, heap: u32) -> F::Spoon {
+        let slot = {
+            let mut kept = self.kept.lock().unwrap_or_else(|broken| broken.into_inner());
+            kept.entry((set.id(), heap)).or_default().clone()
+        };
+        slot.get_or_init(|| self.fill(set, heap)).clone()
+    }
+
+    /// The same without keeping it, for powders that are met once.
+    pub fn fill(&self, set: &ParameterSet, heap: u32) -> F::Spoon {
+        self.filling.fill(set, derive(self.seed, &[heap.into()]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::domain::bench::{Action, PitchLimits};
+    use crate::train::environment::Spoon;
+    use crate::train::formula::Formula;
+
+    #[test]
+    fn a_kept_spoon_is_never_poured_from() {
+        let formula = Formula { pitch: PitchLimits::WIDE };
+        let spoons = Spoons::new(&formula, 1);
+        let set = ParameterSet::default();
+        let mut first = spoons.take(&set, 0);
+        first.step(Action { incline_change_deg: 8.0, shake_mm: 16.0 });
+        assert!(first.vial_mg() > 0.0);
+        assert_eq!(spoons.take(&set, 0).vial_mg(), 0.0);
+        assert_eq!(spoons.kept.lock().unwrap().len(), 1);
+    }
+}

@@ -1,0 +1,335 @@
+//! The training loop.
+
+use super::checkpoint;
+use super::collect::{Planned, memories, plan, play_round, stream};
+use super::curriculum::Curriculum;
+use super::environment::{Filling, Played, simulated};
+use super::replay::Replay;
+use super::sac::{Learner, Losses};
+use super::settings::{Order, Settings};
+use super::spoons::Spoons;
+use crate::domain::FieldError;
+use crate::domain::parameters::ParameterSet;
+use crate::domain::seed::derive;
+use crate::policy::{self, Controller, Episode, Kind, LevelManifest, Manifest, Policy, SetManifest, normal};
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+use std::ops::ControlFlow;
+
+/// A level of the curriculum: a powder and its simulated twins.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[schema(as = TrainingLevel)]
+pub struct Level {
+    /// Powder id.
+    pub powder: String,
+    /// Angle of repose, degrees.
+    pub repose_deg: f64,
+    /// Its parameter sets; an episode draws one. The paper has 7 per level.
+    pub sets: Vec<ParameterSet>,
+}
+
+/// The powder of an episode under [`Order::DomainRandomisation`].
+pub const RANDOMISED: &str = "randomised";
+
+/// What a training reports while it runs.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Event {
+    /// An episode was played and learned from.
+    Episode(Box<EpisodeRecord>),
+    /// Everything needed to go on from here. After a crash the episodes since the last checkpoint come again, the same
+    /// in every bit: they can be told by their index.
+    Checkpoint(Vec<u8>),
+}
+
+/// One episode, for curves and tables.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct EpisodeRecord {
+    /// From 0.
+    pub index: u32,
+    /// Level, from 0.
+    pub level: u32,
+    /// Powder id.
+    pub powder: String,
+    /// Id of the parameter set.
+    pub parameter_set: String,
+    /// Target, mg.
+    pub target_mg: f64,
+    /// True mass in the vial at the end, mg.
+    pub dispensed_mg: f64,
+    /// Absolute true error at the end, mg.
+    pub final_error_mg: f64,
+    /// Sum of the published rewards.
+    pub reward: f64,
+    /// Steps.
+    pub steps: u32,
+    /// How it ended.
+    pub ending: Episode,
+    /// Mean over the updates that followed its round; absent before the first update.
+    pub losses: Option<Losses>,
+}
+
+/// A finished training.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trained {
+    /// The policy's bytes.
+    pub artifact: Vec<u8>,
+    /// The manifest inside them.
+    pub manifest: Manifest,
+    /// Episodes played.
+    pub episodes: u32,
+    /// Mean absolute error of the last 20 episodes, mg: still exploring.
+    pub final_error_mg: f64,
+    /// What it trained on, in the order it was met.
+    pub levels: Vec<LevelManifest>,
+}
+
+/// Why there is no policy.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum TrainError {
+    /// Settings or levels that no training can run with.
+    #[error(transparent)]
+    Invalid(#[from] FieldError),
+    /// A checkpoint that cannot be resumed.
+    #[error("the checkpoint cannot be resumed: {0}")]
+    Checkpoint(String),
+    /// The weights are no longer finite.
+    #[error("the training diverged after {episodes} episodes: a weight is not a finite number; lower the learning rate")]
+    Diverged {
+        /// Episodes played.
+        episodes: u32,
+    },
+    /// The caller asked for it.
+    #[error("the training was stopped")]
+    Stopped {
+        /// To go on from here.
+        checkpoint: Vec<u8>,
+    },
+}
+
+/// Train a policy in the simulator.
+///
+/// `on_event` hears of every episode and checkpoint; when it answers `Break`, the round is finished and the training stops
+/// with a checkpoint. `resume` is such a checkpoint: the result is the same, bit for bit, as without the interruption.
+///
+/// # Errors
+/// [`TrainError`].
+pub fn train(
+    levels: &[Level],
+    settings: &Settings,
+    resume: Option<&[u8]>,
+    on_event: impl FnMut(Event) -> ControlFlow<()>,
+) -> Result<Trained, TrainError> {
+    train_on(&simulated(settings), levels, settings, resume, on_event)
+}
+
+/// Everything that changes during a training; what a checkpoint holds.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct State {
+    pub learner: Learner,
+    pub replay: Replay,
+    pub curriculum: Curriculum,
+    pub progress: Progress,
+}
+
+/// Counters of a training.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Progress {
+    pub rounds: u32,
+    pub episodes: u32,
+    /// Environment steps since the warm-up.
+    pub learning_steps: u64,
+    pub updates: u64,
+    /// Errors of the last 20 episodes, mg.
+    pub recent: VecDeque<f64>,
+    /// Episodes by level.
+    pub on_level: Vec<u32>,
+}
+
+/// Episodes in the final error.
+const RECENT: usize = 20;
+
+/// [`train`] on any kind of spoon.
+///
+/// # Errors
+/// [`TrainError`].
+pub fn train_on<F: Filling>(
+    filling: &F,
+    levels: &[Level],
+    settings: &Settings,
+    resume: Option<&[u8]>,
+    mut on_event: impl FnMut(Event) -> ControlFlow<()>,
+) -> Result<Trained, TrainError> {
+    let settings = &settings.clone().checked()?;
+    let levels = &ordered(levels, settings)?;
+    let mut state = match resume {
+        Some(bytes) => checkpoint::decode(bytes, levels, settings).map_err(TrainError::Checkpoint)?,
+        None => State::new(levels, settings),
+    };
+    let spoons = Spoons::new(filling, derive(settings.seed, &[stream::SPOONS]));
+    while state.progress.episodes < settings.episodes {
+        let records = state.round(levels, settings, &spoons)?;
+        let mut stop = false;
+        for record in records {
+            stop |= on_event(Event::Episode(Box::new(record))).is_break();
+        }
+        if state.progress.rounds.is_multiple_of(settings.rounds_per_checkpoint) {
+            stop |= on_event(Event::Checkpoint(checkpoint::encode(&state, levels, settings))).is_break();
+        }
+        if stop && state.progress.episodes < settings.episodes {
+            return Err(TrainError::Stopped { checkpoint: checkpoint::encode(&state, levels, settings) });
+        }
+    }
+    state.finish(levels, settings)
+}
+
+/// The levels in the order they are met.
+fn ordered(levels: &[Level], settings: &Settings) -> Result<Vec<Level>, FieldError> {
+    if settings.order == Order::DomainRandomisation {
+        return Ok(Vec::new());
+    }
+    if levels.is_empty() {
+        return Err(FieldError::new("levels", "must name at least one powder"));
+    }
+    for (k, level) in levels.iter().enumerate() {
+        if level.sets.is_empty() {
+            let advice = format!("`{}` has no parameter set; calibrate it first", level.powder);
+            return Err(FieldError::new(format!("levels[{k}].sets"), advice));
+        }
+        crate::domain::bounded(&format!("levels[{k}].repose_deg"), level.repose_deg, 0.0, 90.0, "deg")?;
+    }
+    let mut levels = levels.to_vec();
+    levels.sort_by(|a, b| a.repose_deg.total_cmp(&b.repose_deg).then_with(|| a.powder.cmp(&b.powder)));
+    if settings.order == Order::Reverse {
+        levels.reverse();
+    }
+    Ok(levels)
+}
+
+impl State {
+    fn new(levels: &[Level], settings: &Settings) -> Self {
+        let mut rng = Pcg64Mcg::seed_from_u64(derive(settings.seed, &[stream::INITIALISE]));
+        let count = levels.len().max(1) as u32;
+        // A random order has no level to leave.
+        let steps = if matches!(settings.order, Order::Curriculum | Order::Reverse) { count } else { 1 };
+        Self {
+            learner: Learner::new(settings, &mut rng),
+            replay: Replay::new(settings.replay_capacity as usize),
+            curriculum: Curriculum::new(steps, &settings.curriculum, settings.level_episodes_max(count)),
+            progress: Progress { on_level: vec![0; count as usize], ..Progress::default() },
+        }
+    }
+
+    /// Play a round, learn from it, and report its episodes.
+    fn round<F: Filling>(
+        &mut self,
+        levels: &[Level],
+        settings: &Settings,
+        spoons: &Spoons<F>,
+    ) -> Result<Vec<EpisodeRecord>, TrainError> {
+        let first = self.progress.episodes;
+        let count = settings.episodes_per_round.min(settings.episodes - first);
+        let planned = (first..first + count).map(|index| plan(index, self.curriculum.level(), levels, settings)).collect();
+        let diverged = TrainError::Diverged { episodes: first };
+        let actor = match first < settings.warmup_episodes {
+            true => None,
+            false => Some(self.learner.snapshot(settings).ok_or(diverged)?),
+        };
+        let played = play_round(planned, actor.as_ref(), spoons, settings);
+        for (plan, played) in &played {
+            self.remember(plan, played);
+            self.progress.learning_steps += if actor.is_some() { played.steps.len() as u64 } else { 0 };
+        }
+        self.progress.rounds += 1;
+        let losses = self.learn(settings);
+        Ok(played.iter().map(|(plan, played)| record(plan, played, levels, losses)).collect())
+    }
+
+    fn remember(&mut self, plan: &Planned, played: &Played) {
+        for memory in memories(&plan.set, played) {
+            self.replay.push(memory);
+        }
+        let error_mg = (played.target_mg - played.dispensed_mg).abs();
+        // Under a random order every episode belongs to the curriculum's only level.
+        self.curriculum.record(plan.level, error_mg);
+        self.progress.episodes += 1;
+        self.progress.on_level[plan.level as usize] += 1;
+        if self.progress.recent.len() == RECENT {
+            self.progress.recent.pop_front();
+        }
+        self.progress.recent.push_back(error_mg);
+    }
+
+    /// Make the updates that are due; the mean of what they saw.
+    fn learn(&mut self, settings: &Settings) -> Option<Losses> {
+        let due = (settings.updates_per_step * self.progress.learning_steps as f64).floor() as u64;
+        let count = due.saturating_sub(self.progress.updates);
+        let mut sum = Losses::default();
+        for _ in 0..count {
+            let mut rng = Pcg64Mcg::seed_from_u64(derive(settings.seed, &[stream::UPDATE, self.progress.updates]));
+            let batch = self.replay.draw(settings, &mut rng);
+            let noise: Vec<f32> = (0..4 * settings.batch).map(|_| normal(&mut rng)).collect();
+            let seen = self.learner.update(&batch, &noise, settings);
+            sum.critic += seen.critic;
+            sum.actor += seen.actor;
+            sum.entropy += seen.entropy;
+            sum.alpha += seen.alpha;
+            self.progress.updates += 1;
+        }
+        let n = count as f64;
+        let mean = Losses { critic: sum.critic / n, actor: sum.actor / n, entropy: sum.entropy / n, alpha: sum.alpha / n };
+        (count > 0).then_some(mean)
+    }
+
+    fn finish(self, levels: &[Level], settings: &Settings) -> Result<Trained, TrainError> {
+        let episodes = self.progress.episodes;
+        let actor = self.learner.snapshot(settings).ok_or(TrainError::Diverged { episodes })?;
+        let levels: Vec<LevelManifest> = levels
+            .iter()
+            .zip(&self.progress.on_level)
+            .map(|(level, &episodes)| LevelManifest {
+                powder: level.powder.clone(),
+                repose_deg: level.repose_deg,
+                sets: level.sets.iter().map(|set| SetManifest { id: set.id(), parameters: *set }).collect(),
+                episodes,
+            })
+            .collect();
+        let recent = &self.progress.recent;
+        let final_error_mg = recent.iter().sum::<f64>() / recent.len().max(1) as f64;
+        let manifest = Manifest {
+            kind: Kind::Learned { encoding: settings.encoding, widths: actor.widths() },
+            rules: settings.rules,
+            preset: match settings.preset {
+                super::Preset::Flip => "flip".to_owned(),
+                super::Preset::Paper => "paper".to_owned(),
+            },
+            settings: serde_json::to_value(settings).expect("settings are plain data"),
+            seed: settings.seed,
+            code_version: env!("CARGO_PKG_VERSION").to_owned(),
+            simulator_version: crate::sim::VERSION.to_owned(),
+            levels: levels.clone(),
+            switches: self.curriculum.switches().to_vec(),
+            episodes,
+            final_error_mg: Some(final_error_mg),
+        };
+        let policy = Policy { manifest: manifest.clone(), controller: Controller::Learned(actor) };
+        Ok(Trained { artifact: policy::encode(&policy), manifest, episodes, final_error_mg, levels })
+    }
+}
+
+fn record(plan: &Planned, played: &Played, levels: &[Level], losses: Option<Losses>) -> EpisodeRecord {
+    EpisodeRecord {
+        index: plan.index,
+        level: plan.level,
+        powder: levels.get(plan.level as usize).map_or(RANDOMISED, |level| &level.powder).to_owned(),
+        parameter_set: plan.set.id(),
+        target_mg: played.target_mg,
+        dispensed_mg: played.dispensed_mg,
+        final_error_mg: (played.target_mg - played.dispensed_mg).abs(),
+        reward: played.reward,
+        steps: played.steps.len() as u32,
+        ending: played.ending,
+        losses,
+    }
+}
