@@ -51,13 +51,14 @@ class Live {
 
   async #run(): Promise<never> {
     for (;;) {
+      const { signal } = this.#abort
       try {
-        await this.#read(this.#abort.signal)
+        await this.#read(signal)
       } catch {
         // The stream broke or the service is away: the loop tries again, and `open` says so.
       }
       this.open = false
-      await new Promise((resolve) => setTimeout(resolve, RETRY_MS))
+      if (!signal.aborted) await new Promise((resolve) => setTimeout(resolve, RETRY_MS))
     }
   }
 
