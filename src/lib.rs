@@ -1,4 +1,4 @@
-//! FLIP: flowability-informed powder weighing. `src/ARCHITECTURE.md` is the map.
+#![doc = include_str!("ARCHITECTURE.md")]
 
 pub mod domain;
 

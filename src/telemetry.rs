@@ -13,13 +13,18 @@ pub enum Format {
     Json,
 }
 
-/// Starts logging; `FLIP_LOG` chooses what is shown (default `info`; e.g. `flip=debug,warn`).
+/// What a service shows when `FLIP_LOG` does not say.
+pub const SERVICE: &str = "info,apalis=warn,sqlx=warn";
+/// What a single command shows when `FLIP_LOG` does not say: its progress bars tell the rest.
+pub const COMMAND: &str = "warn";
+
+/// Starts logging; `FLIP_LOG` chooses what is shown (e.g. `flip=debug,warn`), else `default` does.
 ///
 /// A filter that does not parse is said on stderr and replaced by the default. Later calls in one process do nothing,
 /// so that tests may call it freely.
-pub fn start(format: Format) {
+pub fn start(format: Format, default: &str) {
     let subscriber = tracing_subscriber::fmt()
-        .with_env_filter(filter())
+        .with_env_filter(filter(default))
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal());
     let _already_started = match format {
@@ -28,8 +33,8 @@ pub fn start(format: Format) {
     };
 }
 
-fn filter() -> EnvFilter {
-    let default = || EnvFilter::new("info,apalis=warn,sqlx=warn");
+fn filter(default: &str) -> EnvFilter {
+    let default = || EnvFilter::new(default);
     match std::env::var("FLIP_LOG") {
         Err(_) => default(),
         Ok(text) => EnvFilter::try_new(&text).unwrap_or_else(|error| {

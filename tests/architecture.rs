@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Module, and the modules it may name. A module may always name itself.
-const ARROWS: [(&str, &[&str]); 13] = [
+const ARROWS: [(&str, &[&str]); 14] = [
     ("domain", &[]),
     ("stats", &[]),
     ("sim", &["domain"]),
@@ -17,7 +17,8 @@ const ARROWS: [(&str, &[&str]); 13] = [
     ("jobs", &["domain", "stats", "sim", "policy", "hardware", "calibrate", "train", "weigh", "store"]),
     ("app", &["domain", "store", "jobs", "policy"]),
     ("api", &["domain", "app"]),
-    ("cli", &["domain", "sim", "app", "api"]),
+    ("cli", &["domain", "sim", "app", "api", "telemetry"]),
+    ("telemetry", &[]),
 ];
 
 /// File, and what it may name beyond its module's arrows.
@@ -27,9 +28,10 @@ const EXCEPTIONS: [(&str, &[&str]); 1] = [
 ];
 
 /// What may be named only in some modules: crates that talk to the world, and words that mark asynchronous code.
-const CONFINED: [(&str, &[&str]); 17] = [
+const CONFINED: [(&str, &[&str]); 18] = [
     ("sqlx::", &["store", "jobs"]),
-    ("apalis", &["jobs"]),
+    ("apalis::", &["jobs"]),
+    ("apalis_", &["jobs"]),
     ("axum::", &["api"]),
     ("axum_server::", &["api"]),
     ("tonic::", &["api"]),

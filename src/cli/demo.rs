@@ -3,15 +3,20 @@
 use super::Common;
 use super::calibrate::{Search, Target, calibrate};
 use super::failure::Failure;
-use super::session::with_app;
+use super::serve::{self, Address};
+use super::session::{interrupted, runtime, stop_requested};
 use super::table::table;
+use super::token;
 use super::train::{Timing, train};
 use super::watch::Watch;
 use super::weigh::{request, weigh};
-use crate::app::{App, Calibration, Order, Preset, TrainingRequest, TrainingResult, Weighing, WeighingRequest};
+use crate::api::ServeError;
+use crate::app::{App, Calibration, Options, Order, Preset, TrainingRequest, TrainingResult, Weighing, WeighingRequest};
 use crate::domain::powder::PUBLISHED;
 use serde::Serialize;
 use std::time::Instant;
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
 
 /// The dose that is weighed of every powder, mg.
 const TARGET_MG: f64 = 15.0;
@@ -29,6 +34,8 @@ pub(super) struct Arguments {
     episodes: u32,
     #[command(flatten)]
     search: Search,
+    #[command(flatten)]
+    address: Address,
 }
 
 /// The document of `flip demo`.
@@ -64,12 +71,72 @@ struct Learned {
     final_error_mg: f64,
 }
 
-/// Run the demonstration.
+/// Start the service, run the demonstration as a client of the same application, and serve on until told to stop.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
-    with_app(common, async |app| {
-        let document = demonstrate(app, common, arguments).await?;
-        common.print(&document, || text(&document))
+    runtime()?.block_on(async {
+        let app = App::open(&common.data_dir, Options { workers: true }).await?;
+        let stop = CancellationToken::new();
+        let result = match serve(&app, arguments, &stop).await {
+            Ok(service) => attended(&app, common, arguments, service, &stop).await,
+            Err(failure) => Err(failure),
+        };
+        let closed = app.shutdown().await;
+        result?;
+        Ok(closed?)
     })
+}
+
+/// A service that runs beside the demonstration.
+struct Service {
+    url: String,
+    ended: JoinHandle<Result<(), ServeError>>,
+}
+
+/// Serve in the background until `stop`. A demonstration that ends by itself can do without a port that is taken.
+async fn serve(app: &App, arguments: &Arguments, stop: &CancellationToken) -> Result<Option<Service>, Failure> {
+    let server = match serve::bind(app, &arguments.address) {
+        Err(Failure::Failed(error)) if arguments.exit => {
+            eprintln!("flip: going on without the page: {error:#}");
+            return Ok(None);
+        }
+        bound => bound?,
+    };
+    let url = arguments.address.url(&server)?;
+    eprintln!("flip: watch it at {url}");
+    Ok(Some(Service { url, ended: tokio::spawn(server.run(stop.clone().cancelled_owned())) }))
+}
+
+/// The demonstration until it is done, told to stop, or loses its service.
+async fn attended(
+    app: &App,
+    common: &Common,
+    arguments: &Arguments,
+    service: Option<Service>,
+    stop: &CancellationToken,
+) -> Result<(), Failure> {
+    if let Some(token) = token::first(app).await? {
+        eprintln!("flip: {}", serve::announce(&token));
+    }
+    let signal = tokio::select! {
+        document = demonstrate(app, common, arguments) => {
+            let document = document?;
+            common.print(&document, || text(&document))?;
+            None
+        }
+        signal = stop_requested() => Some(signal?),
+    };
+    if let Some(mut service) = service {
+        if signal.is_none() && !arguments.exit {
+            eprintln!("flip: serving {} until Ctrl-C", service.url);
+            tokio::select! {
+                signal = stop_requested() => drop(signal?),
+                ended = &mut service.ended => return Ok(ended.map_err(anyhow::Error::from)??),
+            }
+        }
+        stop.cancel();
+        service.ended.await.map_err(anyhow::Error::from)??;
+    }
+    signal.map_or(Ok(()), |signal| Err(interrupted(signal)))
 }
 
 /// Calibrate, train, weigh.

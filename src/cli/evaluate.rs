@@ -5,7 +5,7 @@ use super::calibrate::{Target, calibrate};
 use super::failure::Failure;
 use super::session::with_app;
 use super::table::table;
-use super::train::require_policy;
+use super::train::{no_policy, require_policy};
 use super::watch::Watch;
 use crate::app::{App, Error, Evaluation, EvaluationRequest, EvaluationResult, EvaluationRow, EvaluationSummary};
 use crate::domain::powder::PUBLISHED;
@@ -68,7 +68,6 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 }
 
 async fn evaluate(app: &App, common: &Common, arguments: &Arguments) -> Result<Evaluation, Failure> {
-    require_policy(app, arguments.policy.as_deref()).await?;
     let watch = Watch::new();
     let request = EvaluationRequest {
         policy: arguments.policy.clone(),
@@ -82,6 +81,7 @@ async fn evaluate(app: &App, common: &Common, arguments: &Arguments) -> Result<E
     };
     let (job, _) = match app.start_evaluation(request.clone()).await {
         Err(Error::Conflict { code: "calibration_missing", message }) => {
+            require_policy(app, arguments.policy.as_deref()).await?;
             watch.say(&format!("{message}: calibrating first"));
             let published = || PUBLISHED.map(|powder| powder.id.to_owned()).into();
             let powders = request.powders.clone().unwrap_or_else(published);
@@ -89,6 +89,7 @@ async fn evaluate(app: &App, common: &Common, arguments: &Arguments) -> Result<E
             calibrate(app, &watch, &targets, None, common.seed).await?;
             app.start_evaluation(request).await?
         }
+        Err(Error::Conflict { code: "policy_missing", .. }) => return Err(no_policy()),
         started => started?,
     };
     watch.job(app, &job.id, "evaluate").await?;

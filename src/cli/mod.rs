@@ -9,9 +9,11 @@ mod calibrate;
 mod demo;
 mod evaluate;
 mod failure;
+mod health;
 mod jobs;
 mod parameters;
 mod repose;
+mod serve;
 mod session;
 mod table;
 mod token;
@@ -20,6 +22,7 @@ mod watch;
 mod weigh;
 
 use crate::app::{LIST_LIMIT_MAX, PageQuery};
+use crate::telemetry;
 use clap::{Args, Parser, Subcommand};
 use failure::Failure;
 use serde::Serialize;
@@ -52,6 +55,8 @@ struct Common {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Serve the page, REST and gRPC on one port until SIGTERM or Ctrl-C.
+    Serve(serve::Arguments),
     /// From published measurements to weighed doses: calibrate, train, weigh, print the table, keep serving.
     Demo(demo::Arguments),
     /// Pour a simulated powder and measure its angle of repose.
@@ -68,6 +73,8 @@ enum Command {
     Jobs(jobs::Arguments),
     /// Make API tokens.
     Token(token::Arguments),
+    /// Ask a service whether it is alive; a container's health check.
+    Health(health::Arguments),
 }
 
 /// As much of a list as one page holds.
@@ -88,7 +95,12 @@ pub fn main() -> ExitCode {
 
 fn run(cli: &Cli) -> Result<(), Failure> {
     let common = &cli.common;
+    // A server chooses its own log; a second start does nothing.
+    if !matches!(cli.command, Command::Serve(_)) {
+        telemetry::start(telemetry::Format::Text, telemetry::COMMAND);
+    }
     match &cli.command {
+        Command::Serve(arguments) => serve::run(common, arguments),
         Command::Demo(arguments) => demo::run(common, arguments),
         Command::Repose(arguments) => repose::run(common, arguments),
         Command::Calibrate(arguments) => calibrate::run(common, arguments),
@@ -97,6 +109,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Weigh(arguments) => weigh::run(common, arguments),
         Command::Jobs(arguments) => jobs::run(common, arguments),
         Command::Token(arguments) => token::run(common, arguments),
+        Command::Health(arguments) => health::run(common, arguments),
     }
 }
 

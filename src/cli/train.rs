@@ -133,11 +133,14 @@ pub(super) async fn require_policy(app: &App, id: Option<&str>) -> Result<(), Fa
             Error::NotFound { .. } => FieldError::new("policy", format!("there is no policy `{id}`")).into(),
             error => Failure::from(error),
         }),
-        None if app.policies(FIRST_PAGE).await?.items.is_empty() => {
-            Err(Failure::NotNow("there is no policy yet: make one with `flip train --order curriculum`".into()))
-        }
+        None if app.policies(FIRST_PAGE).await?.items.is_empty() => Err(no_policy()),
         None => Ok(()),
     }
+}
+
+/// The missing prerequisite of a weighing and an evaluation, and the command that makes it.
+pub(super) fn no_policy() -> Failure {
+    Failure::NotNow("there is no policy yet: make one with `flip train --order curriculum`".into())
 }
 
 fn text(document: &Document) -> String {

@@ -4,7 +4,7 @@ use super::Common;
 use super::calibrate::{Target as CalibrationTarget, calibrate};
 use super::failure::Failure;
 use super::session::with_app;
-use super::train::require_policy;
+use super::train::{no_policy, require_policy};
 use super::watch::Watch;
 use crate::app::{App, Error, Target, Tolerance, Weighing, WeighingRequest};
 use crate::domain::weighing::{Outcome, WeighingState};
@@ -54,11 +54,9 @@ struct Document {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let request = request(&arguments.powder, arguments.target_mg, arguments.tolerance_mg);
     let request = WeighingRequest { policy: arguments.policy.clone(), seed: Some(common.seed), ..request };
-    let weighing = with_app(common, async |app| {
-        require_policy(app, arguments.policy.as_deref()).await?;
-        // A fresh key: asking on the command line again means another dose.
-        weigh(app, &Watch::new(), request, &uuid::Uuid::now_v7().to_string()).await
-    })?;
+    // A fresh key: asking on the command line again means another dose.
+    let key = uuid::Uuid::now_v7().to_string();
+    let weighing = with_app(common, async |app| weigh(app, &Watch::new(), request, &key).await)?;
     let document = Document {
         outcome: weighing.outcome,
         powder: weighing.powder,
@@ -94,11 +92,13 @@ pub(super) fn request(powder: &str, target_mg: f64, tolerance_mg: f64) -> Weighi
 pub(super) async fn weigh(app: &App, watch: &Watch, request: WeighingRequest, key: &str) -> Result<Weighing, Failure> {
     let (weighing, _) = match app.start_weighing(request.clone(), key).await {
         Err(Error::Conflict { code: "calibration_missing", message }) => {
+            require_policy(app, request.policy.as_deref()).await?;
             watch.say(&format!("{message}: calibrating first"));
             let target = CalibrationTarget::Powder(request.powder.clone());
-            calibrate(app, watch, &[target], None, 1).await?;
+            calibrate(app, watch, &[target], None, request.seed.unwrap_or(1)).await?;
             app.start_weighing(request, key).await.map_err(in_flags)?
         }
+        Err(Error::Conflict { code: "policy_missing", .. }) => return Err(no_policy()),
         started => started.map_err(in_flags)?,
     };
     loop {

@@ -1,0 +1,130 @@
+//! `flip serve`: REST, gRPC and the page on one port, until SIGTERM or Ctrl-C.
+
+use super::Common;
+use super::failure::Failure;
+use super::session::{runtime, stop_requested};
+use super::token;
+use crate::api::{self, ServeConfig, ServeError, Server, Tls};
+use crate::app::{App, Options};
+use crate::domain::FieldError;
+use crate::telemetry;
+use clap::ValueEnum;
+use serde::Serialize;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+/// Arguments of `flip serve`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    #[command(flatten)]
+    address: Address,
+    /// How log lines on stderr look; FLIP_LOG chooses which are shown, e.g. FLIP_LOG=flip=debug.
+    #[arg(long, value_enum, default_value_t = LogFormat::Text)]
+    log_format: LogFormat,
+}
+
+/// Where to listen.
+#[derive(Debug, Clone, clap::Args)]
+pub(super) struct Address {
+    /// Address and port; port 0 lets the system choose.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
+    pub(super) listen: SocketAddr,
+    /// Certificate chain, PEM; with it the service speaks TLS.
+    #[arg(long, value_name = "FILE", requires = "tls_key")]
+    tls_cert: Option<PathBuf>,
+    /// Private key of the certificate, PEM.
+    #[arg(long, value_name = "FILE", requires = "tls_cert")]
+    tls_key: Option<PathBuf>,
+    /// Listen beyond this machine without TLS: tokens and results cross the network readable.
+    #[arg(long)]
+    insecure_lan: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum LogFormat {
+    Text,
+    Json,
+}
+
+/// What `flip serve --json` says once it listens.
+#[derive(Debug, Serialize)]
+struct Document {
+    url: String,
+    /// An operator's token, on the first start only.
+    token: Option<String>,
+}
+
+/// Serve until told to stop.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    telemetry::start(arguments.log_format.into(), telemetry::SERVICE);
+    runtime()?.block_on(async {
+        let app = App::open(&common.data_dir, Options { workers: true }).await?;
+        let server = match bind(&app, &arguments.address) {
+            Ok(server) => server,
+            Err(failure) => {
+                app.shutdown().await?;
+                return Err(failure);
+            }
+        };
+        let document = Document { url: arguments.address.url(&server)?, token: token::first(&app).await? };
+        common.print(&document, || text(&document))?;
+        server.run(stopped()).await?;
+        Ok(())
+    })
+}
+
+/// Bind the address, before any long work: a port that is taken should be known at once.
+pub(super) fn bind(app: &App, address: &Address) -> Result<Server, Failure> {
+    let tls = address.tls_cert.clone().zip(address.tls_key.clone());
+    let config = ServeConfig {
+        listen: address.listen,
+        tls: tls.map(|(certificate, key)| Tls { certificate, key }),
+        insecure_lan: address.insecure_lan,
+    };
+    Ok(api::bind(app.clone(), config)?)
+}
+
+impl Address {
+    /// What to open in a browser.
+    pub(super) fn url(&self, server: &Server) -> Result<String, Failure> {
+        let scheme = if self.tls_cert.is_some() { "https" } else { "http" };
+        Ok(format!("{scheme}://{}", server.address()?))
+    }
+}
+
+/// What a first start says about its token.
+pub(super) fn announce(token: &str) -> String {
+    format!("operator token (shown once; `flip token create` makes another): {token}")
+}
+
+/// Completes when the process is asked to stop. Without signals there is nothing to wait for.
+async fn stopped() {
+    match stop_requested().await {
+        Ok(signal) => tracing::info!(signal, "shutting down"),
+        Err(error) => tracing::error!(%error, "signals cannot be received; shutting down"),
+    }
+}
+
+fn text(document: &Document) -> String {
+    let token = document.token.as_deref().map_or(String::new(), |token| format!("\n{}", announce(token)));
+    format!("FLIP serves {}{token}", document.url)
+}
+
+impl From<LogFormat> for telemetry::Format {
+    fn from(format: LogFormat) -> Self {
+        match format {
+            LogFormat::Text => Self::Text,
+            LogFormat::Json => Self::Json,
+        }
+    }
+}
+
+impl From<ServeError> for Failure {
+    fn from(error: ServeError) -> Self {
+        match error {
+            ServeError::Exposed(_) => FieldError::new("listen", error.to_string()).into(),
+            ServeError::Tls(_) => FieldError::new("tls_cert", error.to_string()).into(),
+            error => Self::Failed(error.into()),
+        }
+    }
+}

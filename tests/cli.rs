@@ -1,0 +1,207 @@
+//! The command line as scripts see it: the real binary, its exit status, its one document.
+
+use serde_json::Value;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+const COMMANDS: [&str; 9] =
+    ["serve", "demo", "repose", "calibrate", "train", "evaluate", "weigh", "jobs", "token"];
+
+fn flip(data_dir: &Path, arguments: &[&str]) -> Output {
+    command(data_dir, arguments).output().unwrap()
+}
+
+fn command(data_dir: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_flip"));
+    command.args(arguments).arg("--data-dir").arg(data_dir).env_remove("FLIP_LOG");
+    command
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// The one document on stdout; anything beside it does not parse.
+fn document(output: &Output) -> Value {
+    let text = String::from_utf8(output.stdout.clone()).unwrap();
+    serde_json::from_str(&text).unwrap_or_else(|e| panic!("{e}: stdout {text:?}, stderr {:?}", stderr(output)))
+}
+
+fn expect_status(output: &Output, status: i32) {
+    assert_eq!(output.status.code(), Some(status), "stderr: {}", stderr(output));
+}
+
+#[test]
+fn help_lists_every_command_and_every_command_has_help() {
+    let folder = tempfile::tempdir().unwrap();
+    let help = flip(folder.path(), &["--help"]);
+    expect_status(&help, 0);
+    let text = String::from_utf8(help.stdout).unwrap();
+    for name in COMMANDS {
+        assert!(text.lines().any(|line| line.trim_start().starts_with(name)), "{name} is missing in:\n{text}");
+        let help = flip(folder.path(), &[name, "--help"]);
+        expect_status(&help, 0);
+        let text = String::from_utf8(help.stdout).unwrap();
+        for flag in ["--data-dir", "--seed", "--json"] {
+            assert!(text.contains(flag), "{name} --help does not name {flag}");
+        }
+    }
+}
+
+#[test]
+fn repose_gives_the_same_bytes_twice_and_on_any_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["repose", "--friction", "0.3", "--cohesion", "0", "--repeats", "3", "--seed", "1", "--json"];
+    let on = |threads: &str| {
+        let output = command(folder.path(), &arguments).env("RAYON_NUM_THREADS", threads).output().unwrap();
+        expect_status(&output, 0);
+        output.stdout
+    };
+    let one = on("1");
+    assert_eq!(one, on("1"));
+    assert_eq!(one, on("2"));
+    let document: Value = serde_json::from_slice(&one).unwrap();
+    for key in ["repose_deg", "cone_deg", "repose_sd_deg", "particles", "creep_deg_per_s"] {
+        assert!(document[key].is_number(), "{key} is not a number in {document}");
+    }
+    assert!(document["settings"].is_object());
+    assert_eq!(document["parameters"]["friction"], 0.3);
+}
+
+#[test]
+fn bad_input_exits_2_and_names_the_field() {
+    let folder = tempfile::tempdir().unwrap();
+    let cases: [(&[&str], &str); 14] = [
+        (&["repose", "--friction", "1.31"], "friction: must be a number from 0 to 1.3"),
+        (&["repose", "--cohesion", "NaN"], "cohesion: must be a number from 0 to 1.2"),
+        (&["repose", "--particle-diameter-mm", "-1"], "particle_diameter_mm"),
+        (&["repose", "--damping", "soft"], "--damping"),
+        (&["repose", "--repeats", "0"], "repeats"),
+        (&["repose", "--weight", "3"], "--weight"),
+        (&["calibrate", "--powder", "chalk"], "powder"),
+        (&["calibrate", "--powder", "salt", "--sets", "0"], "sets"),
+        (&["calibrate", "--powder", "salt", "--tolerance-deg", "inf"], "tolerance_deg"),
+        (&["train", "--order", "sideways"], "--order"),
+        (&["train", "--order", "curriculum", "--episodes", "0"], "episodes"),
+        (&["weigh", "--powder", "salt", "--target-mg", "-5"], "target_mg"),
+        (&["weigh", "--powder", "chalk", "--target-mg", "5"], "powder"),
+        (&["serve", "--listen", "0.0.0.0:0"], "listen: 0.0.0.0:0"),
+    ];
+    for (arguments, named) in cases {
+        let output = flip(folder.path(), arguments);
+        expect_status(&output, 2);
+        assert!(stderr(&output).contains(named), "{arguments:?} does not name {named}: {}", stderr(&output));
+        let output = flip(folder.path(), &[arguments, &["--json"]].concat());
+        expect_status(&output, 2);
+        assert_eq!(document(&output)["error"]["kind"], "bad_input", "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_missing_policy_exits_2_and_names_the_command_that_makes_one() {
+    let folder = tempfile::tempdir().unwrap();
+    for arguments in [&["weigh", "--powder", "salt", "--target-mg", "15"] as &[&str], &["evaluate"]] {
+        let output = flip(folder.path(), arguments);
+        expect_status(&output, 2);
+        assert!(stderr(&output).contains("flip train"), "{arguments:?}: {}", stderr(&output));
+    }
+}
+
+#[test]
+fn a_fresh_data_folder_is_made_and_seeded_by_whatever_comes_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let fresh = folder.path().join("a").join("b");
+    let output = flip(&fresh, &["jobs", "--json"]);
+    expect_status(&output, 0);
+    assert_eq!(document(&output)["items"], Value::Array(vec![]));
+    let databases = std::fs::read_dir(&fresh).unwrap().filter(|entry| {
+        let name = entry.as_ref().unwrap().file_name();
+        name.to_string_lossy().ends_with(".db")
+    });
+    assert_eq!(databases.count(), 1);
+}
+
+/// A running `flip serve`, killed when the test ends.
+struct Service {
+    process: Child,
+    document: Value,
+}
+
+impl Service {
+    fn start(data_dir: &Path) -> Self {
+        let mut command = command(data_dir, &["serve", "--listen", "127.0.0.1:0", "--json"]);
+        let mut process = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut text = String::new();
+        // The document is printed once the service listens, and ends with the brace in the first column.
+        for line in BufReader::new(process.stdout.take().unwrap()).lines() {
+            let line = line.unwrap();
+            text.push_str(&line);
+            if line == "}" {
+                break;
+            }
+        }
+        let document = serde_json::from_str(&text).unwrap_or_else(|e| panic!("{e}: {text:?}"));
+        Self { process, document }
+    }
+
+    fn address(&self) -> String {
+        self.document["url"].as_str().unwrap().trim_start_matches("http://").to_owned()
+    }
+
+    /// Ask it to end as systemd and Docker do; its exit status.
+    fn terminate(mut self) -> Option<i32> {
+        let kill = format!("kill -TERM {}", self.process.id());
+        assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
+        self.process.wait().unwrap().code()
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        // Already ended in most tests; then there is nothing to kill.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+#[test]
+fn while_a_server_holds_the_database_writers_exit_2_and_readers_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let service = Service::start(folder.path());
+    for arguments in [
+        &["token", "create", "--role", "viewer"] as &[&str],
+        &["calibrate", "--powder", "salt"],
+        &["serve", "--listen", "127.0.0.1:0"],
+    ] {
+        let output = flip(folder.path(), arguments);
+        expect_status(&output, 2);
+        assert!(stderr(&output).contains("another process"), "{arguments:?}: {}", stderr(&output));
+    }
+    let jobs = flip(folder.path(), &["jobs", "--json"]);
+    expect_status(&jobs, 0);
+    assert!(document(&jobs)["items"].is_array());
+    let health = flip(folder.path(), &["health", "--listen", &service.address()]);
+    expect_status(&health, 0);
+    assert_eq!(service.terminate(), Some(0));
+}
+
+#[test]
+fn the_first_start_shows_a_token_and_later_ones_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = Service::start(folder.path());
+    assert!(first.document["token"].as_str().unwrap().starts_with("flip_"));
+    assert_eq!(first.terminate(), Some(0));
+    let second = Service::start(folder.path());
+    assert_eq!(second.document["token"], Value::Null);
+    assert_eq!(second.terminate(), Some(0));
+}
+
+#[test]
+fn tokens_are_made_with_a_role() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = flip(folder.path(), &["token", "create", "--role", "operator", "--json"]);
+    expect_status(&output, 0);
+    assert_eq!(document(&output)["role"], "operator");
+    assert!(document(&output)["token"].as_str().unwrap().starts_with("flip_"));
+}
