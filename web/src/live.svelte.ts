@@ -14,6 +14,8 @@ class Live {
   /** Whether events arrive. */
   open = $state(false)
   #listeners = new Set<Listener>()
+  #reopened = new Set<() => void>()
+  #broken = false
   #last = ''
   #abort = new AbortController()
 
@@ -27,18 +29,22 @@ class Live {
     return () => this.#listeners.delete(listener)
   }
 
-  /** Calls `reload` soon after events that `concerns` picks, many events at once. For use as an effect's body. */
+  /** Calls `reload` soon after events that `concerns` picks, many events at once, and when the service is back. For use as an effect's body. */
   reloads(concerns: (event: Event) => boolean, reload: () => unknown, settle = SETTLE_MS): () => void {
     let timer: ReturnType<typeof setTimeout> | undefined
-    const off = this.on((event) => {
-      if (!concerns(event)) return
+    const soon = () => {
       timer ??= setTimeout(() => {
         timer = undefined
         void reload()
       }, settle)
+    }
+    const off = this.on((event) => {
+      if (concerns(event)) soon()
     })
+    this.#reopened.add(soon)
     return () => {
       off()
+      this.#reopened.delete(soon)
       clearTimeout(timer)
     }
   }
@@ -58,6 +64,7 @@ class Live {
         // The stream broke or the service is away: the loop tries again, and `open` says so.
       }
       this.open = false
+      this.#broken = true
       if (!signal.aborted) await new Promise((resolve) => setTimeout(resolve, RETRY_MS))
     }
   }
@@ -70,6 +77,8 @@ class Live {
     const response = await fetch('/v1/events', { headers, signal })
     if (!response.ok || !response.body) return
     this.open = true
+    // What failed while the service was away is asked for again.
+    if (this.#broken) this.#reopened.forEach((soon) => soon())
     const reader = response.body.pipeThrough(new TextDecoderStream()).getReader()
     let text = ''
     for (;;) {

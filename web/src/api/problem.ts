@@ -25,7 +25,7 @@ export class Problem extends Error {
   /** From anything thrown. */
   static of(error: unknown): Problem {
     if (error instanceof Problem) return error
-    return new Problem('The service does not answer', 'Is `flip serve` running? The page tries again by itself.', 0)
+    return new Problem('The service does not answer', 'Is flip serve running? The page tries again by itself.', 0)
   }
 
   /** What is wrong with one field of a form. */
