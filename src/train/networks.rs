@@ -54,3 +54,46 @@ pub fn forward_twins(flat: &Tensor, widths: &[usize], x: &Tensor) -> Tensor {
     }
     y.squeeze_dim(2)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::{Actor, Encoding};
+    use rand::SeedableRng;
+    use rand_pcg::Pcg64Mcg;
+
+    #[test]
+    fn the_pure_forward_pass_equals_libtorchs() {
+        let mut rng = Pcg64Mcg::seed_from_u64(5);
+        for (encoding, hidden) in [(Encoding::Missing, 128), (Encoding::Paper, 128), (Encoding::Missing, 7)] {
+            let widths = [encoding.width(), hidden, hidden, 4];
+            // Weights as large as a trained network's: uniform, not scaled down in the last layer.
+            let flat: Vec<f32> = (0..Actor::flat_len(&widths)).map(|_| 0.3 * (2.0 * rng.random::<f32>() - 1.0)).collect();
+            let actor = Actor::from_flat(encoding, &widths, &flat).unwrap();
+            for _ in 0..20 {
+                let x: Vec<f32> = (0..widths[0]).map(|_| 4.0 * rng.random::<f32>() - 2.0).collect();
+                let y = forward(&Tensor::from_slice(&flat), &widths, &Tensor::from_slice(&x).unsqueeze(0));
+                let y = Vec::<f32>::try_from(y.squeeze_dim(0)).unwrap();
+                let head = actor.forward(&x);
+                for (k, pure) in head.mean.iter().chain(&head.log_std).enumerate() {
+                    let torch = if k < 2 { y[k] } else { y[k].clamp(-20.0, 2.0) };
+                    assert!((pure - torch).abs() < 1e-5, "{pure} {torch}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn twins_are_two_networks_side_by_side() {
+        let mut rng = Pcg64Mcg::seed_from_u64(6);
+        let widths = [5, 8, 8, 1];
+        let flat = initialise(&widths, 2, &mut rng);
+        let x = Tensor::from_slice(&[0.3f32, -1.0, 0.5, 2.0, 0.1, 1.0, 0.0, -0.5, 0.2, 0.9]).view([2, 5]);
+        let both = Tensor::from_slice(&flat).view([2, -1]);
+        let twins = forward_twins(&both, &widths, &x);
+        for k in 0..2 {
+            let one = forward(&both.get(k), &widths, &x).squeeze_dim(1);
+            assert!(f64::try_from((twins.get(k) - one).abs().max()).unwrap() < 1e-7);
+        }
+    }
+}

@@ -37,7 +37,7 @@ pub fn squash(head: &Tensor, noise: &Tensor) -> (Tensor, Tensor) {
     let u = &parts[0] + log_std.exp() * noise;
     let gauss = noise.square() * -0.5 - log_std - 0.5 * (2.0 * std::f64::consts::PI).ln();
     let slope = (std::f64::consts::LN_2 - &u - (&u * -2.0).softplus()) * 2.0;
-    let log_prob = (gauss - slope).sum_dim_intlist([1i64].as_slice(), false, tch::Kind::Float);
+    let log_prob = (gauss - slope).sum_dim_intlist([1i64].as_slice(), false, None);
     (u.tanh(), log_prob)
 }
 
@@ -53,12 +53,12 @@ pub fn td_target(reward: &Tensor, goes_on: &Tensor, next_q: &Tensor, next_log_pr
 /// Eq. 5 for both critics: the sum over the twins of `mean (Q - y)^2 / 2`. Q `[2, batch]`, y `[batch]`.
 pub fn critic_loss(q: &Tensor, y: &Tensor) -> Tensor {
     // The mean over 2 * batch entries is half of the sum of the two means.
-    (q - y).square().mean(tch::Kind::Float)
+    (q - y).square().mean(None)
 }
 
 /// Eq. 9: `mean (alpha log pi - min Q)`. Q `[2, batch]`, log-probability `[batch]`.
 pub fn actor_loss(q: &Tensor, log_prob: &Tensor, alpha: f64) -> Tensor {
-    (log_prob * alpha - q.amin(0, false)).mean(tch::Kind::Float)
+    (log_prob * alpha - q.amin(0, false)).mean(None)
 }
 
 /// Derivative with respect to `ln alpha` of eq. 18, `mean (-alpha (log pi + target entropy))`.
@@ -165,7 +165,7 @@ impl Learner {
         let gradient = gradient_of(&actor_loss, &actor);
         self.actor_adam.step(&mut self.actor, &gradient, settings.learning_rate);
 
-        let mean_log_prob = log_prob.mean(tch::Kind::Float).double_value(&[]);
+        let mean_log_prob = log_prob.mean(None).double_value(&[]);
         let gradient = temperature_gradient(alpha, mean_log_prob, settings.target_entropy);
         self.alpha_adam.step(&mut self.log_alpha, &[gradient as f32], settings.learning_rate);
 
@@ -198,3 +198,7 @@ fn gradient_of(loss: &Tensor, block: &Tensor) -> Vec<f32> {
     gradient.contiguous().copy_data(&mut flat, gradient.numel());
     flat
 }
+
+#[cfg(test)]
+#[path = "sac_tests.rs"]
+mod tests;

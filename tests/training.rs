@@ -1,0 +1,191 @@
+//! Training from the outside: it learns, it is reproducible, it survives interruption.
+
+use flip::domain::bench::PitchLimits;
+use flip::domain::parameters::ParameterSet;
+use flip::domain::seed::derive;
+use flip::policy::{Controller, Episode, Observation, decode};
+use flip::sim::balance;
+use flip::train::environment::{Filling, play};
+use flip::train::formula::Formula;
+use flip::train::{EpisodeRecord, Event, Level, Order, Preset, Settings, TrainError, Trained, train_on};
+use std::ops::ControlFlow;
+
+const FORMULA: Formula = Formula { pitch: PitchLimits::WIDE };
+
+/// Three formula powders, given out of order; friction is what makes them differ.
+fn levels() -> Vec<Level> {
+    let level = |powder: &str, repose_deg, frictions: [f64; 2]| Level {
+        powder: powder.into(),
+        repose_deg,
+        sets: frictions.map(|f| ParameterSet::default().with("friction", f).unwrap()).to_vec(),
+    };
+    vec![level("salt", 36.0, [0.65, 0.7]), level("sand", 28.6, [0.3, 0.35]), level("sugar", 31.4, [0.45, 0.5])]
+}
+
+/// Small and quick: what is tested does not depend on the size.
+fn small(order: Order) -> Settings {
+    Settings {
+        episodes: 26,
+        warmup_episodes: 4,
+        rounds_per_checkpoint: 2,
+        hidden: 16,
+        batch: 16,
+        updates_per_step: 0.7,
+        ..Settings::of(Preset::Flip, order, 3)
+    }
+}
+
+fn run(settings: &Settings, resume: Option<&[u8]>) -> (Trained, Vec<EpisodeRecord>, Vec<Vec<u8>>) {
+    let (mut episodes, mut checkpoints) = (Vec::new(), Vec::new());
+    let trained = train_on(&FORMULA, &levels(), settings, resume, |event| {
+        match event {
+            Event::Episode(record) => episodes.push(*record),
+            Event::Checkpoint(bytes) => checkpoints.push(bytes),
+        }
+        ControlFlow::Continue(())
+    });
+    (trained.unwrap(), episodes, checkpoints)
+}
+
+fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
+}
+
+/// Mean absolute error of a controller on spoons it never practised on, mg.
+fn mean_error_mg(controller: &Controller, settings: &Settings) -> f64 {
+    let mut errors = Vec::new();
+    for (k, level) in levels().iter().enumerate() {
+        for dose in 0..40u64 {
+            let set = &level.sets[dose as usize % 2];
+            let seed = derive(987_654_321, &[k as u64, dose]);
+            let target_mg = 5.0 + (dose % 11) as f64;
+            let mut steps = 0;
+            let mut spoon = FORMULA.fill(set, seed);
+            let played = play(&mut spoon, &settings.rules, &balance::Settings::default(), target_mg, seed, |seen: &Observation| {
+                let action = controller.propose(steps, seen);
+                steps += 1;
+                [(action.incline_change_deg / 8.0) as f32, (action.shake_mm / 8.0 - 1.0) as f32]
+            });
+            errors.push((played.dispensed_mg - target_mg).abs());
+        }
+    }
+    errors.iter().sum::<f64>() / errors.len() as f64
+}
+
+#[test]
+fn a_trained_policy_errs_less_than_half_as_much_as_an_untrained_one() {
+    let settings = Settings { episodes: 120, ..Settings::of(Preset::Flip, Order::Curriculum, 1) };
+    let (trained, ..) = run(&settings, None);
+    let policy = decode(&trained.artifact).unwrap();
+    let ours = mean_error_mg(&policy.controller, &settings);
+    let untrained = (0..5).map(|seed| mean_error_mg(&Controller::untrained(seed), &settings)).sum::<f64>() / 5.0;
+    println!("trained {ours:.2} mg, untrained {untrained:.2} mg");
+    assert!(ours < untrained / 2.0, "trained {ours}, untrained {untrained}");
+    assert!(ours < 3.0, "{ours}");
+}
+
+#[test]
+fn an_interrupted_training_ends_with_the_same_bytes_as_an_unbroken_one() {
+    for order in [Order::Curriculum, Order::DomainRandomisation] {
+        let settings = small(order);
+        let (unbroken, episodes, checkpoints) = run(&settings, None);
+        assert_eq!(checkpoints.len(), 3);
+        for checkpoint in &checkpoints {
+            let (resumed, again, _) = run(&settings, Some(checkpoint));
+            assert_eq!(resumed, unbroken);
+            assert_eq!(again, episodes[episodes.len() - again.len()..], "the same episodes come again");
+        }
+    }
+}
+
+#[test]
+fn a_stop_finishes_its_round_and_hands_over_a_checkpoint() {
+    let settings = small(Order::Random);
+    let (unbroken, episodes, _) = run(&settings, None);
+    let mut seen = Vec::new();
+    let stopped = train_on(&FORMULA, &levels(), &settings, None, |event| match event {
+        Event::Episode(record) => {
+            seen.push(*record);
+            if seen.len() == 5 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        }
+        Event::Checkpoint(_) => ControlFlow::Continue(()),
+    });
+    let Err(TrainError::Stopped { checkpoint }) = stopped else { panic!("{stopped:?}") };
+    assert_eq!(seen, episodes[..8], "a round of four is reported whole");
+    let (resumed, rest, _) = run(&settings, Some(&checkpoint));
+    assert_eq!((resumed, rest), (unbroken, episodes[8..].to_vec()));
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    for order in [Order::Curriculum, Order::DomainRandomisation] {
+        let settings = small(order);
+        let one = with_threads(1, || run(&settings, None));
+        let two = with_threads(2, || run(&settings, None));
+        assert!(one == two, "{order:?}");
+    }
+}
+
+#[test]
+fn a_checkpoint_of_another_training_or_damaged_is_refused() {
+    let settings = small(Order::Curriculum);
+    let (.., checkpoints) = run(&settings, None);
+    let refusal = |settings: &Settings, bytes: &[u8]| {
+        match train_on(&FORMULA, &levels(), settings, Some(bytes), |_| ControlFlow::Continue(())) {
+            Err(TrainError::Checkpoint(text)) => text,
+            other => panic!("{other:?}"),
+        }
+    };
+    assert!(refusal(&Settings { seed: 4, ..settings.clone() }, &checkpoints[0]).contains("another training"));
+    assert!(!refusal(&settings, &checkpoints[0][..checkpoints[0].len() / 2]).is_empty());
+    assert!(!refusal(&settings, b"").is_empty());
+    let policy = run(&settings, None).0.artifact;
+    assert!(refusal(&settings, &policy).contains("no training"));
+}
+
+#[test]
+fn levels_are_met_in_the_order_asked_for() {
+    let met = |order| {
+        let (trained, episodes, _) = run(&small(order), None);
+        let mut powders: Vec<String> = episodes.iter().map(|e| e.powder.clone()).collect();
+        powders.dedup();
+        (trained, powders)
+    };
+    let (trained, powders) = met(Order::Curriculum);
+    assert_eq!(powders, ["sand", "sugar", "salt"]);
+    // 26 episodes over three levels are 9 each; a round of four that is under way when the level changes is finished first.
+    assert_eq!(trained.levels.iter().map(|l| l.episodes).sum::<u32>(), 26);
+    assert_eq!(trained.manifest.switches.len(), 2);
+    assert_eq!(met(Order::Reverse).1, ["salt", "sugar", "sand"]);
+    assert!(met(Order::Random).1.len() > 6, "a random order keeps changing");
+    let (trained, powders) = met(Order::DomainRandomisation);
+    assert_eq!((powders, trained.levels.len()), (vec!["randomised".to_owned()], 0));
+}
+
+#[test]
+fn the_papers_preset_plays_ten_steps_and_never_ends_early() {
+    let settings = Settings { episodes: 30, ..Settings::of(Preset::Paper, Order::Curriculum, 2) };
+    let (trained, episodes, _) = run(&settings, None);
+    assert!(episodes.iter().all(|e| e.steps == 10 && e.ending == Episode::TimedOut));
+    let updates = episodes.iter().filter(|e| e.losses.is_some()).count();
+    assert_eq!(updates, 10, "updates begin after the 20 random episodes");
+    assert_eq!(trained.manifest.preset, "paper");
+    assert_eq!(trained.manifest.rules.pitch, PitchLimits::PAPER);
+}
+
+#[test]
+fn impossible_inputs_are_refused_by_field() {
+    let refused = |levels: &[Level], settings: &Settings| {
+        match train_on(&FORMULA, levels, settings, None, |_| ControlFlow::Continue(())) {
+            Err(TrainError::Invalid(error)) => error.field,
+            other => panic!("{other:?}"),
+        }
+    };
+    let settings = small(Order::Curriculum);
+    assert_eq!(refused(&[], &settings), "levels");
+    let empty = Level { powder: "sand".into(), repose_deg: 28.0, sets: vec![] };
+    assert_eq!(refused(&[empty], &settings), "levels[0].sets");
+    let nan = Level { repose_deg: f64::NAN, ..levels().remove(0) };
+    assert_eq!(refused(&[nan], &settings), "levels[0].repose_deg");
+    assert_eq!(refused(&levels(), &Settings { learning_rate: f64::NAN, ..settings }), "learning_rate");
+}
