@@ -1,8 +1,9 @@
-//! What one shake gives at each pitch: `cargo run --release --example shake_map -- FRICTION COHESION`.
+//! What repeated shakes give at fixed pitches: `cargo run --release --example shake_map -- FRICTION COHESION`.
 
 use flip::domain::bench::Action;
 use flip::domain::parameters::ParameterSet;
 use flip::sim::dispense::{Dispenser, Settings};
+use rayon::prelude::*;
 
 fn main() {
     let arguments: Vec<f64> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
@@ -11,24 +12,23 @@ fn main() {
         .with("friction", friction)
         .and_then(|set| set.with("cohesion", cohesion))
         .expect("friction 0-1.3 and cohesion 0-1.2");
-    let start = std::time::Instant::now();
     let full = Dispenser::new(&set, &Settings::default(), 1);
-    println!("filled {:.1} mg in {:.2} s", full.spoon_mg(), start.elapsed().as_secs_f64());
-    for shake_mm in [0.0, 4.0, 8.0, 16.0] {
-        let mut spoon = full.clone();
-        print!("{shake_mm:4} mm:");
-        for _ in 0..10 {
-            let start = std::time::Instant::now();
-            let poured = spoon.step(Action { incline_change_deg: 5.0, shake_mm });
-            print!(
-                "  {:.0}deg {:.2}+{:.2} mg ({:.2} s, {:.2} cpu)",
-                spoon.pitch_deg(),
-                poured.vial_mg,
-                poured.spilled_mg,
-                poured.duration_s,
-                start.elapsed().as_secs_f64()
-            );
-        }
-        println!("  fault {:?}", spoon.fault());
-    }
+    let cells: Vec<(f64, f64)> =
+        [20.0, 25.0, 30.0, 35.0, 40.0, 45.0].iter().flat_map(|&p| [2.0, 6.0, 16.0].map(|a| (p, a))).collect();
+    let rows: Vec<String> = cells
+        .par_iter()
+        .map(|&(pitch, shake_mm)| {
+            let mut spoon = full.clone();
+            while spoon.pitch_deg() < pitch {
+                let change = (pitch - spoon.pitch_deg()).min(8.0);
+                spoon.step(Action { incline_change_deg: change, shake_mm: 0.0 });
+            }
+            let tilted = spoon.vial_mg();
+            let doses: Vec<String> = (0..5)
+                .map(|_| format!("{:.2}", spoon.step(Action { incline_change_deg: 0.0, shake_mm }).vial_mg))
+                .collect();
+            format!("{pitch} deg {shake_mm} mm: tilt {tilted:.2}, shakes {} mg, spilled {:.2}", doses.join(" "), spoon.spilled_mg())
+        })
+        .collect();
+    println!("spoon {:.1} mg\n{}", full.spoon_mg(), rows.join("\n"));
 }

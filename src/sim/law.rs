@@ -11,6 +11,8 @@ pub const SUBSTEP_S: f64 = 0.000_125;
 const RELAX_NORMAL: f64 = 0.3;
 /// Share of a tangential stretch that one substep removes, both sides together.
 const RELAX_TANGENTIAL: f64 = 0.2;
+/// A wall does not give way: the same share on one side alone would make stiff grains ring between wall and neighbours.
+const RELAX_WALL: f64 = 0.6;
 
 /// Coulomb coefficient at `friction` 0: grains in air are never frictionless, and a heap needs a start.
 pub const FRICTION_BASE: f64 = 0.11;
@@ -79,8 +81,8 @@ impl Law {
             reach,
         };
         let wall = Contact {
-            normal: RELAX_NORMAL as f32,
-            tangential: RELAX_TANGENTIAL as f32,
+            normal: (RELAX_WALL * RELAX_NORMAL) as f32,
+            tangential: (RELAX_WALL * RELAX_TANGENTIAL) as f32,
             friction: wall_friction as f32,
             attraction: (BOND_PER_WALL_ADHESION * set.adhesion() * weight) as f32,
             reach,

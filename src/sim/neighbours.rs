@@ -5,7 +5,7 @@ use super::constraints::{Vector, dot, sub};
 /// Side of a cell of the search grid: a slow pair lies in the same or in touching cells.
 const CELL: f32 = 1.4;
 /// Half of the distance that a grain at rest may move before the list is built again.
-const SKIN: f32 = 0.06;
+const SKIN: f32 = 0.12;
 /// Substeps for which a moving grain's path is covered.
 const HORIZON: f32 = 12.0;
 /// Largest distance covered for one grain; a faster one brings the next build forward.
