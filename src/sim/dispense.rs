@@ -30,11 +30,11 @@ pub struct Settings {
     pub pitch: PitchLimits,
     /// Angular speed of pitching, deg/s. Default 60.
     pub pitch_deg_s: f64,
-    /// Limits of the shake.
+    /// Limits of the shake. Default [`MotionLimits::BRISK`].
     pub shake: MotionLimits,
-    /// Radius of the vial's mouth, mm. Default 8 (a 20 ml vial).
+    /// Radius of the vial's mouth, mm. Default 9 (a 20 ml vial).
     pub vial_radius_mm: f64,
-    /// Distance of the mouth's axis from the spoon's middle along its length at rest, mm. Default 12: the tip, at 5 mm,
+    /// Distance of the mouth's axis from the spoon's middle along its length at rest, mm. Default 10: the tip, at 5 mm,
     /// shakes by up to 16 mm.
     pub vial_offset_mm: f64,
     /// Height of the rim of the level spoon over the mouth, mm. Default 10.
@@ -53,9 +53,9 @@ impl Default for Settings {
             friction: 0.4,
             pitch: PitchLimits::WIDE,
             pitch_deg_s: 60.0,
-            shake: MotionLimits::PAPER,
-            vial_radius_mm: 8.0,
-            vial_offset_mm: 12.0,
+            shake: MotionLimits::BRISK,
+            vial_radius_mm: 9.0,
+            vial_offset_mm: 10.0,
             drop_height_mm: 10.0,
             substep_s: SUBSTEP_S,
             settle_max_s: 0.5,

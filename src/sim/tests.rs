@@ -1,0 +1,242 @@
+//! Each of the nine parameters has an effect that can be measured, and the kernel keeps what nature keeps.
+
+use super::constraints::{Vector, add, dot, sub, vector};
+use super::dispense::{self, Dispenser};
+use super::grains::Grains;
+use super::law::{self, Law, SUBSTEP_S};
+use super::repose::{self, repose};
+use super::walls::{Plate, Touch, Wall};
+use crate::domain::bench::Action;
+use crate::domain::parameters::ParameterSet;
+
+/// No wall anywhere.
+struct Nowhere;
+
+impl Wall for Nowhere {
+    fn touch(&self, _: Vector) -> Touch {
+        Touch { gap: f32::MAX, normal: vector(0.0, 0.0, 1.0) }
+    }
+    fn has_left(&self, _: Vector) -> bool {
+        false
+    }
+}
+
+/// A plane through the origin whose normal leans towards +x by an angle.
+struct Incline {
+    normal: Vector,
+}
+
+impl Wall for Incline {
+    fn touch(&self, p: Vector) -> Touch {
+        Touch { gap: dot(p, self.normal) - 0.5, normal: self.normal }
+    }
+    fn has_left(&self, _: Vector) -> bool {
+        false
+    }
+}
+
+fn set(changes: &[(&str, f64)]) -> ParameterSet {
+    changes.iter().fold(ParameterSet::default(), |set, (key, value)| set.with(key, *value).unwrap())
+}
+
+fn law(changes: &[(&str, f64)]) -> Law {
+    Law::new(&set(changes), 0.4, SUBSTEP_S)
+}
+
+fn down(law: &Law) -> Vector {
+    vector(0.0, 0.0, -law.gravity)
+}
+
+fn grains(centres: &[Vector]) -> Grains {
+    let mut grains = Grains::default();
+    centres.iter().for_each(|x| grains.pour(*x, [0.0; 4]));
+    grains
+}
+
+/// Metres fallen from rest in 0.1 s.
+fn fall_m(changes: &[(&str, f64)]) -> f64 {
+    let law = law(changes);
+    let mut one = grains(&[[0.0; 4]]);
+    (0..800).for_each(|_| one.substep(&law, down(&law), &Nowhere));
+    -f64::from(one.x[0][2]) * law.diameter_m
+}
+
+#[test]
+fn gravity_scale_sets_how_far_a_grain_falls() {
+    for scale in [0.3, 1.0, 1.1] {
+        // Semi-implicit Euler falls g t h / 2 further than g t^2 / 2.
+        let expected = 0.5 * scale * law::GRAVITY * 0.1 * (0.1 + SUBSTEP_S);
+        assert!((fall_m(&[("gravity_scale", scale)]) / expected - 1.0).abs() < 1e-3);
+    }
+}
+
+#[test]
+fn damping_slows_a_fall_as_an_exponential_does() {
+    // z(t) = g/c (t - (1 - exp(-c t)) / c) for drag c per second.
+    let (c, t) = (1.0f64, 0.1f64);
+    let expected = law::GRAVITY / c * (t - (1.0 - (-c * t).exp()) / c);
+    assert!((fall_m(&[("damping", 1.0)]) / expected - 1.0).abs() < 2e-3);
+    assert!(fall_m(&[("damping", 1.0)]) < 0.98 * fall_m(&[("damping", 0.0)]));
+}
+
+/// How far two grains at a gap of 0.02 diameters have approached after 20 substeps without gravity, in diameters.
+fn approach(changes: &[(&str, f64)], gap: f32) -> f32 {
+    let law = law(changes);
+    let mut pair = grains(&[[0.0; 4], vector(1.0 + gap, 0.0, 0.0)]);
+    (0..20).for_each(|_| pair.substep(&law, [0.0; 4], &Nowhere));
+    1.0 + gap - sub(pair.x[1], pair.x[0])[0]
+}
+
+#[test]
+fn cohesion_pulls_grains_together_in_proportion() {
+    let (half, full) = (approach(&[("cohesion", 0.3)], 0.02), approach(&[("cohesion", 0.6)], 0.02));
+    assert_eq!(approach(&[("cohesion", 0.0)], 0.02), 0.0);
+    assert!((full / half - 2.0).abs() < 0.1, "{full} against {half}");
+}
+
+#[test]
+fn adhesion_acts_between_grains_as_its_product_with_the_particle_adhesion_scale() {
+    let a = approach(&[("adhesion", 0.6), ("particle_adhesion_scale", 1.0)], 0.02);
+    let b = approach(&[("adhesion", 1.2), ("particle_adhesion_scale", 0.5)], 0.02);
+    assert!(a > 0.0 && (a / b - 1.0).abs() < 1e-4);
+    assert_eq!(approach(&[("adhesion", 0.6), ("particle_adhesion_scale", 0.0)], 0.02), 0.0);
+}
+
+#[test]
+fn the_adhesion_offset_scale_sets_the_gap_over_which_attraction_acts() {
+    assert_eq!(approach(&[("cohesion", 1.0), ("adhesion_offset_scale", 0.0)], 0.07), 0.0);
+    assert!(approach(&[("cohesion", 1.0), ("adhesion_offset_scale", 0.000_05)], 0.07) > 0.0);
+}
+
+/// Whether a grain placed under a plate hangs there for half a second.
+fn hangs(changes: &[(&str, f64)]) -> bool {
+    let law = law(changes);
+    let mut one = grains(&[vector(0.0, 0.0, -0.5)]);
+    (0..4000).for_each(|_| one.substep(&law, down(&law), &Plate { radius: 5.0 }));
+    one.x[0][2] > -0.6
+}
+
+#[test]
+fn a_grain_hangs_from_a_wall_exactly_when_adhesion_exceeds_its_weight() {
+    // Bo_w = adhesion (d_ref / d)^2 against gravity_scale.
+    assert!(hangs(&[("adhesion", 1.05)]) && !hangs(&[("adhesion", 0.95)]));
+    assert!(hangs(&[("adhesion", 0.55), ("gravity_scale", 0.5)]) && !hangs(&[("adhesion", 0.45), ("gravity_scale", 0.5)]));
+}
+
+#[test]
+fn smaller_grains_stick_more() {
+    // (0.27 / 0.22)^2 = 1.51 and (0.27 / 0.32)^2 = 0.71.
+    assert!(hangs(&[("adhesion", 0.7), ("particle_diameter_mm", 0.22)]));
+    assert!(!hangs(&[("adhesion", 1.3), ("particle_diameter_mm", 0.32)]));
+}
+
+#[test]
+fn mass_converts_counts_to_milligrams_and_does_nothing_else() {
+    let settings = repose::Settings { particles: 300, base_radius_diameters: 4.0, ..Default::default() };
+    let heap = |mass| repose(&set(&[("particle_mass_ug", mass)]), &settings, 5).unwrap();
+    assert_eq!(heap(13.0), heap(16.5));
+    let spoon = dispense::Settings { particles: 200, ..Default::default() };
+    let filled = |mass| Dispenser::new(&set(&[("particle_mass_ug", mass)]), &spoon, 5).spoon_mg();
+    assert!((filled(13.0) - 2.6).abs() < 1e-9 && (filled(16.5) - 3.3).abs() < 1e-9);
+}
+
+#[test]
+fn friction_makes_a_heap_steeper() {
+    let settings = repose::Settings { particles: 600, base_radius_diameters: 6.0, ..Default::default() };
+    let mean = |friction| {
+        (1..=4).map(|seed| repose(&set(&[("friction", friction)]), &settings, seed).unwrap().tip_deg).sum::<f64>() / 4.0
+    };
+    assert!(mean(1.3) > mean(0.0) + 10.0);
+}
+
+/// Displacement down a wall inclined by `degrees` in 0.05 s after a rest of 0.01 s on the level, in diameters.
+fn slide(degrees: f64) -> f32 {
+    let law = law(&[]);
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    let incline = Incline { normal: vector(0.0, 0.0, 1.0) };
+    let mut one = grains(&[vector(0.0, 0.0, 0.5)]);
+    (0..80).for_each(|_| one.substep(&law, down(&law), &incline));
+    let tilted = vector(law.gravity * sin as f32, 0.0, -law.gravity * cos as f32);
+    (0..400).for_each(|_| one.substep(&law, tilted, &incline));
+    one.x[0][0]
+}
+
+#[test]
+fn a_grain_slides_down_an_incline_above_atan_mu_and_with_coulombs_acceleration() {
+    // mu = 0.4 at the wall: atan 0.4 = 21.80 deg.
+    assert!(slide(21.6) < 0.01 && slide(22.0) > 0.01);
+    let degrees = 30.0f64.to_radians();
+    let acceleration = law::GRAVITY * (degrees.sin() - 0.4 * degrees.cos());
+    let expected = 0.5 * acceleration * 0.05f64.powi(2) / 0.27e-3;
+    assert!((f64::from(slide(30.0)) / expected - 1.0).abs() < 0.02, "{} against {expected}", slide(30.0));
+}
+
+#[test]
+fn a_collision_keeps_momentum() {
+    let law = law(&[("cohesion", 0.5), ("friction", 1.0)]);
+    let mut cluster = Grains::default();
+    for (x, v) in [([0.0, 0.0, 0.0], 0.02), ([1.3, 0.3, 0.0], -0.05), ([0.4, 1.2, 0.2], 0.01), ([0.6, -1.1, 0.4], 0.03)] {
+        cluster.pour(vector(x[0], x[1], x[2]), vector(v, -v, 0.5 * v));
+    }
+    let momentum = |g: &Grains| g.v.iter().fold([0.0; 4], |sum, v| add(sum, *v));
+    let before = momentum(&cluster);
+    (0..400).for_each(|_| cluster.substep(&law, [0.0; 4], &Nowhere));
+    let change = sub(momentum(&cluster), before);
+    // Four grains at speeds near 0.05: single precision keeps the sum to 1e-6 of that.
+    assert!(dot(change, change).sqrt() < 1e-6, "{change:?}");
+}
+
+#[test]
+fn a_dropped_grain_does_not_bounce() {
+    let law = law(&[]);
+    let mut one = grains(&[vector(0.0, 0.0, 5.5)]);
+    let mut lowest = f32::MAX;
+    let mut rebound = 0.0f32;
+    for _ in 0..2000 {
+        one.substep(&law, down(&law), &Plate { radius: 5.0 });
+        lowest = lowest.min(one.x[0][2]);
+        if lowest < 0.5 {
+            rebound = rebound.max(one.x[0][2] - 0.5);
+        }
+    }
+    // 5 diameters high; what comes back is below 1 % of the height.
+    assert!(rebound < 0.05, "rebound {rebound}");
+}
+
+#[test]
+fn a_heap_rests_without_creep() {
+    let heap = repose(&set(&[("friction", 0.8)]), &repose::Settings::default(), 3).unwrap();
+    assert!(heap.creep_deg_per_s.abs() < 0.2, "{heap:?}");
+    assert!(heap.speed_rms_mm_s < 0.5 && heap.overlap_mean < 0.02, "{heap:?}");
+}
+
+#[test]
+fn a_level_spoon_keeps_its_powder_and_a_steep_shaken_one_gives_it_up() {
+    let settings = dispense::Settings { particles: 900, semi_axes_mm: [3.4, 2.4, 1.4], ..Default::default() };
+    let full = Dispenser::new(&set(&[("friction", 0.6)]), &settings, 2);
+    let total = full.spoon_mg();
+    let mut level = full.clone();
+    assert_eq!(level.step(Action::default()), dispense::Poured::default());
+    let mut steep = full.clone();
+    let mut poured = 0.0;
+    for _ in 0..6 {
+        poured += steep.step(Action { incline_change_deg: 8.0, shake_mm: 8.0 }).vial_mg;
+    }
+    assert!(poured > 0.3 * total, "{poured} of {total}");
+    let accounted = steep.vial_mg() + steep.spilled_mg() + steep.spoon_mg();
+    assert!((accounted - total).abs() < 1e-6, "{accounted} of {total}");
+    assert_eq!(steep.fault(), None);
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_on_any_thread() {
+    let settings = repose::Settings { particles: 300, base_radius_diameters: 4.0, ..Default::default() };
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            use rayon::prelude::*;
+            (0..6u64).into_par_iter().map(|seed| format!("{:?}", repose(&set(&[]), &settings, seed))).collect::<Vec<_>>()
+        })
+    };
+    assert_eq!(run(1), run(2));
+}
