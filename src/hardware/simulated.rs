@@ -1,0 +1,87 @@
+//! The digital bench: the simulator's spoon over the simulated balance.
+
+use super::{Bench, DeviceError};
+use crate::domain::bench::{Action, Reading};
+use crate::domain::parameters::ParameterSet;
+use crate::domain::seed::derive;
+use crate::sim::balance;
+use crate::sim::dispense::{self, Dispenser, Poured};
+
+/// A bench whose powder is the simulator.
+#[derive(Debug, Clone)]
+pub struct SimulatedBench {
+    spoon: Dispenser,
+    balance: balance::Settings,
+    noise: u64,
+    readings: u64,
+    /// True mass at the last reading, mg.
+    read_at_mg: f64,
+    tare_mg: f64,
+    elapsed_s: f64,
+}
+
+impl SimulatedBench {
+    /// A bench with a freshly filled level spoon (about half a second of CPU).
+    pub fn new(set: &ParameterSet, spoon: &dispense::Settings, balance: &balance::Settings, seed: u64) -> Self {
+        Self::with_spoon(Dispenser::new(set, spoon, derive(seed, &[0])), balance, seed)
+    }
+
+    /// A bench with this spoon.
+    pub fn with_spoon(spoon: Dispenser, balance: &balance::Settings, seed: u64) -> Self {
+        let read_at_mg = spoon.vial_mg();
+        let noise = derive(seed, &[1]);
+        Self { spoon, balance: *balance, noise, readings: 0, read_at_mg, tare_mg: 0.0, elapsed_s: 0.0 }
+    }
+
+    /// True mass in the vial, mg: what no balance shows.
+    pub fn vial_mg(&self) -> f64 {
+        self.spoon.vial_mg()
+    }
+
+    /// Powder that missed the vial, mg.
+    pub fn spilled_mg(&self) -> f64 {
+        self.spoon.spilled_mg()
+    }
+
+    fn after(&mut self, poured: Poured) -> Result<(), DeviceError> {
+        self.elapsed_s += poured.duration_s;
+        match self.spoon.fault() {
+            Some(cause) => Err(DeviceError::Faulted { device: "the simulated spoon", cause: cause.to_owned() }),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Bench for SimulatedBench {
+    fn tare(&mut self) -> Result<(), DeviceError> {
+        self.tare_mg = self.spoon.vial_mg();
+        Ok(())
+    }
+
+    fn read(&mut self) -> Result<Reading, DeviceError> {
+        let net_mg = self.spoon.vial_mg() - self.tare_mg;
+        let reading = self.balance.read(self.read_at_mg, net_mg, self.noise, self.readings);
+        self.readings += 1;
+        self.read_at_mg = net_mg;
+        self.elapsed_s += self.balance.wait_s;
+        Ok(reading)
+    }
+
+    fn act(&mut self, action: Action) -> Result<(), DeviceError> {
+        let poured = self.spoon.step(action);
+        self.after(poured)
+    }
+
+    fn level(&mut self) -> Result<(), DeviceError> {
+        let poured = self.spoon.level();
+        self.after(poured)
+    }
+
+    fn pitch_deg(&self) -> f64 {
+        self.spoon.pitch_deg()
+    }
+
+    fn elapsed_s(&self) -> f64 {
+        self.elapsed_s
+    }
+}
