@@ -37,7 +37,7 @@ pub struct Order {
 pub struct Weighed {
     /// Within, under or over by the last reading; or why it ended early.
     pub outcome: Outcome,
-    /// Last reading, mg.
+    /// Last reading that was a number, mg.
     pub reading_mg: f64,
     /// Steps with a shake.
     pub shakes: u32,
@@ -84,7 +84,8 @@ pub fn weigh(
     if let Err(fault) = bench.level() {
         end = End::Aborted(format!("the spoon could not be levelled, look at the bench: {fault}"));
     }
-    let reading_mg = ticks.last().map_or(0.0, |tick| tick.reading.mass_mg);
+    let readings = ticks.iter().map(|tick| tick.reading.mass_mg);
+    let reading_mg = readings.filter(|mass| mass.is_finite()).next_back().unwrap_or(0.0);
     let (outcome, cause) = match end {
         End::Course => (judge(order, reading_mg), None),
         End::Stopped => (Outcome::Stopped, None),

@@ -137,7 +137,7 @@ fn every_fault_aborts_names_its_cause_and_levels_the_spoon() {
         let weighed = weigh_on(&mut bench, &Rules::FLIP);
         assert_eq!(weighed.outcome, Outcome::Aborted, "{fault:?}");
         assert!(weighed.cause.as_deref().is_some_and(|cause| cause.len() > 10), "{fault:?}");
-        assert!(bench.levelled, "{fault:?}");
+        assert!(bench.levelled && weighed.reading_mg.is_finite(), "{fault:?}");
     }
 }
 
