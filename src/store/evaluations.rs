@@ -1,6 +1,10 @@
 //! Results of evaluations.
 
+use super::row::{Columns, json};
+use super::{Result, Store, Tx};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
 
 /// Errors of one controller in one cell of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -15,7 +19,7 @@ pub struct EvaluationRow {
     pub n: u32,
     /// Mean absolute error, mg.
     pub mae_mg: f64,
-    /// Standard deviation of the signed error, mg.
+    /// Standard deviation of the absolute error, mg.
     pub sd_mg: f64,
     /// Mean signed error, mg; positive is too much.
     pub bias_mg: f64,
@@ -40,4 +44,44 @@ pub struct EvaluationSummary {
     pub sd_trials_mg: f64,
     /// Standard deviation within cells, pooled, mg.
     pub sd_within_cells_mg: f64,
+}
+
+impl Store {
+    /// The doses of an evaluation that are stored already, by key.
+    pub(crate) async fn doses<T: DeserializeOwned>(&self, evaluation: &str) -> Result<HashMap<String, T>> {
+        let rows = sqlx::query("SELECT key, body FROM dose WHERE job = ?1").bind(evaluation).fetch_all(&self.reader);
+        rows.await?.iter().map(|row| Ok((row.plain("key")?, row.json("body")?))).collect()
+    }
+}
+
+impl Tx {
+    /// Store a dose. The key refuses one that is already stored.
+    pub(crate) async fn insert_dose(&mut self, evaluation: &str, key: &str, dose: &impl Serialize) -> Result<()> {
+        let sql = "INSERT INTO dose (job, key, body) VALUES (?1, ?2, ?3)";
+        sqlx::query(sql).bind(evaluation).bind(key).bind(json(dose)?).execute(&mut *self.inner).await?;
+        Ok(())
+    }
+
+    /// Store a row of an evaluation. `policy` is the one the row is about; none for simple controllers.
+    pub(crate) async fn insert_evaluation_row(
+        &mut self,
+        evaluation: &str,
+        position: u32,
+        policy: Option<&str>,
+        row: &EvaluationRow,
+    ) -> Result<()> {
+        let sql = "INSERT INTO evaluation_row (evaluation, position, policy, powder, n, mae_mg, body) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
+        sqlx::query(sql)
+            .bind(evaluation)
+            .bind(position)
+            .bind(policy)
+            .bind(&row.powder)
+            .bind(row.n)
+            .bind(row.mae_mg)
+            .bind(json(row)?)
+            .execute(&mut *self.inner)
+            .await?;
+        Ok(())
+    }
 }

@@ -1,12 +1,155 @@
 //! The only SQL and the only files: one SQLite database and a folder of content-addressed artifacts.
+//!
+//! One connection writes and four read. A transaction that writes begins with `BEGIN IMMEDIATE`: a deferred one that
+//! read first and writes later can fail with a snapshot conflict that the busy time-out does not wait for.
 
+pub mod artifacts;
 pub mod evaluations;
 pub mod events;
 pub mod jobs;
+pub mod ledger;
+mod lock;
+mod open;
 pub mod page;
 pub mod parameter_sets;
 pub mod policies;
 pub mod powders;
+mod row;
 pub mod tokens;
 pub mod trials;
 pub mod weighings;
+
+use crate::domain::timestamp::Timestamp;
+use artifacts::Artifacts;
+use lock::DataLock;
+use sqlx::{Sqlite, SqliteConnection, SqlitePool, Transaction};
+use std::path::PathBuf;
+use std::sync::Arc;
+use tokio::sync::watch;
+
+/// Why the store did not do what it was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// Another process holds the data folder.
+    #[error("flip serve holds this database ({0}): stop it, or ask it through its API")]
+    Held(PathBuf),
+    /// The writer's fence is not the row's any more: somebody else has the job, or it has ended.
+    #[error("the job has been taken over or has ended")]
+    Fenced,
+    /// Opened to read only.
+    #[error("the database was opened to read only")]
+    ReadOnly,
+    /// The SQLite in this program is older than the one that fixed the reset of the write-ahead log.
+    #[error("SQLite {0} is too old: 3.51.3 or newer is needed")]
+    Old(String),
+    /// What was read is not what was written.
+    #[error("{0}")]
+    Corrupt(String),
+    /// The database says no.
+    #[error(transparent)]
+    Database(#[from] sqlx::Error),
+    /// The file system says no.
+    #[error("{path}: {source}")]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+}
+
+impl Error {
+    /// The store has been closed.
+    pub fn is_closed(&self) -> bool {
+        matches!(self, Self::Database(sqlx::Error::PoolClosed))
+    }
+}
+
+/// What every function of the store returns.
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// One opened data folder. Cheap to clone.
+#[derive(Clone, Debug)]
+pub struct Store {
+    reader: SqlitePool,
+    /// `None` when opened to read only.
+    writer: Option<SqlitePool>,
+    artifacts: Artifacts,
+    /// Number of the newest event that is committed.
+    newest_event: watch::Sender<i64>,
+    /// Held until the last clone is gone.
+    _lock: Option<Arc<DataLock>>,
+}
+
+impl Store {
+    /// Begin a transaction that writes.
+    ///
+    /// # Errors
+    /// [`Error::ReadOnly`]; [`Error::Database`] when the write lock is not free within the time-outs.
+    pub async fn write(&self) -> Result<Tx> {
+        let inner = self.writer()?.begin_with("BEGIN IMMEDIATE").await?;
+        Ok(Tx { inner, newest_event: None, announce: self.newest_event.clone() })
+    }
+
+    /// The connection that writes, for the queue library, which brings its own statements.
+    ///
+    /// # Errors
+    /// [`Error::ReadOnly`].
+    pub(crate) fn writer(&self) -> Result<&SqlitePool> {
+        self.writer.as_ref().ok_or(Error::ReadOnly)
+    }
+
+    /// Artifacts: checkpoints and traces.
+    pub fn artifacts(&self) -> &Artifacts {
+        &self.artifacts
+    }
+
+    /// Move the write-ahead log into the database and close every connection.
+    pub async fn close(&self) {
+        if let Some(writer) = &self.writer {
+            if let Err(error) = sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(writer).await {
+                tracing::warn!(%error, "the write-ahead log was not checkpointed; SQLite does it at the next start");
+            }
+            writer.close().await;
+        }
+        self.reader.close().await;
+    }
+}
+
+/// A transaction that writes. Dropping it undoes everything.
+#[derive(Debug)]
+pub struct Tx {
+    inner: Transaction<'static, Sqlite>,
+    newest_event: Option<i64>,
+    announce: watch::Sender<i64>,
+}
+
+impl Tx {
+    /// Make it durable, then wake whoever follows events.
+    ///
+    /// # Errors
+    /// [`Error::Database`]: nothing was written.
+    pub async fn commit(self) -> Result<()> {
+        self.inner.commit().await?;
+        if let Some(seq) = self.newest_event {
+            self.announce.send_if_modified(|newest| std::mem::replace(newest, seq.max(*newest)) < seq);
+        }
+        Ok(())
+    }
+
+    /// The connection, for the queue library.
+    pub(crate) fn connection(&mut self) -> &mut SqliteConnection {
+        &mut self.inner
+    }
+}
+
+/// The wall clock.
+pub fn now() -> Timestamp {
+    let since_1970 = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+    Timestamp::from_unix_ms(since_1970.as_millis() as i64)
+}
+
+/// A new id: 48 bits of time, then randomness, so that ids sort by age.
+pub fn new_id() -> String {
+    uuid::Uuid::now_v7().to_string()
+}

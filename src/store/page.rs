@@ -1,9 +1,12 @@
 //! Keyset paging: a list continues after the row that the last page ended with.
 
+use super::Result;
+use super::row::Columns;
 use crate::domain::FieldError;
 use base64::Engine as _;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use serde::{Deserialize, Serialize};
+use sqlx::sqlite::SqliteRow;
 
 /// Most items on a page of a list.
 pub const LIST_LIMIT_MAX: u32 = 200;
@@ -49,7 +52,7 @@ impl PageQuery {
     ///
     /// # Errors
     /// `limit` outside 1..=`limit_max`, or an `after` that no page has returned.
-    pub(crate) fn window(&self, limit_max: u32) -> Result<Window, FieldError> {
+    pub(crate) fn window(&self, limit_max: u32) -> std::result::Result<Window, FieldError> {
         let limit = self.limit.unwrap_or(LIMIT_DEFAULT.min(limit_max));
         if !(1..=limit_max).contains(&limit) {
             return Err(FieldError::new("limit", format!("must be from 1 to {limit_max}, got {limit}")));
@@ -75,6 +78,12 @@ impl Window {
         i64::from(self.limit) + 1
     }
 
+    /// The page made of up to [`Window::rows`] rows that have a `seq`.
+    pub(super) fn page_of<T>(&self, rows: &[SqliteRow], item: impl Fn(&SqliteRow) -> Result<T>) -> Result<Page<T>> {
+        let numbered: Result<Vec<_>> = rows.iter().map(|row| Ok((row.plain("seq")?, item(row)?))).collect();
+        Ok(self.page(numbered?))
+    }
+
     /// The page made of up to [`Window::rows`] numbered items.
     pub(crate) fn page<T>(&self, mut rows: Vec<(i64, T)>) -> Page<T> {
         let more = rows.len() > self.limit as usize;
@@ -88,7 +97,7 @@ fn encode(seq: i64) -> String {
     URL_SAFE_NO_PAD.encode(seq.to_be_bytes())
 }
 
-fn decode(cursor: &str) -> Result<i64, FieldError> {
+fn decode(cursor: &str) -> std::result::Result<i64, FieldError> {
     let bytes = URL_SAFE_NO_PAD.decode(cursor).ok().and_then(|b| <[u8; 8]>::try_from(b).ok());
     bytes.map(i64::from_be_bytes).ok_or_else(|| {
         FieldError::new("after", "is not a cursor of this list: pass `next` of the page before as it is, or leave it out")

@@ -1,8 +1,12 @@
 //! Calibrated parameter sets.
 
+use super::page::{Page, Window};
+use super::row::{Columns, json};
+use super::{Result, Store, Tx, now};
 use crate::domain::parameters::ParameterSet;
 use crate::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
+use sqlx::sqlite::SqliteRow;
 
 /// A parameter set that a calibration kept: the simulated twin of a powder. Never changes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -17,12 +21,97 @@ pub struct CalibratedSet {
     pub parameters: ParameterSet,
     /// Mean simulated angle of repose over its runs, degrees.
     pub repose_deg: f64,
-    /// Standard deviation over its runs, degrees.
-    pub repose_sd_deg: f64,
+    /// Standard deviation over its runs, degrees; absent for a single run.
+    pub repose_sd_deg: Option<f64>,
     /// Simulations behind the mean.
     pub runs: u32,
     /// Simulated minus measured angle, absolute, degrees.
     pub error_deg: f64,
     /// When it was stored.
     pub created_at: Timestamp,
+}
+
+/// What a calibration hands over to be stored.
+#[derive(Debug, Clone)]
+pub(crate) struct NewSet {
+    pub parameters: ParameterSet,
+    pub repose_deg: f64,
+    pub repose_sd_deg: Option<f64>,
+    pub runs: u32,
+    pub error_deg: f64,
+}
+
+impl Store {
+    /// Calibrated sets, newest first; of one powder when named.
+    pub(crate) async fn parameter_sets(&self, powder: Option<&str>, window: Window) -> Result<Page<CalibratedSet>> {
+        let query = match powder {
+            Some(powder) => {
+                let sql = "SELECT * FROM parameter_set WHERE powder = ?3 AND seq < ?1 ORDER BY seq DESC LIMIT ?2";
+                sqlx::query(sql).bind(window.before()).bind(window.rows()).bind(powder)
+            }
+            None => {
+                let sql = "SELECT * FROM parameter_set WHERE seq < ?1 ORDER BY seq DESC LIMIT ?2";
+                sqlx::query(sql).bind(window.before()).bind(window.rows())
+            }
+        };
+        window.page_of(&query.fetch_all(&self.reader).await?, calibrated_set)
+    }
+
+    /// One calibrated set.
+    pub(crate) async fn parameter_set(&self, id: &str) -> Result<Option<CalibratedSet>> {
+        let row = sqlx::query("SELECT * FROM parameter_set WHERE id = ?1").bind(id).fetch_optional(&self.reader).await?;
+        row.as_ref().map(calibrated_set).transpose()
+    }
+
+    /// The sets that a calibration kept, in its order.
+    pub(crate) async fn sets_of_calibration(&self, calibration: &str) -> Result<Vec<CalibratedSet>> {
+        let sql = "SELECT p.* FROM calibration_set c JOIN parameter_set p ON p.id = c.parameter_set \
+                   WHERE c.calibration = ?1 ORDER BY c.position";
+        sqlx::query(sql).bind(calibration).fetch_all(&self.reader).await?.iter().map(calibrated_set).collect()
+    }
+}
+
+impl Tx {
+    /// Store the set that a calibration kept at `position`. Another calibration may have found the same values before.
+    pub(crate) async fn insert_parameter_set(
+        &mut self,
+        calibration: &str,
+        powder: Option<&str>,
+        position: u32,
+        set: &NewSet,
+    ) -> Result<()> {
+        let id = set.parameters.id();
+        let sql = "INSERT INTO parameter_set \
+                   (id, powder, calibration, parameters, repose_deg, repose_sd_deg, runs, error_deg, created_at) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9) ON CONFLICT (id) DO NOTHING";
+        sqlx::query(sql)
+            .bind(&id)
+            .bind(powder)
+            .bind(calibration)
+            .bind(json(&set.parameters)?)
+            .bind(set.repose_deg)
+            .bind(set.repose_sd_deg)
+            .bind(set.runs)
+            .bind(set.error_deg)
+            .bind(now().unix_ms())
+            .execute(&mut *self.inner)
+            .await?;
+        let sql = "INSERT INTO calibration_set (calibration, position, parameter_set) VALUES (?1, ?2, ?3)";
+        sqlx::query(sql).bind(calibration).bind(position).bind(&id).execute(&mut *self.inner).await?;
+        Ok(())
+    }
+}
+
+fn calibrated_set(row: &SqliteRow) -> Result<CalibratedSet> {
+    Ok(CalibratedSet {
+        id: row.plain("id")?,
+        powder: row.plain("powder")?,
+        calibration: row.plain("calibration")?,
+        parameters: row.json("parameters")?,
+        repose_deg: row.plain("repose_deg")?,
+        repose_sd_deg: row.plain("repose_sd_deg")?,
+        runs: row.count("runs")?,
+        error_deg: row.plain("error_deg")?,
+        created_at: row.time("created_at")?,
+    })
 }

@@ -1,8 +1,12 @@
 //! Powders and their measurements.
 
-use crate::domain::powder::{Flowability, Method};
+use super::page::{Page, Window};
+use super::row::{Columns, word};
+use super::{Result, Store, Tx, new_id, now};
+use crate::domain::powder::{Flowability, Method, PUBLISHED, PUBLISHED_SOURCE};
 use crate::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
+use sqlx::sqlite::SqliteRow;
 
 /// A real powder.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -36,4 +40,108 @@ pub struct Measurement {
     pub source: String,
     /// When it was registered.
     pub created_at: Timestamp,
+}
+
+impl Store {
+    /// Powders, oldest first.
+    pub(crate) async fn powders(&self, window: Window) -> Result<Page<Powder>> {
+        let rows = sqlx::query("SELECT * FROM powder_now WHERE seq > ?1 ORDER BY seq LIMIT ?2")
+            .bind(window.after())
+            .bind(window.rows())
+            .fetch_all(&self.reader)
+            .await?;
+        window.page_of(&rows, powder)
+    }
+
+    /// One powder.
+    pub(crate) async fn powder(&self, id: &str) -> Result<Option<Powder>> {
+        let row = sqlx::query("SELECT * FROM powder_now WHERE id = ?1").bind(id).fetch_optional(&self.reader).await?;
+        row.as_ref().map(powder).transpose()
+    }
+
+    /// Measurements of a powder, oldest first.
+    pub(crate) async fn measurements(&self, powder: &str, window: Window) -> Result<Page<Measurement>> {
+        let rows = sqlx::query("SELECT * FROM measurement WHERE powder = ?1 AND seq > ?2 ORDER BY seq LIMIT ?3")
+            .bind(powder)
+            .bind(window.after())
+            .bind(window.rows())
+            .fetch_all(&self.reader)
+            .await?;
+        window.page_of(&rows, measurement)
+    }
+
+    /// Register the published powders, once: what a user has removed or renamed later is left alone.
+    pub(super) async fn seed_published_powders(&self) -> Result<()> {
+        let mut tx = self.write().await?;
+        let seeded: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM powder)").fetch_one(&mut *tx.inner).await?;
+        if seeded {
+            return Ok(());
+        }
+        for row in PUBLISHED {
+            tx.insert_powder(row.id, row.name).await?;
+            for (method, flowability) in [(Method::Automated, row.automated), (Method::Manual, row.manual)] {
+                tx.insert_measurement(row.id, method, flowability, PUBLISHED_SOURCE).await?;
+            }
+        }
+        tx.commit().await
+    }
+}
+
+impl Tx {
+    /// Add a powder; `false` when the id is taken.
+    pub(crate) async fn insert_powder(&mut self, id: &str, name: &str) -> Result<bool> {
+        let sql = "INSERT INTO powder (id, name, created_at) VALUES (?1, ?2, ?3) ON CONFLICT (id) DO NOTHING";
+        let done = sqlx::query(sql).bind(id).bind(name).bind(now().unix_ms()).execute(&mut *self.inner).await?;
+        Ok(done.rows_affected() == 1)
+    }
+
+    /// Add a measurement of an existing powder.
+    pub(crate) async fn insert_measurement(
+        &mut self,
+        powder: &str,
+        method: Method,
+        flowability: Flowability,
+        source: &str,
+    ) -> Result<Measurement> {
+        let sql = "INSERT INTO measurement (id, powder, method, repose_deg, sd_deg, n, source, created_at) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8) RETURNING *";
+        let row = sqlx::query(sql)
+            .bind(new_id())
+            .bind(powder)
+            .bind(word(&method))
+            .bind(flowability.repose_deg)
+            .bind(flowability.sd_deg)
+            .bind(flowability.n)
+            .bind(source)
+            .bind(now().unix_ms())
+            .fetch_one(&mut *self.inner)
+            .await?;
+        measurement(&row)
+    }
+}
+
+fn powder(row: &SqliteRow) -> Result<Powder> {
+    let flowability = match row.plain::<Option<f64>>("repose_deg")? {
+        Some(repose_deg) => Some(Flowability { repose_deg, sd_deg: row.plain("sd_deg")?, n: row.count("n")? }),
+        None => None,
+    };
+    Ok(Powder {
+        id: row.plain("id")?,
+        name: row.plain("name")?,
+        flowability,
+        created_at: row.time("created_at")?,
+    })
+}
+
+fn measurement(row: &SqliteRow) -> Result<Measurement> {
+    Ok(Measurement {
+        id: row.plain("id")?,
+        powder: row.plain("powder")?,
+        method: row.word("method")?,
+        repose_deg: row.plain("repose_deg")?,
+        sd_deg: row.plain("sd_deg")?,
+        n: row.count("n")?,
+        source: row.plain("source")?,
+        created_at: row.time("created_at")?,
+    })
 }

@@ -1,6 +1,10 @@
 //! The trials of calibrations and the episodes of trainings: series that grow while their job runs.
 
+use super::page::{Page, Window};
+use super::row::{Columns, json};
+use super::{Result, Store, Tx};
 use crate::domain::parameters::ParameterSet;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 /// Why a calibration simulated a heap.
@@ -20,6 +24,8 @@ pub struct Trial {
     pub index: u32,
     /// Why it was simulated.
     pub phase: TrialPhase,
+    /// Index of the search trial whose parameters these are; its own for a search trial.
+    pub candidate: u32,
     /// The nine values.
     pub parameters: ParameterSet,
     /// Seed of the simulation.
@@ -45,18 +51,64 @@ pub struct Episode {
     pub level: u32,
     /// Powder of the level.
     pub powder: String,
+    /// Id of the parameter set it was played on.
+    pub parameter_set: String,
     /// Target mass, mg.
     pub target_mg: f64,
+    /// True mass in the vial at the end, mg.
+    pub dispensed_mg: f64,
     /// Absolute difference between target and true mass at the end, mg.
     pub final_error_mg: f64,
     /// Sum of rewards.
     pub reward: f64,
     /// Steps taken.
     pub steps: u32,
-    /// Entropy temperature after the episode.
+    /// Entropy temperature; absent, like the losses, before the first update.
     pub alpha: Option<f64>,
-    /// Mean critic loss over the episode's updates.
+    /// Mean critic loss over the updates that followed its round.
     pub critic_loss: Option<f64>,
-    /// Mean actor loss over the episode's updates.
+    /// Mean actor loss over the updates that followed its round.
     pub actor_loss: Option<f64>,
+}
+
+impl Store {
+    /// Trials of a calibration, in order.
+    pub(crate) async fn trials(&self, job: &str, window: Window) -> Result<Page<Trial>> {
+        let sql = "SELECT position AS seq, body FROM trial WHERE job = ?1 AND position > ?2 ORDER BY position LIMIT ?3";
+        self.series(sql, job, window).await
+    }
+
+    /// Every trial of a calibration, in order: the history to resume from.
+    pub(crate) async fn all_trials(&self, job: &str) -> Result<Vec<Trial>> {
+        let rows = sqlx::query("SELECT body FROM trial WHERE job = ?1 ORDER BY position").bind(job);
+        rows.fetch_all(&self.reader).await?.iter().map(|row| row.json("body")).collect()
+    }
+
+    /// Episodes of a training, in order.
+    pub(crate) async fn episodes(&self, job: &str, window: Window) -> Result<Page<Episode>> {
+        let sql = "SELECT position AS seq, body FROM episode WHERE job = ?1 AND position > ?2 ORDER BY position LIMIT ?3";
+        self.series(sql, job, window).await
+    }
+
+    async fn series<T: DeserializeOwned>(&self, sql: &'static str, job: &str, window: Window) -> Result<Page<T>> {
+        let rows = sqlx::query(sql).bind(job).bind(window.after()).bind(window.rows()).fetch_all(&self.reader).await?;
+        window.page_of(&rows, |row| row.json("body"))
+    }
+}
+
+impl Tx {
+    /// Append a trial. The key refuses one that is already stored.
+    pub(crate) async fn insert_trial(&mut self, job: &str, trial: &Trial) -> Result<()> {
+        let sql = "INSERT INTO trial (job, position, body) VALUES (?1, ?2, ?3)";
+        sqlx::query(sql).bind(job).bind(trial.index).bind(json(trial)?).execute(&mut *self.inner).await?;
+        Ok(())
+    }
+
+    /// Append an episode; `false` when it is stored already, as those after the last checkpoint are when a training
+    /// resumes and plays them again.
+    pub(crate) async fn insert_episode(&mut self, job: &str, episode: &Episode) -> Result<bool> {
+        let sql = "INSERT INTO episode (job, position, body) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING";
+        let done = sqlx::query(sql).bind(job).bind(episode.index).bind(json(episode)?).execute(&mut *self.inner).await?;
+        Ok(done.rows_affected() == 1)
+    }
 }

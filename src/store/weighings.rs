@@ -1,8 +1,13 @@
 //! Weighings: the intent is committed before any motion, the outcome after it; nothing is ever poured twice.
 
+use super::page::{Page, Window};
+use super::row::{Columns, word};
+use super::{Result, Store, Tx};
+use crate::domain::bench::Tick;
 use crate::domain::timestamp::Timestamp;
-use crate::domain::weighing::{Outcome, WeighingState};
+use crate::domain::weighing::{Outcome, WeighRequest, WeighingState};
 use serde::{Deserialize, Serialize};
+use sqlx::sqlite::SqliteRow;
 
 /// One dose: what was asked and how it ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -19,8 +24,9 @@ pub struct Weighing {
     pub tolerance_upper_mg: f64,
     /// Policy id.
     pub policy: String,
-    /// The simulated powder on the bench; chosen among the powder's sets that the policy was not trained on.
-    pub parameter_set: Option<String>,
+    /// The simulated powder on the bench: one of the powder's sets, and if there is one that the policy was not trained
+    /// on, then such a one.
+    pub parameter_set: String,
     /// Seed of the simulated bench.
     pub seed: u64,
     /// Where it stands.
@@ -45,4 +51,228 @@ pub struct Weighing {
     pub started_at: Option<Timestamp>,
     /// When it ended.
     pub finished_at: Option<Timestamp>,
+}
+
+/// A weighing with what callers do not see.
+#[derive(Debug, Clone)]
+pub(crate) struct WeighingRow {
+    pub weighing: Weighing,
+    pub request_sha256: Vec<u8>,
+    /// SHA-256 of the artifact that holds the ticks.
+    pub trace: Option<String>,
+}
+
+/// An intent to weigh, checked and with every choice made.
+#[derive(Debug, Clone)]
+pub(crate) struct Intent {
+    pub id: String,
+    pub idempotency_key: String,
+    pub request_sha256: Vec<u8>,
+    pub request: WeighRequest,
+    pub parameter_set: String,
+}
+
+/// How a weighing ended.
+#[derive(Debug, Clone)]
+pub(crate) struct Ending {
+    pub state: WeighingState,
+    pub outcome: Outcome,
+    pub dispensed_mg: Option<f64>,
+    pub reading_mg: Option<f64>,
+    pub error_mg: Option<f64>,
+    pub shakes: Option<u32>,
+    pub seconds: Option<f64>,
+    pub trace: Option<String>,
+    pub error: Option<String>,
+}
+
+impl Ending {
+    /// An end without any measurement.
+    pub(crate) fn bare(state: WeighingState, outcome: Outcome, error: impl Into<String>) -> Self {
+        let error = Some(error.into());
+        let (dispensed_mg, reading_mg, error_mg, shakes, seconds, trace) = (None, None, None, None, None, None);
+        Self { state, outcome, dispensed_mg, reading_mg, error_mg, shakes, seconds, trace, error }
+    }
+}
+
+/// Topic of a weighing's events.
+pub fn weighing_topic(id: &str) -> String {
+    format!("weighing:{id}")
+}
+
+impl Store {
+    /// Weighings, newest first.
+    pub(crate) async fn weighings(&self, window: Window) -> Result<Page<Weighing>> {
+        let rows = sqlx::query("SELECT * FROM weighing WHERE seq < ?1 ORDER BY seq DESC LIMIT ?2")
+            .bind(window.before())
+            .bind(window.rows())
+            .fetch_all(&self.reader)
+            .await?;
+        window.page_of(&rows, weighing)
+    }
+
+    /// One weighing.
+    pub(crate) async fn weighing(&self, id: &str) -> Result<Option<WeighingRow>> {
+        let row = sqlx::query("SELECT * FROM weighing WHERE id = ?1").bind(id).fetch_optional(&self.reader).await?;
+        row.as_ref().map(weighing_row).transpose()
+    }
+
+    /// The weighing that a key belongs to.
+    pub(crate) async fn weighing_by_key(&self, key: &str) -> Result<Option<WeighingRow>> {
+        let sql = "SELECT * FROM weighing WHERE idempotency_key = ?1";
+        let row = sqlx::query(sql).bind(key).fetch_optional(&self.reader).await?;
+        row.as_ref().map(weighing_row).transpose()
+    }
+
+    /// The ticks of a weighing that has no trace yet, from its events.
+    pub(crate) async fn live_ticks(&self, id: &str) -> Result<Vec<Tick>> {
+        let sql = "SELECT data FROM event WHERE topic = ?1 AND kind = 'tick' ORDER BY seq";
+        let rows = sqlx::query(sql).bind(weighing_topic(id)).fetch_all(&self.reader).await?;
+        rows.iter().map(|row| row.json("data")).collect()
+    }
+
+    /// Weighings that wait for the bench.
+    pub(crate) async fn planned_weighing(&self) -> Result<Option<Weighing>> {
+        let sql = "SELECT * FROM weighing WHERE state = 'planned' ORDER BY seq LIMIT 1";
+        sqlx::query(sql).fetch_optional(&self.reader).await?.as_ref().map(weighing).transpose()
+    }
+}
+
+impl Tx {
+    /// The weighing that a key belongs to, seen from inside the transaction.
+    pub(crate) async fn weighing_by_key(&mut self, key: &str) -> Result<Option<WeighingRow>> {
+        let sql = "SELECT * FROM weighing WHERE idempotency_key = ?1";
+        let row = sqlx::query(sql).bind(key).fetch_optional(&mut *self.inner).await?;
+        row.as_ref().map(weighing_row).transpose()
+    }
+
+    /// How many weighings wait for the bench.
+    pub(crate) async fn planned_weighings(&mut self) -> Result<i64> {
+        let sql = "SELECT count(*) FROM weighing WHERE state = 'planned'";
+        Ok(sqlx::query_scalar(sql).fetch_one(&mut *self.inner).await?)
+    }
+
+    /// Store an intent.
+    pub(crate) async fn insert_weighing(&mut self, intent: &Intent, now: Timestamp) -> Result<Weighing> {
+        let sql = "INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, \
+                   tolerance_upper_mg, policy, parameter_set, seed, state, created_at) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, 'planned', ?11) RETURNING *";
+        let request = &intent.request;
+        let row = sqlx::query(sql)
+            .bind(&intent.id)
+            .bind(&intent.idempotency_key)
+            .bind(&intent.request_sha256)
+            .bind(&request.powder)
+            .bind(request.target_mg)
+            .bind(request.tolerance_lower_mg)
+            .bind(request.tolerance_upper_mg)
+            .bind(&request.policy)
+            .bind(&intent.parameter_set)
+            .bind(request.seed.cast_signed())
+            .bind(now.unix_ms())
+            .fetch_one(&mut *self.inner)
+            .await?;
+        self.announce_weighing(&row).await
+    }
+
+    /// The bench is about to move for a weighing. `false`: it waits no longer (stopped before its turn).
+    pub(crate) async fn arm_weighing(&mut self, id: &str, now: Timestamp) -> Result<bool> {
+        let sql = "UPDATE weighing SET state = 'armed', started_at = ?2 WHERE id = ?1 AND state = 'planned' RETURNING *";
+        let row = sqlx::query(sql).bind(id).bind(now.unix_ms()).fetch_optional(&mut *self.inner).await?;
+        match row {
+            Some(row) => self.announce_weighing(&row).await.map(|_| true),
+            None => Ok(false),
+        }
+    }
+
+    /// A tick: powder may be falling from here on.
+    pub(crate) async fn insert_tick(&mut self, id: &str, tick: &Tick) -> Result<()> {
+        let sql = "UPDATE weighing SET state = 'dosing' WHERE id = ?1 AND state = 'armed' RETURNING *";
+        if let Some(row) = sqlx::query(sql).bind(id).fetch_optional(&mut *self.inner).await? {
+            self.announce_weighing(&row).await?;
+        }
+        self.emit(&weighing_topic(id), "tick", tick).await
+    }
+
+    /// A weighing that waits ends before its turn. `None`: it does not wait.
+    pub(crate) async fn end_planned_weighing(
+        &mut self,
+        id: &str,
+        ending: &Ending,
+        now: Timestamp,
+    ) -> Result<Option<Weighing>> {
+        let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE id = ?1 AND state = 'planned')";
+        let waits: bool = sqlx::query_scalar(sql).bind(id).fetch_one(&mut *self.inner).await?;
+        if waits { self.end_weighing(id, ending, now).await } else { Ok(None) }
+    }
+
+    /// The weighing has ended; only one that had not yet can.
+    pub(crate) async fn end_weighing(&mut self, id: &str, ending: &Ending, now: Timestamp) -> Result<Option<Weighing>> {
+        let sql = "UPDATE weighing SET state = ?2, outcome = ?3, dispensed_mg = ?4, reading_mg = ?5, error_mg = ?6, \
+                   shakes = ?7, seconds = ?8, trace = ?9, error = ?10, finished_at = ?11 \
+                   WHERE id = ?1 AND outcome IS NULL RETURNING *";
+        let row = sqlx::query(sql)
+            .bind(id)
+            .bind(word(&ending.state))
+            .bind(word(&ending.outcome))
+            .bind(ending.dispensed_mg)
+            .bind(ending.reading_mg)
+            .bind(ending.error_mg)
+            .bind(ending.shakes)
+            .bind(ending.seconds)
+            .bind(&ending.trace)
+            .bind(&ending.error)
+            .bind(now.unix_ms())
+            .fetch_optional(&mut *self.inner)
+            .await?;
+        match row {
+            Some(row) => self.announce_weighing(&row).await.map(Some),
+            None => Ok(None),
+        }
+    }
+
+    /// Weighings that were moving when the process ended: what lies in their vials nobody knows.
+    pub(crate) async fn interrupted_weighings(&mut self) -> Result<Vec<String>> {
+        let sql = "SELECT id FROM weighing WHERE state IN ('armed', 'dosing')";
+        Ok(sqlx::query_scalar(sql).fetch_all(&mut *self.inner).await?)
+    }
+
+    async fn announce_weighing(&mut self, row: &SqliteRow) -> Result<Weighing> {
+        let weighing = weighing(row)?;
+        self.emit(&weighing_topic(&weighing.id), "state", &weighing).await?;
+        Ok(weighing)
+    }
+}
+
+fn weighing_row(row: &SqliteRow) -> Result<WeighingRow> {
+    Ok(WeighingRow {
+        weighing: weighing(row)?,
+        request_sha256: row.plain("request_sha256")?,
+        trace: row.plain("trace")?,
+    })
+}
+
+fn weighing(row: &SqliteRow) -> Result<Weighing> {
+    let shakes: Option<i64> = row.plain("shakes")?;
+    Ok(Weighing {
+        id: row.plain("id")?,
+        powder: row.plain("powder")?,
+        target_mg: row.plain("target_mg")?,
+        tolerance_lower_mg: row.plain("tolerance_lower_mg")?,
+        tolerance_upper_mg: row.plain("tolerance_upper_mg")?,
+        policy: row.plain("policy")?,
+        parameter_set: row.plain("parameter_set")?,
+        seed: row.plain::<i64>("seed")?.cast_unsigned(),
+        state: row.word("state")?,
+        outcome: row.plain::<Option<String>>("outcome")?.is_some().then(|| row.word("outcome")).transpose()?,
+        dispensed_mg: row.plain("dispensed_mg")?,
+        reading_mg: row.plain("reading_mg")?,
+        error_mg: row.plain("error_mg")?,
+        shakes: shakes.and_then(|n| u32::try_from(n).ok()),
+        seconds: row.plain("seconds")?,
+        error: row.plain("error")?,
+        created_at: row.time("created_at")?,
+        started_at: row.maybe_time("started_at")?,
+        finished_at: row.maybe_time("finished_at")?,
+    })
 }

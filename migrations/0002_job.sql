@@ -1,0 +1,53 @@
+-- The ledger: the truth about every job. Whoever delivers jobs may lose or repeat a delivery without harm, because
+-- a worker must first claim the row, and every later write of that worker carries the fence it was given.
+CREATE TABLE job (
+    seq              INTEGER PRIMARY KEY,
+    id               TEXT NOT NULL UNIQUE,
+    kind             TEXT NOT NULL CHECK (kind IN ('calibration', 'training', 'evaluation')),
+    spec             TEXT NOT NULL CHECK (json_valid(spec)),
+    spec_sha256      BLOB NOT NULL CHECK (length(spec_sha256) = 32),
+    state            TEXT NOT NULL CHECK (state IN ('queued', 'running', 'succeeded', 'failed', 'cancelled')),
+    -- Grows by one with every claim; a writer with an older number is a zombie.
+    fence            INTEGER NOT NULL DEFAULT 0 CHECK (fence >= 0),
+    -- Claims in all, for people.
+    attempts         INTEGER NOT NULL DEFAULT 0 CHECK (attempts >= 0),
+    -- Claims since something was last saved: these are limited, so that a job which kills its process ends,
+    -- while one that only lives in an unlucky process goes on.
+    fruitless        INTEGER NOT NULL DEFAULT 0 CHECK (fruitless BETWEEN 0 AND fruitless_max),
+    fruitless_max    INTEGER NOT NULL DEFAULT 3 CHECK (fruitless_max >= 1),
+    owner            TEXT,
+    lease_until      INTEGER,
+    cancel_requested INTEGER NOT NULL DEFAULT 0 CHECK (cancel_requested IN (0, 1)),
+    fraction         REAL NOT NULL DEFAULT 0 CHECK (fraction BETWEEN 0 AND 1),
+    message          TEXT NOT NULL DEFAULT '',
+    -- SHA-256 of the artifact to resume from.
+    checkpoint       TEXT CHECK (length(checkpoint) = 64),
+    result           TEXT CHECK (json_valid(result)),
+    error            TEXT,
+    created_at       INTEGER NOT NULL CHECK (created_at >= 0),
+    started_at       INTEGER,
+    finished_at      INTEGER,
+    CHECK ((state = 'running') = (owner IS NOT NULL AND lease_until IS NOT NULL)),
+    CHECK ((state IN ('succeeded', 'failed', 'cancelled')) = (finished_at IS NOT NULL)),
+    CHECK ((state = 'succeeded') = (result IS NOT NULL))
+) STRICT;
+
+-- Asking for the same thing again finds the job that does it or has done it.
+CREATE UNIQUE INDEX job_by_spec ON job (spec_sha256) WHERE state NOT IN ('failed', 'cancelled');
+CREATE INDEX job_by_kind ON job (kind, seq);
+CREATE INDEX job_unfinished ON job (seq) WHERE state IN ('queued', 'running');
+
+-- Trials of calibrations and episodes of trainings. The key is what keeps any from being stored twice.
+CREATE TABLE trial (
+    job      TEXT NOT NULL REFERENCES job (id),
+    position INTEGER NOT NULL CHECK (position >= 0),
+    body     TEXT NOT NULL CHECK (json_valid(body)),
+    PRIMARY KEY (job, position)
+) STRICT, WITHOUT ROWID;
+
+CREATE TABLE episode (
+    job      TEXT NOT NULL REFERENCES job (id),
+    position INTEGER NOT NULL CHECK (position >= 0),
+    body     TEXT NOT NULL CHECK (json_valid(body)),
+    PRIMARY KEY (job, position)
+) STRICT, WITHOUT ROWID;

@@ -1,0 +1,129 @@
+//! Opening a data folder: lock, connect, check, migrate, seed.
+
+use super::artifacts::Artifacts;
+use super::lock::DataLock;
+use super::{Error, Result, Store};
+use sqlx::migrate::Migrator;
+use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
+use sqlx::{Row, SqlitePool};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// Name of the database in the data folder.
+const DATABASE: &str = "flip.db";
+/// How long a statement waits for another connection's lock.
+const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
+/// Connections that read.
+const READERS: u32 = 4;
+/// The first SQLite whose write-ahead log cannot be reset under a reader (3.7.0 to 3.51.2 can corrupt the file).
+const SQLITE_MIN: [u32; 3] = [3, 51, 3];
+
+impl Store {
+    /// Open a data folder for reading and writing; create, migrate and seed it when needed.
+    ///
+    /// # Errors
+    /// [`Error::Held`] while another process has it, [`Error::Old`], [`Error::Database`], [`Error::File`].
+    pub async fn open(data_dir: &Path) -> Result<Self> {
+        let failed = |source| Error::File { path: data_dir.to_owned(), source };
+        std::fs::create_dir_all(data_dir).map_err(failed)?;
+        let lock = DataLock::take(data_dir)?;
+        let options = connection(data_dir)
+            .create_if_missing(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            // A committed intent to weigh must survive a power cut.
+            .synchronous(SqliteSynchronous::Full)
+            .auto_vacuum(SqliteAutoVacuum::Incremental)
+            .pragma("journal_size_limit", "67108864");
+        let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options).await?;
+        check_version(&writer).await?;
+        migrations().run(&writer).await.map_err(sqlx::Error::from)?;
+        let store = Self::assemble(data_dir, Some(writer), Some(Arc::new(lock))).await?;
+        store.seed_published_powders().await?;
+        store.sweep_artifacts().await?;
+        Ok(store)
+    }
+
+    /// Open an existing data folder to read, also while another process writes.
+    ///
+    /// # Errors
+    /// [`Error::Database`] when there is none.
+    pub async fn open_to_read(data_dir: &Path) -> Result<Self> {
+        Self::assemble(data_dir, None, None).await
+    }
+
+    async fn assemble(data_dir: &Path, writer: Option<SqlitePool>, lock: Option<Arc<DataLock>>) -> Result<Self> {
+        let options = connection(data_dir).read_only(true);
+        let reader = SqlitePoolOptions::new().max_connections(READERS).connect_with(options).await?;
+        let newest: i64 = sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM event").fetch_one(&reader).await?;
+        let artifacts = Artifacts::in_folder(data_dir.join("blobs"));
+        Ok(Self { reader, writer, artifacts, newest_event: watch::Sender::new(newest), _lock: lock })
+    }
+}
+
+fn connection(data_dir: &Path) -> SqliteConnectOptions {
+    SqliteConnectOptions::new().filename(data_dir.join(DATABASE)).foreign_keys(true).busy_timeout(BUSY_TIMEOUT)
+}
+
+/// FLIP's migrations. The queue library keeps its own in the same table, so each ignores the other's.
+fn migrations() -> Migrator {
+    let mut migrations = sqlx::migrate!("./migrations");
+    migrations.set_ignore_missing(true);
+    migrations
+}
+
+async fn check_version(pool: &SqlitePool) -> Result<()> {
+    let version: String = sqlx::query("SELECT sqlite_version()").fetch_one(pool).await?.try_get(0)?;
+    match is_new_enough(&version) {
+        true => Ok(()),
+        false => Err(Error::Old(version)),
+    }
+}
+
+fn is_new_enough(version: &str) -> bool {
+    let mut parts = version.split('.').map(|part| part.parse::<u32>().unwrap_or(0));
+    let version: [u32; 3] = std::array::from_fn(|_| parts.next().unwrap_or(0));
+    version >= SQLITE_MIN
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_are_compared_as_numbers() {
+        assert!(["3.51.3", "3.51.10", "3.100.0", "4.0.0"].into_iter().all(is_new_enough));
+        assert!(!["3.51.2", "3.9.99", "3.46.0", ""].into_iter().any(is_new_enough));
+    }
+
+    #[tokio::test]
+    async fn a_fresh_folder_is_durable_checked_and_holds_the_published_powders() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        let writer = store.writer().unwrap();
+        let pragma = async |name: &'static str| -> String {
+            let row = sqlx::query(name).fetch_one(writer).await.unwrap();
+            row.try_get::<i64, _>(0).map(|n| n.to_string()).or_else(|_| row.try_get::<String, _>(0)).unwrap()
+        };
+        assert_eq!(pragma("PRAGMA journal_mode").await, "wal");
+        assert_eq!(pragma("PRAGMA synchronous").await, "2");
+        assert_eq!(pragma("PRAGMA foreign_keys").await, "1");
+        assert_eq!(pragma("SELECT count(*) FROM powder").await, "5");
+        assert_eq!(pragma("SELECT count(*) FROM measurement").await, "10");
+        assert_eq!(pragma("SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND sql NOT LIKE '%STRICT%' AND name NOT LIKE '%sqlx%' AND name NOT LIKE 'sqlite%'").await, "0");
+    }
+
+    #[tokio::test]
+    async fn opening_again_changes_nothing_and_reading_needs_no_lock() {
+        let folder = tempfile::tempdir().unwrap();
+        Store::open(folder.path()).await.unwrap().close().await;
+        let store = Store::open(folder.path()).await.unwrap();
+        assert!(matches!(Store::open(folder.path()).await, Err(Error::Held(_))));
+        let reader = Store::open_to_read(folder.path()).await.unwrap();
+        let count: i64 = sqlx::query_scalar("SELECT count(*) FROM measurement").fetch_one(&reader.reader).await.unwrap();
+        assert_eq!(count, 10);
+        assert!(matches!(reader.write().await, Err(Error::ReadOnly)));
+        drop(store);
+    }
+}
