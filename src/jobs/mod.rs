@@ -1,1 +1,182 @@
-//! (under construction)
+//! Rows become work. The only place where the asynchronous outside and the synchronous inside meet.
+//!
+//! ```text
+//!  App -- row + delivery, one transaction --> [store]
+//!                                               | queue.rs (apalis) delivers: at least once, nothing more
+//!                                               v
+//!  worker.rs   claim the row: fence + lease; wait while another lease lasts; nothing to do when it has ended
+//!     |        lease.rs renews the lease from a thread of its own
+//!     v
+//!  a compute thread, one at a time: calibrate.rs | train.rs | evaluate.rs
+//!              load inputs, call the pure function, save what it finds; every write carries the fence
+//! ```
+//!
+//! `reconcile.rs` delivers again what the ledger knows and the queue has lost. Weighings are no jobs: `bench.rs`.
+
+pub mod bench;
+pub mod calibrate;
+mod context;
+pub mod evaluate;
+mod lease;
+mod queue;
+mod reconcile;
+mod spec;
+mod stop;
+pub mod train;
+mod worker;
+
+pub use context::JobError;
+pub use spec::{CalibrationSpec, EvaluationPowder, EvaluationSpec, JobSpec, TrainingSpec};
+
+use crate::domain::parameters::ParameterSet;
+use crate::sim::repose::{self, Refusal, Repose};
+use crate::store::jobs::Job;
+use crate::store::ledger::Lease;
+use crate::store::{self, Store, new_id, now};
+use bench::Bench;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use stop::{Stop, StopFlag};
+use tokio::sync::Notify;
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+
+/// The heap experiment as calibrations call it: [`repose::repose`] in the product, a formula in tests.
+pub type Simulate = Arc<dyn Fn(&ParameterSet, &repose::Settings, u64) -> Result<Repose, Refusal> + Send + Sync>;
+
+/// What jobs and weighings compute with.
+#[derive(Clone)]
+pub struct Functions {
+    /// The heap experiment.
+    pub simulate: Simulate,
+    /// A training.
+    pub train: train::Train,
+    /// One weighing on the bench.
+    pub pour: bench::Pour,
+}
+
+impl Default for Functions {
+    fn default() -> Self {
+        Self { simulate: Arc::new(repose::repose), train: train::simulated(), pour: bench::simulated() }
+    }
+}
+
+/// The machinery behind jobs and weighings. Cheap to clone.
+#[derive(Clone)]
+pub struct Jobs {
+    shared: Arc<Shared>,
+    tasks: Arc<Mutex<Vec<JoinHandle<()>>>>,
+    bench: Arc<Bench>,
+}
+
+/// What the parts of the machinery have in common.
+struct Shared {
+    store: Store,
+    functions: Functions,
+    /// Stop flags of running jobs, by id.
+    running: Mutex<HashMap<String, Arc<StopFlag>>>,
+    /// Held by whoever computes: one job at a time, whatever the queue delivers.
+    compute: Mutex<()>,
+    /// Wakes the reconciler.
+    reconcile: Notify,
+    /// No more work is taken.
+    closing: CancellationToken,
+}
+
+impl Jobs {
+    /// Prepare the queue's tables; with `workers`, take up what the last process left and begin to work.
+    ///
+    /// # Errors
+    /// [`store::Error`]
+    pub async fn start(store: Store, functions: Functions, workers: bool) -> store::Result<Self> {
+        queue::migrate(&store).await?;
+        let bench = Bench::new(store.clone(), functions.pour.clone());
+        let shared = Arc::new(Shared {
+            store,
+            functions,
+            running: Mutex::default(),
+            compute: Mutex::default(),
+            reconcile: Notify::new(),
+            closing: CancellationToken::new(),
+        });
+        let jobs = Self { shared, tasks: Arc::default(), bench: Arc::new(bench) };
+        if workers {
+            jobs.take_up().await?;
+        }
+        Ok(jobs)
+    }
+
+    /// The lock on the data folder proves that no other process works on it, so what the last one held is free.
+    async fn take_up(&self) -> store::Result<()> {
+        self.shared.store.end_leases().await?;
+        queue::forget_deliveries(&self.shared.store).await?;
+        reconcile::deliver_again(&self.shared.store).await?;
+        self.bench.start().await?;
+        let tasks = [
+            tokio::spawn(worker::supervise(self.shared.clone())),
+            tokio::spawn(reconcile::keep_delivering(self.shared.clone())),
+        ];
+        self.tasks.lock().unwrap_or_else(PoisonError::into_inner).extend(tasks);
+        Ok(())
+    }
+
+    /// Queue a job and its delivery in one transaction. `false`: the same was asked for before, and this is its job.
+    ///
+    /// # Errors
+    /// [`store::Error`]
+    pub async fn enqueue(&self, spec: &JobSpec) -> store::Result<(Job, bool)> {
+        let (text, sha256) = spec.canonical();
+        let mut tx = self.shared.store.write().await?;
+        let (job, created) = tx.insert_job(&new_id(), spec.kind(), &text, &sha256, now()).await?;
+        if created {
+            queue::push(&mut tx, &Lease { job: job.id.clone(), fence: 0 }).await?;
+            tx.commit().await?;
+        }
+        Ok((job, created))
+    }
+
+    /// Ask a job to end. `None`: it has ended already, or never was.
+    ///
+    /// # Errors
+    /// [`store::Error`]
+    pub async fn cancel(&self, id: &str) -> store::Result<Option<Job>> {
+        let mut tx = self.shared.store.write().await?;
+        let job = tx.request_cancel(id, now()).await?;
+        tx.commit().await?;
+        if let Some(flag) = self.shared.running().get(id) {
+            flag.set(Stop::Cancelled);
+        }
+        Ok(job)
+    }
+
+    /// The bench.
+    pub fn bench(&self) -> &Bench {
+        &self.bench
+    }
+
+    /// Ends when work ends: hand it to whoever waits for events.
+    pub fn closing(&self) -> CancellationToken {
+        self.shared.closing.clone()
+    }
+
+    /// Stop the bench, then take no more jobs, let running ones save a checkpoint and go back into the queue.
+    pub async fn shutdown(&self) {
+        self.shared.closing.cancel();
+        self.bench.shutdown().await;
+        for flag in self.shared.running().values() {
+            flag.set(Stop::Shutdown);
+        }
+        let tasks = std::mem::take(&mut *self.tasks.lock().unwrap_or_else(PoisonError::into_inner));
+        for task in tasks {
+            if let Err(error) = task.await {
+                tracing::error!(%error, "a task of the job machinery ended badly");
+            }
+        }
+    }
+}
+
+impl Shared {
+    fn running(&self) -> std::sync::MutexGuard<'_, HashMap<String, Arc<StopFlag>>> {
+        self.running.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

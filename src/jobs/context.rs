@@ -1,0 +1,136 @@
+//! What a job's body may do to the outside: say how far it is, save, and hear that it should stop.
+
+use super::Functions;
+use super::stop::StopFlag;
+use crate::domain::job::Progress;
+use crate::store::jobs::job_topic;
+use crate::store::ledger::Lease;
+use crate::store::{self, Store, Tx, now};
+use serde::Serialize;
+use std::ops::{AsyncFnOnce, ControlFlow};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::runtime::Handle;
+
+/// Progress is told at most this often.
+const REPORT: Duration = Duration::from_millis(250);
+
+/// Why a job's body did not succeed.
+#[derive(Debug, thiserror::Error)]
+pub enum JobError {
+    /// The world was in the way; trying again may help.
+    #[error("{0}")]
+    Retry(String),
+    /// It would end the same way every time.
+    #[error("{0}")]
+    Fail(String),
+    /// It was asked to stop, and what it had is saved.
+    #[error("stopped on request")]
+    Stopped,
+}
+
+impl From<store::Error> for JobError {
+    fn from(error: store::Error) -> Self {
+        match error {
+            // Whoever holds the job now will do it.
+            store::Error::Fenced => Self::Stopped,
+            store::Error::Corrupt(_) => Self::Fail(error.to_string()),
+            other => Self::Retry(other.to_string()),
+        }
+    }
+}
+
+/// The outside of one job, as its body sees it from a compute thread.
+pub(super) struct JobContext {
+    pub store: Store,
+    pub functions: Functions,
+    lease: Lease,
+    stop: Arc<StopFlag>,
+    runtime: Handle,
+    reported: Mutex<Option<Instant>>,
+}
+
+impl JobContext {
+    pub fn new(store: Store, functions: Functions, lease: Lease, stop: Arc<StopFlag>, runtime: Handle) -> Self {
+        Self { store, functions, lease, stop, runtime, reported: Mutex::default() }
+    }
+
+    /// Job id.
+    pub fn id(&self) -> &str {
+        &self.lease.job
+    }
+
+    /// Whether to go on.
+    pub fn flow(&self) -> ControlFlow<()> {
+        self.stop.flow()
+    }
+
+    /// Read from the store.
+    pub fn read<T>(&self, reading: impl Future<Output = store::Result<T>>) -> store::Result<T> {
+        self.runtime.block_on(reading)
+    }
+
+    /// Say how far the job is; told no more than four times a second, except the last word.
+    pub fn report(&self, progress: &Progress) -> store::Result<()> {
+        {
+            let mut reported = self.reported.lock().unwrap_or_else(PoisonError::into_inner);
+            if reported.is_some_and(|last| last.elapsed() < REPORT) && progress.fraction < 1.0 {
+                return Ok(());
+            }
+            *reported = Some(Instant::now());
+        }
+        self.runtime.block_on(async {
+            let mut tx = self.store.write().await?;
+            tx.report(&self.lease, progress).await?;
+            tx.commit().await
+        })
+    }
+
+    /// Save something in one transaction that proves the lease first. `save` answers whether it was new: then the
+    /// attempt was not fruitless.
+    ///
+    /// # Errors
+    /// [`store::Error::Fenced`]: the lease is lost, nothing was written.
+    pub fn save(&self, save: impl AsyncFnOnce(&mut Tx) -> store::Result<bool>) -> store::Result<()> {
+        self.runtime.block_on(async {
+            let mut tx = self.store.write().await?;
+            tx.prove(&self.lease).await?;
+            if save(&mut tx).await? {
+                tx.advance(&self.lease).await?;
+            }
+            tx.commit().await
+        })
+    }
+
+    /// Save bytes to resume from: the file first, then the row that names it, then the file it replaces goes.
+    pub fn checkpoint(&self, bytes: &[u8]) -> store::Result<()> {
+        let sha256 = self.store.artifacts().put(bytes)?;
+        let replaced = self.runtime.block_on(async {
+            let mut tx = self.store.write().await?;
+            let replaced = tx.set_checkpoint(&self.lease, &sha256).await?;
+            tx.commit().await?;
+            store::Result::Ok(replaced)
+        })?;
+        match replaced {
+            Some(old) => self.runtime.block_on(self.store.forget_artifact(&old)),
+            None => Ok(()),
+        }
+    }
+
+    /// Save the last things and the result, and end the job, in one transaction.
+    pub fn succeed<T: Serialize>(&self, result: &T, save: impl AsyncFnOnce(&mut Tx) -> store::Result<()>) -> store::Result<()> {
+        let result = serde_json::to_string(result).map_err(|error| store::Error::Corrupt(error.to_string()))?;
+        self.runtime.block_on(async {
+            let mut tx = self.store.write().await?;
+            tx.prove(&self.lease).await?;
+            save(&mut tx).await?;
+            tx.succeed(&self.lease, &result, now()).await?;
+            tx.commit().await
+        })
+    }
+
+    /// Tell followers something about the job, within `tx`.
+    pub async fn tell(&self, tx: &mut Tx, kind: &str, data: &impl Serialize) -> store::Result<()> {
+        tx.emit(&job_topic(self.id()), kind, data).await
+    }
+}

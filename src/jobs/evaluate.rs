@@ -1,0 +1,181 @@
+//! The evaluation job: the weighing loop on powders that the policy has not met, and simple controllers beside it.
+
+use super::bench::Pouring;
+use super::context::{JobContext, JobError};
+use super::spec::EvaluationSpec;
+use crate::domain::job::Progress;
+use crate::domain::parameters::ParameterSet;
+use crate::policy::{self, Controller, Policy, Rules, Schedule, ScheduledStep};
+use crate::sim::balance;
+use crate::store;
+use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
+use crate::train::evaluate::{Contender, Dose, Plan, Row, Subject, Summary, evaluate};
+use crate::weigh::Order;
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+/// The controllers that an evaluation can compare.
+pub const CONTROLLERS: [&str; 4] = [POLICY, "untrained", "fixed", "schedule"];
+/// The one that the evaluation is about.
+pub const POLICY: &str = "policy";
+
+/// What an evaluation found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct EvaluationResult {
+    /// One row for each controller, powder and target.
+    pub rows: Vec<EvaluationRow>,
+    /// One row for each controller.
+    pub summary: Vec<EvaluationSummary>,
+}
+
+pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(), JobError> {
+    let policy = load_policy(context, &spec.policy)?;
+    let plan = plan(context, spec, &policy)?;
+    let rules = Rules { steps_max: spec.max_shakes, ..policy.manifest.rules };
+    let doses = Doses::resume(context, &plan)?;
+    let weigh_once = |controller: &Controller, set: &ParameterSet, target_mg: f64, seed: u64| {
+        doses.known_or(controller, set, target_mg, seed, || {
+            let pouring = Pouring {
+                order: Order { target_mg, tolerance_lower_mg: 0.0, tolerance_upper_mg: 0.0 },
+                controller: controller.clone(),
+                rules,
+                balance: balance::Settings { readability_mg: spec.readability_mg, ..balance::Settings::default() },
+                set: *set,
+                seed,
+            };
+            let poured = (context.functions.pour)(&pouring, &mut |_| {}, &AtomicBool::new(false));
+            match poured.error {
+                Some(error) => Err(JobError::Fail(format!("a weighing of {target_mg} mg was aborted: {error}"))),
+                None => Ok(Dose {
+                    dispensed_mg: poured.dispensed_mg,
+                    reading_mg: poured.reading_mg,
+                    shakes: poured.shakes,
+                    seconds: poured.seconds,
+                }),
+            }
+        })
+    };
+    let found = evaluate(&plan, weigh_once)?;
+    let result = EvaluationResult {
+        rows: found.rows.iter().map(row).collect(),
+        summary: found.summary.iter().map(summary).collect(),
+    };
+    context.succeed(&result, async |tx| {
+        for (position, row) in (0..).zip(&result.rows) {
+            let about = (row.controller == POLICY).then_some(spec.policy.as_str());
+            tx.insert_evaluation_row(context.id(), position, about, row).await?;
+        }
+        Ok(())
+    })?;
+    Ok(())
+}
+
+fn load_policy(context: &JobContext, id: &str) -> Result<Policy, JobError> {
+    let bytes = context.read(context.store.policy_bytes(id))?;
+    let bytes = bytes.ok_or_else(|| JobError::Fail(format!("there is no policy `{id}`")))?;
+    policy::decode(&bytes).map_err(|error| JobError::Fail(error.to_string()))
+}
+
+fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<Plan, JobError> {
+    let contender = |name: &String| {
+        let controller = match name.as_str() {
+            POLICY => policy.controller.clone(),
+            "untrained" => Controller::untrained(spec.seed),
+            "fixed" => Controller::Fixed(ScheduledStep::FIXED),
+            "schedule" => Controller::Schedule(schedule()),
+            other => return Err(JobError::Fail(format!("there is no controller `{other}`"))),
+        };
+        Ok(Contender { name: name.clone(), controller })
+    };
+    let mut subjects = Vec::new();
+    for powder in &spec.powders {
+        let mut sets = Vec::new();
+        for id in &powder.sets {
+            let set = context.read(context.store.parameter_set(id))?;
+            sets.push(set.ok_or_else(|| JobError::Fail(format!("there is no parameter set `{id}`")))?.parameters);
+        }
+        subjects.push(Subject { powder: powder.powder.clone(), sets });
+    }
+    Ok(Plan {
+        contenders: spec.controllers.iter().map(contender).collect::<Result<_, _>>()?,
+        subjects,
+        targets_mg: spec.targets_mg.clone(),
+        repeats: spec.repeats,
+        seed: spec.seed,
+    })
+}
+
+/// The open-loop rival: first towards the pitch at which powder flows, then gently on.
+fn schedule() -> Schedule {
+    let step = |k: u32| ScheduledStep { pitch_deg: 20.0 + 1.5 * f64::from(k), shake_mm: 8.0 };
+    Schedule { steps: (0..10).map(step).collect() }
+}
+
+/// Doses that are stored as they come, so that an evaluation that was killed does not weigh them again.
+struct Doses<'a> {
+    context: &'a JobContext,
+    plan: &'a Plan,
+    known: HashMap<String, Dose>,
+    done: AtomicUsize,
+    all: usize,
+}
+
+impl<'a> Doses<'a> {
+    fn resume(context: &'a JobContext, plan: &'a Plan) -> store::Result<Self> {
+        let known = context.read(context.store.doses(context.id()))?;
+        let cells = plan.contenders.len() * plan.subjects.len() * plan.targets_mg.len();
+        let all = cells * plan.repeats as usize;
+        Ok(Self { context, plan, done: AtomicUsize::new(known.len()), known, all })
+    }
+
+    fn known_or(
+        &self,
+        controller: &Controller,
+        set: &ParameterSet,
+        target_mg: f64,
+        seed: u64,
+        weigh: impl FnOnce() -> Result<Dose, JobError>,
+    ) -> Result<Dose, JobError> {
+        let contender = self.plan.contenders.iter().find(|c| std::ptr::eq(&c.controller, controller));
+        let name = contender.map_or("", |c| c.name.as_str());
+        let key = format!("{name} {} {target_mg} {seed}", set.id());
+        if let Some(dose) = self.known.get(&key) {
+            return Ok(*dose);
+        }
+        if self.context.flow().is_break() {
+            return Err(JobError::Stopped);
+        }
+        let dose = weigh()?;
+        self.context.save(async |tx| tx.insert_dose(self.context.id(), &key, &dose).await.map(|()| true))?;
+        let done = self.done.fetch_add(1, Ordering::SeqCst) + 1;
+        let message = format!("dose {done} of {}", self.all);
+        self.context.report(&Progress { fraction: done as f64 / self.all as f64, message })?;
+        Ok(dose)
+    }
+}
+
+fn row(row: &Row) -> EvaluationRow {
+    EvaluationRow {
+        controller: row.controller.clone(),
+        powder: row.powder.clone(),
+        target_mg: row.target_mg,
+        n: row.n,
+        mae_mg: row.mae_mg,
+        sd_mg: row.sd_mg,
+        bias_mg: row.bias_mg,
+        over_share: row.over_share,
+        zero_share: row.zero_share,
+        shakes_mean: row.shakes_mean,
+    }
+}
+
+fn summary(summary: &Summary) -> EvaluationSummary {
+    EvaluationSummary {
+        controller: summary.controller.clone(),
+        mae_mg: summary.mae_mg,
+        ci95: summary.ci95,
+        sd_trials_mg: summary.sd_trials_mg,
+        sd_within_cells_mg: summary.sd_within_cells_mg,
+    }
+}

@@ -1,0 +1,116 @@
+//! Delivery by apalis, on SQLite in the database file. This file alone knows the queue library: its PostgreSQL sibling
+//! offers the same builder, and a delivery is only a hint, so exchanging it changes nothing else.
+//!
+//! What the library does not promise, and who sees to it (read in apalis-sqlite 1.0.0):
+//!
+//! | the library | here |
+//! |-------------|------|
+//! | its `setup` switches `synchronous` off | only its migrations run |
+//! | its fence is the worker's name | a new name for every start of a worker |
+//! | it redelivers without end what kills its process | the ledger counts attempts |
+//! | one failed statement ends the worker and drops what it handles | `worker.rs` starts another; dropped work goes back |
+//! | it takes ten tasks ahead | batches of one |
+
+use crate::store::ledger::Lease;
+use crate::store::{self, Store, Tx};
+use apalis::layers::WorkerBuilderExt;
+use apalis_core::backend::ext::BackendExt;
+use apalis_core::error::{BoxDynError, WorkerError};
+use apalis_core::task::builder::TaskBuilder;
+use apalis_core::worker::builder::WorkerBuilder;
+use apalis_sqlite::{Config, SqliteStorage};
+use futures::FutureExt;
+use futures::future::BoxFuture;
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+use tokio_util::sync::CancellationToken;
+use tower::limit::ConcurrencyLimitLayer;
+
+const QUEUE: &str = "flip";
+/// How often an idle worker looks for a delivery.
+const POLL: Duration = Duration::from_millis(250);
+/// A worker that has not been heard of for twice this long loses its deliveries.
+const HEARTBEAT: Duration = Duration::from_secs(5);
+
+/// What is delivered: only which job. What it is to do, the ledger knows.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Delivery {
+    /// Job id.
+    pub job: String,
+}
+
+/// Create or update the queue's tables.
+pub(super) async fn migrate(store: &Store) -> store::Result<()> {
+    let mut migrations = SqliteStorage::migrations();
+    // FLIP's own migrations are in the same table.
+    migrations.set_ignore_missing(true);
+    migrations.run(store.writer()?).await.map_err(sqlx::Error::from)?;
+    Ok(())
+}
+
+/// Deliver a job: as part of `tx`, once for each fence.
+pub(super) async fn push(tx: &mut Tx, lease: &Lease) -> store::Result<()> {
+    let delivery = Delivery { job: lease.job.clone() };
+    let args = serde_json::to_vec(&delivery).map_err(|error| store::Error::Corrupt(error.to_string()))?;
+    let key = format!("job:{}:{}", lease.job, lease.fence);
+    // One attempt: trying again is the ledger's business.
+    let task = TaskBuilder::new(args).idempotency_key(key).max_attempts(1).build();
+    apalis_sqlite::queries::push_tasks(tx.connection(), QUEUE, &[task]).await.map_err(library)
+}
+
+/// Remove deliveries that were dealt with, so that their keys are free.
+pub(super) async fn forget_finished(tx: &mut Tx) -> store::Result<()> {
+    let sql = "DELETE FROM Jobs WHERE job_type = ?1 AND status IN ('Done', 'Failed', 'Killed')";
+    sqlx::query(sql).bind(QUEUE).execute(tx.connection()).await?;
+    Ok(())
+}
+
+/// Remove every delivery. Sound only at start, when no other process can have one in hand.
+pub(super) async fn forget_deliveries(store: &Store) -> store::Result<()> {
+    let mut tx = store.write().await?;
+    sqlx::query("DELETE FROM Jobs WHERE job_type = ?1").bind(QUEUE).execute(tx.connection()).await?;
+    sqlx::query("DELETE FROM Workers WHERE worker_type = ?1").bind(QUEUE).execute(tx.connection()).await?;
+    tx.commit().await
+}
+
+/// Hand deliveries to `handle`, one at a time, until `closing`.
+///
+/// The future is boxed here, where its types are named: inside another `async fn` the compiler cannot see that it is
+/// `Send`.
+///
+/// # Errors
+/// Whatever ended the worker early; what it was handling has been dropped.
+pub(super) fn run<H, F>(
+    store: &Store,
+    name: &str,
+    handle: H,
+    closing: CancellationToken,
+) -> store::Result<BoxFuture<'static, Result<(), WorkerError>>>
+where
+    H: Fn(Delivery) -> F + Clone + Send + Sync + 'static,
+    F: Future<Output = ()> + Send + 'static,
+{
+    let config = Config::default().queue(QUEUE).batch_size(1).heartbeat_interval(HEARTBEAT).missed_heartbeats(2);
+    let storage = SqliteStorage::<Delivery>::new(store.writer()?).with_config(config).poll_with_interval(POLL);
+    let handler = move |delivery: Delivery| {
+        let handled = handle(delivery);
+        async move {
+            handled.await;
+            Ok::<(), BoxDynError>(())
+        }
+    };
+    let worker =
+        WorkerBuilder::new(name).backend(storage).layer(ConcurrencyLimitLayer::new(1)).catch_panic().build(handler);
+    let closed = async move {
+        closing.cancelled_owned().await;
+        Ok::<(), WorkerError>(())
+    };
+    Ok(worker.run_until(closed).boxed())
+}
+
+fn library(error: apalis_sqlite::Error) -> store::Error {
+    match error {
+        apalis_sqlite::Error::Database(error) => error.into(),
+        other => store::Error::Corrupt(format!("the queue: {other}")),
+    }
+}

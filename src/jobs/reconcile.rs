@@ -1,0 +1,37 @@
+//! The ledger knows what is to be done; the queue may have lost a delivery. This puts it right.
+
+use super::{Shared, queue};
+use crate::store::{self, Store, now};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// How often the two are compared when nobody asks for it.
+const EVERY: Duration = Duration::from_secs(2);
+
+/// Deliver every job that can be claimed now. One that is already on its way has the key of this delivery, and stays.
+pub(super) async fn deliver_again(store: &Store) -> store::Result<()> {
+    let claimable = store.claimable(now()).await?;
+    if claimable.is_empty() {
+        return Ok(());
+    }
+    let mut tx = store.write().await?;
+    queue::forget_finished(&mut tx).await?;
+    for lease in &claimable {
+        queue::push(&mut tx, lease).await?;
+    }
+    tx.commit().await
+}
+
+/// Compare ledger and queue now and then, and whenever a job has left a worker, until the machinery closes.
+pub(super) async fn keep_delivering(shared: Arc<Shared>) {
+    loop {
+        tokio::select! {
+            () = shared.closing.cancelled() => return,
+            () = shared.reconcile.notified() => {}
+            () = tokio::time::sleep(EVERY) => {}
+        }
+        if let Err(error) = deliver_again(&shared.store).await {
+            tracing::warn!(%error, "jobs were not delivered again; the next try may");
+        }
+    }
+}

@@ -1,0 +1,118 @@
+//! What a job is to do: everything that its result depends on, and nothing else.
+
+use crate::calibrate;
+use crate::domain::job::JobKind;
+use crate::domain::powder::Flowability;
+use crate::sim;
+use crate::train;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+/// What a job is to do. Two equal specifications have equal results, so the second one asked for is the first's job.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JobSpec {
+    /// Flowability to parameter sets.
+    Calibration(CalibrationSpec),
+    /// Parameter sets to a policy.
+    Training(TrainingSpec),
+    /// A policy's errors.
+    Evaluation(EvaluationSpec),
+}
+
+/// A calibration to carry out.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CalibrationSpec {
+    /// Powder id; none for a bare angle.
+    pub powder: Option<String>,
+    /// The measurement to meet.
+    pub target: Flowability,
+    /// Settings of the search.
+    pub settings: calibrate::Settings,
+    /// Version of the simulator: results of different ones are never mixed.
+    pub simulator: String,
+}
+
+/// A training to carry out.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TrainingSpec {
+    /// Levels, each with its sets.
+    pub levels: Vec<train::Level>,
+    /// Every setting.
+    pub settings: train::Settings,
+    /// Version of the simulator.
+    pub simulator: String,
+}
+
+/// An evaluation to carry out.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EvaluationSpec {
+    /// Policy id.
+    pub policy: String,
+    /// Controllers to compare.
+    pub controllers: Vec<String>,
+    /// Powders, and the sets that stand for them.
+    pub powders: Vec<EvaluationPowder>,
+    /// Targets, mg.
+    pub targets_mg: Vec<f64>,
+    /// Weighings in a cell.
+    pub repeats: u32,
+    /// Step of the balance's display, mg.
+    pub readability_mg: f64,
+    /// Steps of a weighing.
+    pub max_shakes: u32,
+    /// Seed.
+    pub seed: u64,
+    /// Version of the simulator; filled in by [`EvaluationSpec::on_this_simulator`].
+    #[serde(default)]
+    pub simulator: String,
+}
+
+/// A powder of an evaluation.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EvaluationPowder {
+    /// Powder id.
+    pub powder: String,
+    /// Ids of the sets that stand for it.
+    pub sets: Vec<String>,
+}
+
+impl JobSpec {
+    /// What kind of job it makes.
+    pub fn kind(&self) -> JobKind {
+        match self {
+            Self::Calibration(_) => JobKind::Calibration,
+            Self::Training(_) => JobKind::Training,
+            Self::Evaluation(_) => JobKind::Evaluation,
+        }
+    }
+
+    /// Its text and the text's SHA-256. Fields are written in the order of their definition, so equal values give
+    /// equal text.
+    pub(super) fn canonical(&self) -> (String, Vec<u8>) {
+        let text = serde_json::to_string(self).expect("specifications hold only finite numbers, text and lists");
+        let sha256 = Sha256::digest(&text).to_vec();
+        (text, sha256)
+    }
+}
+
+impl EvaluationSpec {
+    /// The same, to be carried out by this program's simulator.
+    pub fn on_this_simulator(self) -> Self {
+        Self { simulator: sim::VERSION.to_owned(), ..self }
+    }
+}
+
+impl TrainingSpec {
+    /// A training on this program's simulator.
+    pub fn new(levels: Vec<train::Level>, settings: train::Settings) -> Self {
+        Self { levels, settings, simulator: sim::VERSION.to_owned() }
+    }
+}
+
+impl CalibrationSpec {
+    /// A calibration by this program's simulator.
+    pub fn new(powder: Option<String>, target: Flowability, settings: calibrate::Settings) -> Self {
+        Self { powder, target, settings, simulator: sim::VERSION.to_owned() }
+    }
+}

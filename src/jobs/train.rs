@@ -1,0 +1,180 @@
+//! The training job: episodes are saved round by round, and a killed training goes on from its last checkpoint.
+//!
+//! Episodes after the last checkpoint are played again on resuming, the same in every bit; those that are stored already
+//! stay as they are.
+
+use super::context::{JobContext, JobError};
+use super::spec::TrainingSpec;
+use crate::domain::job::Progress;
+use crate::policy;
+use crate::store;
+use crate::store::trials::Episode;
+use crate::train::{EpisodeRecord, Event, TrainError, Trained};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+pub use crate::train::{Level, Order, PAPER_LEVELS_DEG, Preset, Settings};
+
+/// Parameter sets in a level: the paper's number. The others of a calibration are left for weighings and evaluations.
+pub const SETS_PER_LEVEL: usize = 7;
+/// Episodes whose mean error is shown as progress.
+const RECENT: usize = 20;
+
+/// A training as jobs call it: [`crate::train::train`] in the product, a formula in tests.
+pub type Train = Arc<dyn Fn(&[Level], &Settings, Option<&[u8]>, &mut Listener<'_>) -> Result<Trained, TrainError> + Send + Sync>;
+/// Who hears what a training does, and says whether it goes on.
+pub type Listener<'a> = dyn FnMut(Event) -> ControlFlow<()> + 'a;
+
+/// The simulator's training.
+pub fn simulated() -> Train {
+    Arc::new(|levels, settings, resume, listener| crate::train::train(levels, settings, resume, listener))
+}
+
+/// What a training produced.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct TrainingResult {
+    /// Policy id.
+    pub policy: String,
+    /// Episodes used.
+    pub episodes: u32,
+    /// Mean absolute error of the last 20 episodes, mg.
+    pub final_error_mg: f64,
+    /// What it trained on, in the order it was met, with the episodes on each level.
+    #[schema(value_type = Vec<Object>)]
+    pub levels: Vec<serde_json::Value>,
+}
+
+pub(super) fn perform(context: &JobContext, spec: &TrainingSpec, checkpoint: Option<&str>) -> Result<(), JobError> {
+    let resume = checkpoint.map(|sha256| context.store.artifacts().get(sha256)).transpose()?;
+    let mut recorder = Recorder { context, spec, round: Vec::new(), recent: VecDeque::new(), unsaved: None };
+    let trained =
+        (context.functions.train)(&spec.levels, &spec.settings, resume.as_deref(), &mut |event| recorder.hear(event));
+    recorder.flush();
+    match (trained, recorder.unsaved) {
+        (_, Some(error)) => Err(error.into()),
+        (Ok(trained), None) => finish(context, &trained),
+        (Err(TrainError::Stopped { checkpoint }), None) => {
+            context.checkpoint(&checkpoint)?;
+            Err(JobError::Stopped)
+        }
+        (Err(error), None) => Err(JobError::Fail(error.to_string())),
+    }
+}
+
+/// Saves what a training reports.
+struct Recorder<'a> {
+    context: &'a JobContext,
+    spec: &'a TrainingSpec,
+    /// Episodes of the round at hand: they come at once, and one transaction stores them.
+    round: Vec<Episode>,
+    recent: VecDeque<f64>,
+    unsaved: Option<store::Error>,
+}
+
+impl Recorder<'_> {
+    fn hear(&mut self, event: Event) -> ControlFlow<()> {
+        match event {
+            Event::Episode(record) => {
+                let round_is_full = self.remember(&record);
+                if round_is_full {
+                    self.flush();
+                    self.report(&record);
+                }
+            }
+            Event::Checkpoint(bytes) => {
+                self.flush();
+                let saved = self.context.checkpoint(&bytes);
+                self.note(saved);
+            }
+        }
+        if self.unsaved.is_some() { ControlFlow::Break(()) } else { self.context.flow() }
+    }
+
+    /// Whether the round has come to its end.
+    fn remember(&mut self, record: &EpisodeRecord) -> bool {
+        if self.recent.len() == RECENT {
+            self.recent.pop_front();
+        }
+        self.recent.push_back(record.final_error_mg);
+        self.round.push(to_row(record));
+        let settings = &self.spec.settings;
+        self.round.len() >= settings.episodes_per_round as usize || record.index + 1 == settings.episodes
+    }
+
+    fn flush(&mut self) {
+        let episodes = std::mem::take(&mut self.round);
+        if episodes.is_empty() || self.unsaved.is_some() {
+            return;
+        }
+        let context = self.context;
+        let saved = context.save(async |tx| {
+            let mut any_new = false;
+            for episode in &episodes {
+                if tx.insert_episode(context.id(), episode).await? {
+                    context.tell(tx, "episode", episode).await?;
+                    any_new = true;
+                }
+            }
+            Ok(any_new)
+        });
+        self.note(saved);
+    }
+
+    fn report(&mut self, record: &EpisodeRecord) {
+        let (done, all) = (record.index + 1, self.spec.settings.episodes);
+        let error_mg = self.recent.iter().sum::<f64>() / self.recent.len() as f64;
+        let message = format!(
+            "episode {done} of {all}, level {} ({}), mean error of the last {} {error_mg:.2} mg",
+            record.level + 1,
+            record.powder,
+            self.recent.len()
+        );
+        let progress = Progress { fraction: f64::from(done) / f64::from(all), message };
+        let told = self.context.report(&progress);
+        self.note(told);
+    }
+
+    fn note(&mut self, saved: store::Result<()>) {
+        if let Err(error) = saved {
+            self.unsaved.get_or_insert(error);
+        }
+    }
+}
+
+fn finish(context: &JobContext, trained: &Trained) -> Result<(), JobError> {
+    let id = policy::id(&trained.artifact);
+    let json = |value| serde_json::to_value(value).map_err(|error| JobError::Fail(error.to_string()));
+    let levels = json(&trained.levels)?;
+    let manifest = serde_json::to_string(&trained.manifest).map_err(|error| JobError::Fail(error.to_string()))?;
+    let result = TrainingResult {
+        policy: id.clone(),
+        episodes: trained.episodes,
+        final_error_mg: trained.final_error_mg,
+        levels: levels.as_array().cloned().unwrap_or_default(),
+    };
+    context.succeed(&result, async |tx| {
+        let kind = trained.manifest.kind.name();
+        tx.insert_policy(&id, kind, Some(context.id()), &manifest, &trained.artifact).await
+    })?;
+    Ok(())
+}
+
+fn to_row(record: &EpisodeRecord) -> Episode {
+    let losses = record.losses.as_ref();
+    Episode {
+        index: record.index,
+        level: record.level,
+        powder: record.powder.clone(),
+        parameter_set: record.parameter_set.clone(),
+        target_mg: record.target_mg,
+        dispensed_mg: record.dispensed_mg,
+        final_error_mg: record.final_error_mg,
+        reward: record.reward,
+        steps: record.steps,
+        alpha: losses.map(|l| l.alpha),
+        critic_loss: losses.map(|l| l.critic),
+        actor_loss: losses.map(|l| l.actor),
+    }
+}

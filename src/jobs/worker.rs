@@ -1,0 +1,186 @@
+//! From a delivery to a settled row.
+
+use super::context::{JobContext, JobError};
+use super::lease::{Renewer, lease_end};
+use super::queue::{self, Delivery};
+use super::spec::JobSpec;
+use super::stop::{Stop, StopFlag};
+use super::{Shared, calibrate, evaluate, train};
+use crate::domain::job::JobState;
+use crate::store::ledger::{Claim, Claimed, Lease};
+use crate::store::{self, now};
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, PoisonError};
+use std::time::Duration;
+use tokio::runtime::Handle;
+use tokio::sync::oneshot;
+
+/// Most that is waited between two looks at somebody else's lease.
+const HELD_WAIT_MAX: Duration = Duration::from_secs(1);
+/// Pause before a worker that failed is started again, and the longest after it failed again and again.
+const RESTART: Duration = Duration::from_millis(500);
+const RESTART_MAX: Duration = Duration::from_secs(30);
+
+/// Keep a queue worker running until the machinery closes: the library ends one on the first statement that fails.
+pub(super) async fn supervise(shared: Arc<Shared>) {
+    let mut pause = RESTART;
+    while !shared.closing.is_cancelled() {
+        // A name of its own for every start: the library's fence is the name.
+        let name = format!("flip-{}", store::new_id());
+        let handling = shared.clone();
+        let owner = name.clone();
+        let handle = move |delivery: Delivery| {
+            let (shared, owner) = (handling.clone(), owner.clone());
+            async move { handle(shared, owner, delivery).await }
+        };
+        let ended = match queue::run(&shared.store, &name, handle, shared.closing.clone()) {
+            Ok(running) => running.await.map_err(|error| error.to_string()),
+            Err(error) => Err(error.to_string()),
+        };
+        match ended {
+            Ok(()) => pause = RESTART,
+            Err(error) => {
+                tracing::error!(%error, "the queue worker ended; another starts in {pause:?}");
+                tokio::select! {
+                    () = tokio::time::sleep(pause) => {}
+                    () = shared.closing.cancelled() => {}
+                }
+                pause = (pause * 2).min(RESTART_MAX);
+            }
+        }
+    }
+    // Whoever still computes holds the lane until the row is settled.
+    let waiting = shared.clone();
+    let last = tokio::task::spawn_blocking(move || drop(waiting.compute.lock().unwrap_or_else(PoisonError::into_inner)));
+    if last.await.is_err() {
+        tracing::error!("could not wait for the last computation");
+    }
+}
+
+/// One delivery. When this returns the ledger has been served, whatever happened.
+async fn handle(shared: Arc<Shared>, owner: String, delivery: Delivery) {
+    match claim(&shared, &owner, &delivery.job).await {
+        Ok(Some(claimed)) => compute(shared, claimed).await,
+        Ok(None) => {}
+        Err(error) => {
+            // The row is as it was; the reconciler delivers it again.
+            tracing::error!(job = delivery.job, %error, "could not claim a job");
+            tokio::time::sleep(HELD_WAIT_MAX).await;
+            shared.reconcile.notify_one();
+        }
+    }
+}
+
+/// Claim a job, waiting while somebody else's lease lasts. `None`: there is nothing to do.
+async fn claim(shared: &Shared, owner: &str, job: &str) -> store::Result<Option<Claimed>> {
+    loop {
+        if shared.closing.is_cancelled() {
+            return Ok(None);
+        }
+        let at = now();
+        let mut tx = shared.store.write().await?;
+        let claim = tx.claim(job, owner, at, lease_end(at)).await?;
+        tx.commit().await?;
+        match claim {
+            Claim::Granted(claimed) => return Ok(Some(claimed)),
+            Claim::Ended => return Ok(None),
+            Claim::Held(until) => {
+                let left = u64::try_from(until.unix_ms() - at.unix_ms() + 1).unwrap_or(1);
+                tokio::time::sleep(Duration::from_millis(left).min(HELD_WAIT_MAX)).await;
+            }
+        }
+    }
+}
+
+/// Sets the flag when dropped: if the queue drops the handler, the computation must not go on unheard.
+struct StopOnDrop(Arc<StopFlag>);
+
+impl Drop for StopOnDrop {
+    fn drop(&mut self) {
+        self.0.set(Stop::Shutdown);
+    }
+}
+
+/// Compute on a thread of its own, and wait for it without blocking.
+async fn compute(shared: Arc<Shared>, claimed: Claimed) {
+    let stop = Arc::new(StopFlag::default());
+    shared.running().insert(claimed.lease.job.clone(), stop.clone());
+    // A shutdown between the claim and the line above has not seen the flag.
+    if shared.closing.is_cancelled() {
+        stop.set(Stop::Shutdown);
+    }
+    let _stop = StopOnDrop(stop.clone());
+    let (done, wait) = oneshot::channel();
+    let runtime = Handle::current();
+    let job = claimed.lease.job.clone();
+    let thread = std::thread::Builder::new().name("compute".into()).spawn(move || {
+        on_compute_thread(&shared, claimed, &stop, runtime);
+        // Whoever waited may be gone.
+        let _ = done.send(());
+    });
+    match thread {
+        Ok(_) => drop(wait.await),
+        Err(error) => tracing::error!(job, %error, "no thread for a job; it goes on when its lease has ended"),
+    }
+}
+
+fn on_compute_thread(shared: &Shared, claimed: Claimed, stop: &Arc<StopFlag>, runtime: Handle) {
+    let lease = claimed.lease.clone();
+    let renewer = Renewer::start(shared.store.clone(), lease.clone(), stop.clone(), runtime.clone());
+    if let Err(error) = &renewer {
+        tracing::error!(job = lease.job, %error, "no thread to renew a lease");
+    }
+    let lane = shared.compute.lock().unwrap_or_else(PoisonError::into_inner);
+    let context =
+        JobContext::new(shared.store.clone(), shared.functions.clone(), lease.clone(), stop.clone(), runtime.clone());
+    let ended = catch_unwind(AssertUnwindSafe(|| perform(&context, &claimed)))
+        .unwrap_or_else(|panic| Err(JobError::Retry(format!("it panicked: {}", panic_message(&*panic)))));
+    if let Err(error) = runtime.block_on(settle(shared, &lease, stop.get(), ended)) {
+        tracing::error!(job = lease.job, %error, "a job's end was not recorded; its lease ends and it is tried again");
+    }
+    shared.running().remove(&lease.job);
+    drop(lane);
+    shared.reconcile.notify_one();
+}
+
+fn perform(context: &JobContext, claimed: &Claimed) -> Result<(), JobError> {
+    let spec = serde_json::from_str(&claimed.spec)
+        .map_err(|error| JobError::Fail(format!("the specification is of another version: {error}")))?;
+    tracing::info!(job = context.id(), kind = ?claimed.kind, "computes");
+    match spec {
+        JobSpec::Calibration(spec) => calibrate::perform(context, &spec),
+        JobSpec::Training(spec) => train::perform(context, &spec, claimed.checkpoint.as_deref()),
+        JobSpec::Evaluation(spec) => evaluate::perform(context, &spec),
+    }
+}
+
+/// Write how an attempt ended. Success has been written by the body, together with its results.
+async fn settle(shared: &Shared, lease: &Lease, stop: Option<Stop>, ended: Result<(), JobError>) -> store::Result<()> {
+    let error = match ended {
+        Ok(()) => return Ok(()),
+        Err(error) => error,
+    };
+    let mut tx = shared.store.write().await?;
+    let written = match (&error, stop) {
+        (_, Some(Stop::Fenced)) => return Ok(()),
+        (JobError::Stopped, Some(Stop::Cancelled)) => tx.end(lease, JobState::Cancelled, None, now()).await,
+        (JobError::Stopped, _) => tx.release(lease).await,
+        (JobError::Fail(cause), _) => tx.end(lease, JobState::Failed, Some(cause), now()).await,
+        (JobError::Retry(cause), _) => tx.retry(lease, cause, now()).await,
+    };
+    match written {
+        Ok(()) => tx.commit().await?,
+        Err(store::Error::Fenced) => {}
+        Err(error) => return Err(error),
+    }
+    if !matches!(error, JobError::Stopped) {
+        tracing::warn!(job = lease.job, %error, "an attempt did not succeed");
+    }
+    Ok(())
+}
+
+pub(super) fn panic_message(panic: &(dyn Any + Send)) -> &str {
+    let text = panic.downcast_ref::<&str>().copied();
+    text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("without a message")
+}
