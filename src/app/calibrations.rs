@@ -1,10 +1,14 @@
 //! Calibrations: from a flowability to parameter sets.
 
-use super::{App, Result};
-use crate::domain::parameters::ParameterSet;
+use super::jobs::{corrupt, stored};
+use super::{App, Error, Result};
+use crate::domain::FieldError;
+use crate::domain::job::JobKind;
 use crate::domain::powder::Flowability;
-use crate::store::jobs::Job;
-use crate::store::page::{Page, PageQuery};
+use crate::jobs::calibrate::{CalibrationResult, Settings};
+use crate::jobs::{CalibrationSpec, JobSpec};
+use crate::store::jobs::{Job, JobRow};
+use crate::store::page::{Page, PageQuery, SERIES_LIMIT_MAX};
 use crate::store::trials::Trial;
 use serde::{Deserialize, Serialize};
 
@@ -16,13 +20,13 @@ pub struct CalibrationRequest {
     pub powder: Option<String>,
     /// Target angle of repose instead of a powder, degrees.
     pub repose_deg: Option<f64>,
-    /// Parameter sets to find, 1 to 50; default 10.
+    /// Parameter sets to find, 1 to 100; default 10.
     pub sets: Option<u32>,
     /// Accepted difference between simulated and measured angle, 0.1 to 10 degrees; default 1.5.
     pub tolerance_deg: Option<f64>,
-    /// Grains in a simulated heap, 200 to 20000; default 2000.
+    /// Grains in a simulated heap, 100 to 100000; default 2000.
     pub particles: Option<u32>,
-    /// Most simulations of the search, 10 to 2000; default 150.
+    /// Most simulations, search and verification together, 1 to 500; default 150.
     pub trials_max: Option<u32>,
     /// Seed; default 1.
     pub seed: Option<u64>,
@@ -44,56 +48,68 @@ pub struct Calibration {
     pub result: Option<CalibrationResult>,
 }
 
-/// What a calibration found.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct CalibrationResult {
-    /// Simulations of the search.
-    pub evaluations: u32,
-    /// Simulations with fresh seeds that checked candidates.
-    pub verification_runs: u32,
-    /// The sets it kept.
-    pub sets: Vec<CalibrationSet>,
-    /// Mean of the sets' errors, degrees.
-    pub mean_error_deg: f64,
-    /// Standard deviation of the sets' errors, degrees.
-    pub sd_error_deg: f64,
-}
-
-/// One set that a calibration kept.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct CalibrationSet {
-    /// Content address of the nine values.
-    pub id: String,
-    /// The nine values.
-    pub parameters: ParameterSet,
-    /// Mean simulated angle over its runs, degrees.
-    pub repose_deg: f64,
-    /// Standard deviation over its runs, degrees.
-    pub repose_sd_deg: f64,
-    /// Simulations behind the mean.
-    pub runs: u32,
-    /// Absolute difference between mean and target, degrees.
-    pub error_deg: f64,
-}
-
 impl App {
     /// Queue a calibration. `false`: the same one was asked for before, and this is its job.
-    pub async fn start_calibration(&self, _request: CalibrationRequest) -> Result<(Job, bool)> {
-        self.stub()
+    ///
+    /// # Errors
+    /// `Invalid`; `Conflict` (`measurement_missing`) for a powder that nobody has measured.
+    pub async fn start_calibration(&self, request: CalibrationRequest) -> Result<(Job, bool)> {
+        let (powder, target) = self.target_of(&request).await?;
+        let defaults = Settings::default();
+        let settings = Settings {
+            sets: request.sets.unwrap_or(defaults.sets),
+            tolerance_deg: request.tolerance_deg.unwrap_or(defaults.tolerance_deg),
+            particles: request.particles.unwrap_or(defaults.particles),
+            trials_max: request.trials_max.unwrap_or(defaults.trials_max),
+            seed: request.seed.unwrap_or(defaults.seed),
+            ..defaults
+        };
+        let spec = JobSpec::Calibration(CalibrationSpec::new(powder, target, settings.checked()?));
+        Ok(self.jobs_or_refuse()?.enqueue(&spec).await?)
+    }
+
+    /// What to aim at: a powder's measurement, or a bare angle.
+    async fn target_of(&self, request: &CalibrationRequest) -> Result<(Option<String>, Flowability)> {
+        let only_one = "name a powder, or a `repose_deg` to aim at without one, and not both";
+        match (&request.powder, request.repose_deg) {
+            (Some(id), None) => {
+                let powder = self.powder_of("powder", id).await?;
+                let target = powder.flowability.ok_or_else(|| {
+                    let advice = format!("`{id}` has no measurement: POST /v1/powders/{id}/measurements adds one");
+                    Error::conflict("measurement_missing", advice)
+                })?;
+                Ok((Some(powder.id), target))
+            }
+            (None, Some(repose_deg)) => Ok((None, Flowability::new(repose_deg, 0.0, 1)?)),
+            _ => Err(FieldError::new("powder", only_one).into()),
+        }
     }
 
     /// One calibration.
-    pub async fn calibration(&self, _id: &str) -> Result<Calibration> {
-        self.stub()
+    pub async fn calibration(&self, id: &str) -> Result<Calibration> {
+        let row = self.store().job(id).await?.filter(|row| row.job.kind == JobKind::Calibration);
+        calibration(row.ok_or_else(|| Error::not_found("calibration", id))?)
     }
 
     /// Calibrations, newest first.
-    pub async fn calibrations(&self, _page: PageQuery) -> Result<Page<Calibration>> {
-        self.stub()
+    pub async fn calibrations(&self, page: PageQuery) -> Result<Page<Calibration>> {
+        self.jobs_as(JobKind::Calibration, page, calibration).await
     }
 
     /// Trials of a calibration in order; pages of up to 5000.
-    pub async fn trials(&self, _calibration: &str, _page: PageQuery) -> Result<Page<Trial>> {
-        self.stub()
+    pub async fn trials(&self, calibration: &str, page: PageQuery) -> Result<Page<Trial>> {
+        self.calibration(calibration).await?;
+        Ok(self.store().trials(calibration, page.window(SERIES_LIMIT_MAX)?).await?)
     }
+}
+
+fn calibration(row: JobRow) -> Result<Calibration> {
+    let JobSpec::Calibration(spec) = stored(&row.spec)? else { return Err(corrupt("a calibration's specification")) };
+    Ok(Calibration {
+        job: row.job,
+        powder: spec.powder,
+        target: spec.target,
+        settings: serde_json::to_value(spec.settings).map_err(|error| Error::Internal(error.into()))?,
+        result: row.result.as_deref().map(stored).transpose()?,
+    })
 }

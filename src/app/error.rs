@@ -1,6 +1,7 @@
 //! Why a request is refused, in terms of the caller.
 
 use crate::domain::FieldError;
+use crate::store;
 
 /// Why the application did not do what it was asked. REST and gRPC map each variant once.
 #[derive(Debug, thiserror::Error)]
@@ -19,7 +20,8 @@ pub enum Error {
     /// The request is right but not now: something is missing, in use, or already there.
     #[error("{message}")]
     Conflict {
-        /// Stable name: `powder_exists`, `calibration_missing`, `policy_missing`, `job_finished`, `weighing_finished`.
+        /// Stable name: `powder_exists`, `measurement_missing`, `calibration_missing`, `policy_missing`, `job_finished`,
+        /// `weighing_finished`.
         code: &'static str,
         /// What is in the way and which command or endpoint helps.
         message: String,
@@ -61,5 +63,17 @@ impl Error {
 impl From<FieldError> for Error {
     fn from(error: FieldError) -> Self {
         Self::Invalid(vec![error])
+    }
+}
+
+impl From<store::Error> for Error {
+    fn from(error: store::Error) -> Self {
+        match error {
+            store::Error::ReadOnly => Self::Unavailable(
+                "the data folder was opened to read only because `flip serve` holds it: ask the server instead".into(),
+            ),
+            error if error.is_closed() => Self::Unavailable("FLIP is shutting down: ask again after the restart".into()),
+            other => Self::Internal(Box::new(other)),
+        }
     }
 }

@@ -1,10 +1,24 @@
 //! Evaluations: a policy's errors on the simulated bench, beside those of simple controllers.
 
-use super::{App, Result};
-use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
-use crate::store::jobs::Job;
+use super::check::Check;
+use super::jobs::{corrupt, stored};
+use super::{App, Error, Result};
+use crate::domain::job::JobKind;
+use crate::domain::powder::PUBLISHED;
+use crate::domain::{FieldError, bounded};
+use crate::jobs::bench::spoon_holds_mg;
+use crate::jobs::evaluate::{CONTROLLERS, EvaluationResult};
+use crate::jobs::{EvaluationPowder, EvaluationSpec, JobSpec};
+use crate::store::jobs::{Job, JobRow};
 use crate::store::page::{Page, PageQuery};
+use crate::store::parameter_sets::CalibratedSet;
+use crate::store::policies::Policy;
 use serde::{Deserialize, Serialize};
+
+/// Targets when none are named, mg.
+const TARGETS_MG: [f64; 2] = [15.0, 20.0];
+/// Most entries of each list in a request.
+const LIST_MAX: usize = 20;
 
 /// What to evaluate. Everything has a default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -53,28 +67,135 @@ pub struct Evaluation {
     pub result: Option<EvaluationResult>,
 }
 
-/// What an evaluation found.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct EvaluationResult {
-    /// One row for each controller, powder and target.
-    pub rows: Vec<EvaluationRow>,
-    /// One row for each controller.
-    pub summary: Vec<EvaluationSummary>,
-}
-
 impl App {
     /// Queue an evaluation. `false`: the same one was asked for before, and this is its job.
-    pub async fn start_evaluation(&self, _request: EvaluationRequest) -> Result<(Job, bool)> {
-        self.stub()
+    ///
+    /// # Errors
+    /// `Invalid`; `Conflict` (`policy_missing`, `calibration_missing`).
+    pub async fn start_evaluation(&self, request: EvaluationRequest) -> Result<(Job, bool)> {
+        checked(&request)?;
+        let policy = self.policy_to_evaluate(request.policy.as_deref()).await?;
+        let targets_mg = request.targets_mg.unwrap_or_else(|| TARGETS_MG.to_vec());
+        let powders = match request.powders {
+            Some(powders) => powders,
+            None => PUBLISHED.iter().map(|powder| powder.id.to_owned()).collect(),
+        };
+        let mut subjects = Vec::new();
+        for (k, id) in powders.iter().enumerate() {
+            let id = self.powder_of(&format!("powders[{k}]"), id).await?.id;
+            let sets = self.sets_to_weigh(&id, &policy).await?;
+            within_the_spoon(&id, &targets_mg, &sets)?;
+            subjects.push(EvaluationPowder { powder: id, sets: sets.into_iter().map(|set| set.id).collect() });
+        }
+        let spec = EvaluationSpec {
+            policy: policy.id,
+            controllers: request.controllers.unwrap_or_else(|| CONTROLLERS.map(str::to_owned).to_vec()),
+            powders: subjects,
+            targets_mg,
+            repeats: request.repeats.unwrap_or(5),
+            readability_mg: request.readability_mg.unwrap_or(1.0),
+            max_shakes: request.max_shakes.unwrap_or(10),
+            seed: request.seed.unwrap_or(1),
+            simulator: String::new(),
+        };
+        Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Evaluation(spec.on_this_simulator())).await?)
+    }
+
+    async fn policy_to_evaluate(&self, named: Option<&str>) -> Result<Policy> {
+        if let Some(id) = named {
+            return self.store().policy(id).await?.ok_or_else(|| {
+                FieldError::new("policy", format!("there is no policy `{id}`: GET /v1/policies lists them")).into()
+            });
+        }
+        let newest = self.store().policies(PageQuery::first(1).window(1)?).await?.items;
+        newest.into_iter().next().ok_or_else(|| {
+            let advice = "there is no policy yet: run `flip train` or POST /v1/trainings, and evaluate when it has succeeded";
+            Error::conflict("policy_missing", advice)
+        })
+    }
+
+    /// The sets that stand for a powder: those of its newest calibration that the policy has not met, if there are any.
+    async fn sets_to_weigh(&self, powder: &str, policy: &Policy) -> Result<Vec<CalibratedSet>> {
+        let sets = self.calibrated_sets(Some(powder), 0.0).await?.ok_or_else(|| {
+            let advice = format!(
+                "powder `{powder}` has no parameter set: run `flip calibrate --powder {powder}` or POST \
+                 /v1/calibrations, and evaluate when it has succeeded"
+            );
+            Error::conflict("calibration_missing", advice)
+        })?;
+        Ok(unmet(sets, policy))
     }
 
     /// One evaluation.
-    pub async fn evaluation(&self, _id: &str) -> Result<Evaluation> {
-        self.stub()
+    pub async fn evaluation(&self, id: &str) -> Result<Evaluation> {
+        let row = self.store().job(id).await?.filter(|row| row.job.kind == JobKind::Evaluation);
+        evaluation(row.ok_or_else(|| Error::not_found("evaluation", id))?)
     }
 
     /// Evaluations, newest first.
-    pub async fn evaluations(&self, _page: PageQuery) -> Result<Page<Evaluation>> {
-        self.stub()
+    pub async fn evaluations(&self, page: PageQuery) -> Result<Page<Evaluation>> {
+        self.jobs_as(JobKind::Evaluation, page, evaluation).await
     }
+}
+
+/// What can be checked without looking anything up.
+fn checked(request: &EvaluationRequest) -> Result<()> {
+    let mut check = Check::default();
+    check.count("repeats", request.repeats.unwrap_or(5), 1, 100);
+    check.count("max_shakes", request.max_shakes.unwrap_or(10), 1, 100);
+    check.keep(bounded("readability_mg", request.readability_mg.unwrap_or(1.0), 0.01, 10.0, "mg"));
+    for (k, name) in request.controllers.iter().flatten().enumerate() {
+        if !CONTROLLERS.contains(&name.as_str()) {
+            check.refuse(&format!("controllers[{k}]"), format!("must be one of {}", CONTROLLERS.join(", ")));
+        }
+    }
+    for (k, target) in request.targets_mg.iter().flatten().enumerate() {
+        check.keep(bounded(&format!("targets_mg[{k}]"), *target, 0.1, 1e6, "mg"));
+    }
+    let lengths = [
+        ("controllers", request.controllers.as_ref().map(Vec::len)),
+        ("powders", request.powders.as_ref().map(Vec::len)),
+        ("targets_mg", request.targets_mg.as_ref().map(Vec::len)),
+    ];
+    for (field, length) in lengths {
+        if length.is_some_and(|length| !(1..=LIST_MAX).contains(&length)) {
+            check.refuse(field, format!("must hold 1 to {LIST_MAX} entries; leave it out for the default"));
+        }
+    }
+    check.done()
+}
+
+fn within_the_spoon(powder: &str, targets_mg: &[f64], sets: &[CalibratedSet]) -> Result<()> {
+    let Some(capacity_mg) = spoon_holds_mg(sets.iter().map(|set| &set.parameters)) else { return Ok(()) };
+    let mut check = Check::default();
+    for (k, target_mg) in targets_mg.iter().enumerate().filter(|(_, target)| **target > capacity_mg) {
+        let field = format!("targets_mg[{k}]");
+        check.refuse(&field, format!("must be at most {capacity_mg:.1} mg, which is what the spoon holds of `{powder}`, got {target_mg}"));
+    }
+    check.done()
+}
+
+/// The sets that a policy was not trained on; all of them when it has met every one.
+pub(super) fn unmet(sets: Vec<CalibratedSet>, policy: &Policy) -> Vec<CalibratedSet> {
+    let list = |value: &serde_json::Value| value.as_array().cloned().unwrap_or_default();
+    let known = list(&policy.manifest["levels"]).iter().flat_map(|level| list(&level["sets"])).collect::<Vec<_>>();
+    let met = |set: &CalibratedSet| known.iter().any(|known| known["id"] == *set.id);
+    let unmet: Vec<CalibratedSet> = sets.iter().filter(|set| !met(set)).cloned().collect();
+    if unmet.is_empty() { sets } else { unmet }
+}
+
+fn evaluation(row: JobRow) -> Result<Evaluation> {
+    let JobSpec::Evaluation(spec) = stored(&row.spec)? else { return Err(corrupt("an evaluation's specification")) };
+    Ok(Evaluation {
+        job: row.job,
+        policy: spec.policy,
+        controllers: spec.controllers,
+        powders: spec.powders.into_iter().map(|powder| powder.powder).collect(),
+        targets_mg: spec.targets_mg,
+        repeats: spec.repeats,
+        readability_mg: spec.readability_mg,
+        max_shakes: spec.max_shakes,
+        seed: spec.seed,
+        result: row.result.as_deref().map(stored).transpose()?,
+    })
 }

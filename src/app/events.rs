@@ -1,8 +1,21 @@
 //! Live views: events as they happen, resumable by their sequence number.
 
-use super::{App, Result};
+use super::{App, Error, Result};
+use crate::store::Store;
 use crate::store::events::Event;
-use futures::stream::BoxStream;
+use crate::store::jobs::job_topic;
+use crate::store::weighings::weighing_topic;
+use futures::StreamExt;
+use futures::stream::{self, BoxStream};
+use std::collections::VecDeque;
+use std::time::Duration;
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+/// Events read at once.
+const BATCH: u32 = 200;
+/// How often a follower looks by itself: what another process writes is announced to nobody here.
+const LOOK: Duration = Duration::from_secs(1);
 
 /// Whose events to follow.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -18,12 +31,97 @@ pub enum Topic {
 impl App {
     /// Events of a topic after `after_seq` (0 is from the beginning), then new ones as they happen, in order and
     /// each once. The stream of a job or weighing ends after the event that ends it; every stream ends at shutdown.
-    pub async fn events(&self, _topic: Topic, _after_seq: i64) -> Result<BoxStream<'static, Result<Event>>> {
-        self.stub()
+    pub async fn events(&self, topic: Topic, after_seq: i64) -> Result<BoxStream<'static, Result<Event>>> {
+        match &topic {
+            Topic::Job(id) => drop(self.job(id).await?),
+            Topic::Weighing(id) => {
+                self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
+            }
+            Topic::All => {}
+        }
+        let follower = Follower {
+            store: self.store().clone(),
+            topic,
+            after: after_seq,
+            ready: VecDeque::new(),
+            newest: self.store().watch_events(),
+            closing: self.inner.jobs.as_ref().map(|jobs| jobs.closing()).unwrap_or_default(),
+            over: false,
+        };
+        let next = async |mut follower: Follower| follower.next().await.map(|event| (event, follower));
+        Ok(stream::unfold(follower, next).boxed())
     }
 
     /// Sequence number of the newest event: pass it to [`App::events`] to hear only what is new.
     pub fn last_event(&self) -> i64 {
-        0
+        *self.store().watch_events().borrow()
+    }
+}
+
+struct Follower {
+    store: Store,
+    topic: Topic,
+    after: i64,
+    ready: VecDeque<Event>,
+    newest: watch::Receiver<i64>,
+    closing: CancellationToken,
+    /// Nothing follows an error.
+    over: bool,
+}
+
+impl Follower {
+    /// The next event; `None` when there will be none.
+    async fn next(&mut self) -> Option<Result<Event>> {
+        if self.over {
+            return None;
+        }
+        let next = self.look_and_wait().await.transpose();
+        self.over = !matches!(next, Some(Ok(_)));
+        next
+    }
+
+    async fn look_and_wait(&mut self) -> Result<Option<Event>> {
+        loop {
+            if let Some(event) = self.ready.pop_front() {
+                self.after = event.seq;
+                return Ok(Some(event));
+            }
+            // Before the look, so that what comes between look and wait is not missed.
+            self.newest.mark_unchanged();
+            let ended = self.closing.is_cancelled() || self.has_ended().await?;
+            self.ready = self.read().await?.into();
+            if self.ready.is_empty() {
+                if ended {
+                    return Ok(None);
+                }
+                self.wait().await;
+            }
+        }
+    }
+
+    async fn wait(&mut self) {
+        tokio::select! {
+            _ = self.newest.changed() => {}
+            () = tokio::time::sleep(LOOK) => {}
+            () = self.closing.cancelled() => {}
+        }
+    }
+
+    async fn read(&self) -> Result<Vec<Event>> {
+        let topic = match &self.topic {
+            Topic::Job(id) => Some(job_topic(id)),
+            Topic::Weighing(id) => Some(weighing_topic(id)),
+            Topic::All => None,
+        };
+        Ok(self.store.events_after(topic.as_deref(), self.after, BATCH).await?)
+    }
+
+    /// Whether the last event of the topic is already there.
+    async fn has_ended(&self) -> Result<bool> {
+        Ok(match &self.topic {
+            Topic::Job(id) => self.store.job(id).await?.is_none_or(|row| row.job.state.is_terminal()),
+            Topic::Weighing(id) => self.store.weighing(id).await?.is_none_or(|row| row.weighing.outcome.is_some()),
+            Topic::All => false,
+        })
     }
 }

@@ -1,23 +1,64 @@
 //! Jobs of every kind.
 
-use super::{App, Result};
+use super::{App, Error, Result};
 use crate::domain::job::{JobKind, JobState};
-use crate::store::jobs::Job;
-use crate::store::page::{Page, PageQuery};
+use crate::store;
+use crate::store::jobs::{Job, JobRow};
+use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
+use serde::de::DeserializeOwned;
 
 impl App {
     /// Jobs, newest first; of one kind or state when named.
-    pub async fn jobs(&self, _kind: Option<JobKind>, _state: Option<JobState>, _page: PageQuery) -> Result<Page<Job>> {
-        self.stub()
+    pub async fn jobs(&self, kind: Option<JobKind>, state: Option<JobState>, page: PageQuery) -> Result<Page<Job>> {
+        let rows = self.store().jobs(kind, state, page.window(LIST_LIMIT_MAX)?).await?;
+        Ok(Page { items: rows.items.into_iter().map(|row| row.job).collect(), next: rows.next })
     }
 
     /// One job.
-    pub async fn job(&self, _id: &str) -> Result<Job> {
-        self.stub()
+    pub async fn job(&self, id: &str) -> Result<Job> {
+        let row = self.store().job(id).await?.ok_or_else(|| Error::not_found("job", id))?;
+        Ok(row.job)
     }
 
     /// Ask a job to end: at once when it waits, at its next step when it runs. `Conflict` when it has ended.
-    pub async fn cancel_job(&self, _id: &str) -> Result<Job> {
-        self.stub()
+    pub async fn cancel_job(&self, id: &str) -> Result<Job> {
+        if let Some(job) = self.jobs_or_refuse()?.cancel(id).await? {
+            return Ok(job);
+        }
+        let job = self.job(id).await?;
+        let advice = format!("job {id} has ended ({}): there is nothing to cancel", word(job.state));
+        Err(Error::conflict("job_finished", advice))
+    }
+
+    /// Jobs of one kind, newest first, each as what its kind makes of it.
+    pub(super) async fn jobs_as<T>(
+        &self,
+        kind: JobKind,
+        page: PageQuery,
+        item: impl Fn(JobRow) -> Result<T>,
+    ) -> Result<Page<T>> {
+        let rows = self.store().jobs(Some(kind), None, page.window(LIST_LIMIT_MAX)?).await?;
+        let items: Result<Vec<T>> = rows.items.into_iter().map(item).collect();
+        Ok(Page { items: items?, next: rows.next })
+    }
+}
+
+/// A stored JSON document.
+pub(super) fn stored<T: DeserializeOwned>(text: &str) -> Result<T> {
+    serde_json::from_str(text).map_err(|error| Error::Internal(error.into()))
+}
+
+/// Something stored is not what it should be.
+pub(super) fn corrupt(what: &str) -> Error {
+    store::Error::Corrupt(format!("{what} is of another kind")).into()
+}
+
+fn word(state: JobState) -> &'static str {
+    match state {
+        JobState::Queued => "queued",
+        JobState::Running => "running",
+        JobState::Succeeded => "succeeded",
+        JobState::Failed => "failed",
+        JobState::Cancelled => "cancelled",
     }
 }

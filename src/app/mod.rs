@@ -1,6 +1,7 @@
 //! What FLIP can do, in plain Rust. REST, gRPC, the command line and the demonstration all call this.
 
 mod calibrations;
+mod check;
 mod error;
 mod evaluations;
 mod events;
@@ -12,7 +13,12 @@ mod trainings;
 mod weighings;
 
 pub use crate::domain::FieldError;
+pub use crate::domain::job::{JobKind, JobState, Progress};
 pub use crate::domain::timestamp::Timestamp;
+pub use crate::jobs::Functions;
+pub use crate::jobs::calibrate::{CalibrationResult, CalibrationSet};
+pub use crate::jobs::evaluate::EvaluationResult;
+pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
 pub use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
 pub use crate::store::events::Event;
 pub use crate::store::jobs::Job;
@@ -23,34 +29,57 @@ pub use crate::store::powders::{Measurement, Powder};
 pub use crate::store::tokens::Role;
 pub use crate::store::trials::{Episode, Trial, TrialPhase};
 pub use crate::store::weighings::Weighing;
-pub use calibrations::{Calibration, CalibrationRequest, CalibrationResult, CalibrationSet};
+pub use calibrations::{Calibration, CalibrationRequest};
 pub use error::{Error, Result};
-pub use evaluations::{Evaluation, EvaluationRequest, EvaluationResult};
+pub use evaluations::{Evaluation, EvaluationRequest};
 pub use events::Topic;
 pub use powders::{NewMeasurement, NewPowder, PowderDetail};
-pub use trainings::{Order, Preset, Training, TrainingLevel, TrainingRequest, TrainingResult};
+pub use trainings::{Training, TrainingLevel, TrainingRequest};
 pub use weighings::{Target, Tolerance, WeighingDetail, WeighingRequest};
 
+use crate::jobs::Jobs;
+use crate::store::{self, Store};
 use std::path::Path;
 use std::sync::Arc;
 
 /// What an [`App`] is opened for.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub struct Options {
     /// Run queued jobs and weighings in this process.
     pub workers: bool,
+    /// What jobs and weighings compute with; tests put formulas here.
+    pub functions: Functions,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { workers: true }
+        Self { workers: true, functions: Functions::default() }
+    }
+}
+
+impl Options {
+    /// To ask and to change things, while somebody else computes and weighs.
+    pub fn without_workers() -> Self {
+        Self { workers: false, ..Self::default() }
+    }
+}
+
+impl std::fmt::Debug for Options {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Options").field("workers", &self.workers).finish_non_exhaustive()
     }
 }
 
 /// FLIP: one data folder, opened. Cheap to clone.
 #[derive(Clone)]
 pub struct App {
-    _inner: Arc<()>,
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    store: Store,
+    /// `None` when opened to read only.
+    jobs: Option<Jobs>,
 }
 
 impl App {
@@ -58,23 +87,44 @@ impl App {
     ///
     /// # Errors
     /// [`OpenError::Held`] while another process has it open.
-    pub async fn open(_data_dir: &Path, _options: Options) -> std::result::Result<Self, OpenError> {
-        Ok(Self { _inner: Arc::new(()) })
+    pub async fn open(data_dir: &Path, options: Options) -> std::result::Result<Self, OpenError> {
+        let failed = |error| OpenError::of(data_dir, error);
+        let store = Store::open(data_dir).await.map_err(failed)?;
+        let jobs = Jobs::start(store.clone(), options.functions, options.workers).await.map_err(failed)?;
+        Ok(Self { inner: Arc::new(Inner { store, jobs: Some(jobs) }) })
     }
 
     /// Open a data folder to read it, also while `flip serve` holds it. Whatever would write answers `Unavailable`.
+    ///
+    /// A folder that nobody holds is opened for writing without workers instead, so that a fresh one is migrated.
+    ///
+    /// # Errors
+    /// [`OpenError::Failed`]
     pub async fn open_to_read(data_dir: &Path) -> std::result::Result<Self, OpenError> {
-        Self::open(data_dir, Options { workers: false }).await
+        match Self::open(data_dir, Options::without_workers()).await {
+            Err(OpenError::Held(_)) => {}
+            opened => return opened,
+        }
+        let store = Store::open_to_read(data_dir).await.map_err(|error| OpenError::of(data_dir, error))?;
+        Ok(Self { inner: Arc::new(Inner { store, jobs: None }) })
     }
 
-    /// Stop taking work, checkpoint running jobs and put them back in the queue, stop the bench, checkpoint the
-    /// write-ahead log.
+    /// Stop the bench and level the spoon, let running jobs save a checkpoint and go back into the queue, end every
+    /// stream of events, and move the write-ahead log into the database.
     pub async fn shutdown(&self) -> Result<()> {
+        if let Some(jobs) = &self.inner.jobs {
+            jobs.shutdown().await;
+        }
+        self.inner.store.close().await;
         Ok(())
     }
 
-    fn stub<T>(&self) -> Result<T> {
-        Err(Error::Unavailable("under construction".into()))
+    fn store(&self) -> &Store {
+        &self.inner.store
+    }
+
+    fn jobs_or_refuse(&self) -> Result<&Jobs> {
+        self.inner.jobs.as_ref().ok_or_else(|| store::Error::ReadOnly.into())
     }
 }
 
@@ -92,4 +142,13 @@ pub enum OpenError {
         /// Why.
         cause: String,
     },
+}
+
+impl OpenError {
+    fn of(data_dir: &Path, error: store::Error) -> Self {
+        match error {
+            store::Error::Held(_) => Self::Held(error.to_string()),
+            other => Self::Failed { path: data_dir.display().to_string(), cause: other.to_string() },
+        }
+    }
 }

@@ -1,22 +1,22 @@
 //! Policies.
 
-use super::{App, Result};
-use crate::store::page::{Page, PageQuery};
+use super::{App, Error, Result};
+use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use crate::store::policies::Policy;
 
 impl App {
     /// Policies, newest first.
-    pub async fn policies(&self, _page: PageQuery) -> Result<Page<Policy>> {
-        self.stub()
+    pub async fn policies(&self, page: PageQuery) -> Result<Page<Policy>> {
+        Ok(self.store().policies(page.window(LIST_LIMIT_MAX)?).await?)
     }
 
     /// One policy.
-    pub async fn policy(&self, _id: &str) -> Result<Policy> {
-        self.stub()
+    pub async fn policy(&self, id: &str) -> Result<Policy> {
+        self.store().policy(id).await?.ok_or_else(|| Error::not_found("policy", id))
     }
 
     /// A policy's safetensors, checked against its SHA-256.
-    pub async fn policy_bytes(&self, _id: &str) -> Result<Vec<u8>> {
-        self.stub()
+    pub async fn policy_bytes(&self, id: &str) -> Result<Vec<u8>> {
+        self.store().policy_bytes(id).await?.ok_or_else(|| Error::not_found("policy", id))
     }
 }

@@ -1,36 +1,25 @@
 //! Trainings: from parameter sets to a policy.
 
-use super::{App, Result};
-use crate::store::jobs::Job;
-use crate::store::page::{Page, PageQuery};
+use super::check::Check;
+use super::jobs::{corrupt, stored};
+use super::{App, Error, Result};
+use crate::domain::job::JobKind;
+use crate::jobs::train::{Level, Order, PAPER_LEVELS_DEG, Preset, SETS_PER_LEVEL, Settings, TrainingResult};
+use crate::jobs::{JobSpec, TrainingSpec};
+use crate::store::jobs::{Job, JobRow};
+use crate::store::page::{Page, PageQuery, SERIES_LIMIT_MAX};
+use crate::store::parameter_sets::CalibratedSet;
 use crate::store::trials::Episode;
 use serde::{Deserialize, Serialize};
 
-/// In which order a training meets the powders.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Order {
-    /// From the lowest angle of repose to the highest, moving on when the errors are small.
-    #[default]
-    Curriculum,
-    /// Levels shuffled once.
-    Random,
-    /// From the highest angle to the lowest.
-    Reverse,
-    /// A level drawn anew for every episode.
-    DomainRandomisation,
-}
-
-/// Which collection of settings a training starts from.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Preset {
-    /// FLIP's own: episodes end near the target.
-    #[default]
-    Flip,
-    /// As published: exactly ten steps, levels at 28, 33 and 37 degrees.
-    Paper,
-}
+/// The powders of the default curriculum, from the most to the least flowable.
+const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
+/// Most powders in one training.
+const POWDERS_MAX: usize = 20;
+/// Most episodes in one training.
+const EPISODES_MAX: u32 = 20_000;
+/// Most rounds between two checkpoints.
+const CHECKPOINT_ROUNDS: u32 = 5;
 
 /// What to train. Everything has a default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -42,7 +31,7 @@ pub struct TrainingRequest {
     /// Collection of settings.
     #[serde(default)]
     pub preset: Preset,
-    /// Episodes, 1 to 20000; default 4000 (the full budget).
+    /// Episodes, 1 to 20000; default the preset's: 160 for a demonstration, 4000 (the full budget) for the paper's.
     pub episodes: Option<u32>,
     /// Powders whose calibrated sets are the levels; default `sand`, `sugar`, `salt`. Not with the `paper` preset.
     pub powders: Option<Vec<String>>,
@@ -81,38 +70,132 @@ pub struct TrainingLevel {
     pub sets: Vec<String>,
 }
 
-/// What a training produced.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct TrainingResult {
-    /// Policy id.
-    pub policy: String,
-    /// Episodes used.
-    pub episodes: u32,
-    /// Mean absolute error of the last 20 episodes, mg.
-    pub final_error_mg: f64,
-    /// Curriculum history: one entry for each level that was entered.
-    #[schema(value_type = Vec<Object>)]
-    pub levels: Vec<serde_json::Value>,
-}
-
 impl App {
     /// Queue a training. `false`: the same one was asked for before, and this is its job.
-    pub async fn start_training(&self, _request: TrainingRequest) -> Result<(Job, bool)> {
-        self.stub()
+    ///
+    /// # Errors
+    /// `Invalid`; `Conflict` (`calibration_missing`) when a level has no parameter sets yet.
+    pub async fn start_training(&self, request: TrainingRequest) -> Result<(Job, bool)> {
+        let settings = settings_of(&request)?;
+        let levels = match (settings.order, settings.preset) {
+            // Draws from the whole published box: there are no levels.
+            (Order::DomainRandomisation, _) => Vec::new(),
+            (_, Preset::Flip) => self.levels_of_powders(request.powders.as_deref()).await?,
+            (_, Preset::Paper) => self.published_levels().await?,
+        };
+        let spec = JobSpec::Training(TrainingSpec::new(levels, settings));
+        Ok(self.jobs_or_refuse()?.enqueue(&spec).await?)
+    }
+
+    async fn levels_of_powders(&self, powders: Option<&[String]>) -> Result<Vec<Level>> {
+        let powders = match powders {
+            Some(powders) => powders.to_vec(),
+            None => POWDERS.map(str::to_owned).to_vec(),
+        };
+        let mut levels = Vec::new();
+        for (k, id) in powders.iter().enumerate() {
+            let powder = self.powder_of(&format!("powders[{k}]"), id).await?;
+            let sets = self.calibrated_sets(Some(id), 0.0).await?.ok_or_else(|| {
+                let advice = format!(
+                    "powder `{id}` has no parameter set: run `flip calibrate --powder {id}` or POST /v1/calibrations, \
+                     and train when it has succeeded"
+                );
+                Error::conflict("calibration_missing", advice)
+            })?;
+            let measured = powder.flowability.map(|f| f.repose_deg);
+            levels.push(level(powder.id, measured, &sets));
+        }
+        Ok(levels)
+    }
+
+    /// Levels at bare angles: the paper's curriculum is not of powders.
+    async fn published_levels(&self) -> Result<Vec<Level>> {
+        let mut levels = Vec::new();
+        for repose_deg in PAPER_LEVELS_DEG {
+            let sets = self.calibrated_sets(None, repose_deg).await?.ok_or_else(|| {
+                let advice = format!(
+                    "the `paper` preset trains at {repose_deg} deg, and nothing is calibrated to that: \
+                     POST /v1/calibrations {{\"repose_deg\": {repose_deg}}}, or let `flip train --preset paper` do it"
+                );
+                Error::conflict("calibration_missing", advice)
+            })?;
+            levels.push(level(format!("repose_{repose_deg}"), Some(repose_deg), &sets));
+        }
+        Ok(levels)
+    }
+
+    /// What the newest successful calibration of a powder, or of a bare angle, kept.
+    pub(super) async fn calibrated_sets(
+        &self,
+        powder: Option<&str>,
+        repose_deg: f64,
+    ) -> Result<Option<Vec<CalibratedSet>>> {
+        let Some(calibration) = self.store().newest_calibration(powder, repose_deg).await? else { return Ok(None) };
+        Ok(Some(self.store().sets_of_calibration(&calibration).await?))
     }
 
     /// One training.
-    pub async fn training(&self, _id: &str) -> Result<Training> {
-        self.stub()
+    pub async fn training(&self, id: &str) -> Result<Training> {
+        let row = self.store().job(id).await?.filter(|row| row.job.kind == JobKind::Training);
+        training(row.ok_or_else(|| Error::not_found("training", id))?)
     }
 
     /// Trainings, newest first.
-    pub async fn trainings(&self, _page: PageQuery) -> Result<Page<Training>> {
-        self.stub()
+    pub async fn trainings(&self, page: PageQuery) -> Result<Page<Training>> {
+        self.jobs_as(JobKind::Training, page, training).await
     }
 
     /// Episodes of a training in order; pages of up to 5000.
-    pub async fn training_episodes(&self, _training: &str, _page: PageQuery) -> Result<Page<Episode>> {
-        self.stub()
+    pub async fn training_episodes(&self, training: &str, page: PageQuery) -> Result<Page<Episode>> {
+        self.training(training).await?;
+        Ok(self.store().episodes(training, page.window(SERIES_LIMIT_MAX)?).await?)
     }
+}
+
+fn settings_of(request: &TrainingRequest) -> Result<Settings> {
+    let mut check = Check::default();
+    if let Some(episodes) = request.episodes {
+        check.count("episodes", episodes, 1, EPISODES_MAX);
+    }
+    if let Some(powders) = &request.powders {
+        let mut unique = powders.clone();
+        unique.sort();
+        unique.dedup();
+        if powders.is_empty() || powders.len() > POWDERS_MAX || unique.len() < powders.len() {
+            check.refuse("powders", format!("must name 1 to {POWDERS_MAX} powders, each once; leave it out for the default"));
+        }
+        if request.preset == Preset::Paper || request.order == Order::DomainRandomisation {
+            check.refuse("powders", "does not go with the `paper` preset or `domain-randomisation`: leave it out");
+        }
+    }
+    check.done()?;
+    let mut settings = Settings::of(request.preset, request.order, request.seed.unwrap_or(1));
+    settings.episodes = request.episodes.unwrap_or(settings.episodes);
+    // A round is seconds of work and a checkpoint a fraction of a second: lose at most one round to a crash.
+    settings.rounds_per_checkpoint = settings.rounds_per_checkpoint.min(CHECKPOINT_ROUNDS);
+    Ok(settings.checked()?)
+}
+
+fn level(powder: String, repose_deg: Option<f64>, sets: &[CalibratedSet]) -> Level {
+    let mean = sets.iter().map(|set| set.repose_deg).sum::<f64>() / sets.len().max(1) as f64;
+    let sets = sets.iter().take(SETS_PER_LEVEL).map(|set| set.parameters).collect();
+    Level { powder, repose_deg: repose_deg.unwrap_or(mean), sets }
+}
+
+fn training(row: JobRow) -> Result<Training> {
+    let JobSpec::Training(spec) = stored(&row.spec)? else { return Err(corrupt("a training's specification")) };
+    let level = |level: Level| TrainingLevel {
+        powder: level.powder,
+        repose_deg: level.repose_deg,
+        sets: level.sets.iter().map(|set| set.id()).collect(),
+    };
+    Ok(Training {
+        job: row.job,
+        order: spec.settings.order,
+        preset: spec.settings.preset,
+        episodes: spec.settings.episodes,
+        levels: spec.levels.into_iter().map(level).collect(),
+        settings: serde_json::to_value(spec.settings).map_err(|error| Error::Internal(error.into()))?,
+        result: row.result.as_deref().map(stored).transpose()?,
+    })
 }

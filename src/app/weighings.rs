@@ -1,10 +1,27 @@
 //! Weighings: checked, committed as intents, then carried out one at a time by the bench.
 
-use super::{App, Result};
+use super::check::Check;
+use super::evaluations::unmet;
+use super::{App, Error, Result};
 use crate::domain::bench::Tick;
-use crate::store::page::{Page, PageQuery};
-use crate::store::weighings::Weighing;
+use crate::domain::seed::derive;
+use crate::domain::weighing::WeighRequest;
+use crate::domain::{FieldError, bounded};
+use crate::jobs::bench::{WAITING_MAX, spoon_holds_mg};
+use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
+use crate::store::parameter_sets::CalibratedSet;
+use crate::store::policies::Policy;
+use crate::store::weighings::{Intent, Weighing, WeighingRow};
+use crate::store::{new_id, now};
+use rand::TryRng;
+use rand::rngs::SysRng;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+/// Smallest target, mg: below the finest display there is nothing to weigh by.
+const TARGET_MG_MIN: f64 = 0.1;
+/// Index of the seed that chooses the simulated powder.
+const SET_CHOICE: u64 = 1;
 
 /// What to weigh.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -62,22 +79,179 @@ impl App {
     /// # Errors
     /// `Invalid`, `Unprocessable` (the key belongs to another request), `Busy` (64 are waiting), `Conflict`
     /// (`calibration_missing`, `policy_missing`).
-    pub async fn start_weighing(&self, _request: WeighingRequest, _idempotency_key: &str) -> Result<(Weighing, bool)> {
-        self.stub()
+    pub async fn start_weighing(&self, request: WeighingRequest, idempotency_key: &str) -> Result<(Weighing, bool)> {
+        check_key(idempotency_key)?;
+        let request_sha256 = Sha256::digest(serde_json::to_vec(&request).map_err(|e| Error::Internal(e.into()))?).to_vec();
+        if let Some(first) = self.store().weighing_by_key(idempotency_key).await? {
+            return replay(first, &request_sha256, idempotency_key);
+        }
+        let (request, parameter_set) = self.plan(request).await?;
+        let key = idempotency_key.to_owned();
+        let intent = Intent { id: new_id(), idempotency_key: key, request_sha256, request, parameter_set };
+        self.commit(intent).await
+    }
+
+    /// Check a request and make every choice that it leaves open.
+    async fn plan(&self, request: WeighingRequest) -> Result<(WeighRequest, String)> {
+        let (target_mg, tolerance) = masses(&request)?;
+        let powder = self.powder_of("powder", &request.powder).await?.id;
+        let every = PageQuery::first(LIST_LIMIT_MAX).window(LIST_LIMIT_MAX)?;
+        let sets = self.store().parameter_sets(Some(&powder), every).await?.items;
+        let Some(capacity_mg) = spoon_holds_mg(sets.iter().map(|set| &set.parameters)) else {
+            let advice = format!(
+                "`{powder}` has no parameter set yet: run `flip calibrate --powder {powder}` or POST /v1/calibrations, \
+                 and weigh when it has succeeded"
+            );
+            return Err(Error::conflict("calibration_missing", advice));
+        };
+        if target_mg > capacity_mg {
+            let advice = format!(
+                "must be at most {capacity_mg:.1} mg, which is what the spoon holds of `{powder}`, got {target_mg} mg: \
+                 weigh it in portions"
+            );
+            return Err(FieldError::new("target.value", advice).into());
+        }
+        let policy = self.policy_for(&powder, request.policy.as_deref()).await?;
+        let seed = match request.seed {
+            Some(seed) => seed,
+            // 53 bits: what every JSON reader keeps exactly.
+            None => SysRng.try_next_u64().map_err(|error| Error::Internal(error.into()))? >> 11,
+        };
+        let set = choose_set(sets, &policy, seed);
+        let (tolerance_lower_mg, tolerance_upper_mg) = tolerance;
+        let policy = policy.id;
+        Ok((WeighRequest { powder, target_mg, tolerance_lower_mg, tolerance_upper_mg, policy, seed }, set))
+    }
+
+    async fn policy_for(&self, powder: &str, named: Option<&str>) -> Result<Policy> {
+        let id = match named {
+            Some(id) => Some(id.to_owned()),
+            None => self.store().best_policy(powder).await?,
+        };
+        let Some(id) = id else {
+            let advice = "there is no policy yet: run `flip train` or POST /v1/trainings, and weigh when it has succeeded";
+            return Err(Error::conflict("policy_missing", advice));
+        };
+        self.store().policy(&id).await?.ok_or_else(|| {
+            FieldError::new("policy", format!("there is no policy `{id}`: GET /v1/policies lists them")).into()
+        })
+    }
+
+    /// From here on a repeated request finds this weighing.
+    async fn commit(&self, intent: Intent) -> Result<(Weighing, bool)> {
+        let bench = self.jobs_or_refuse()?.bench();
+        let mut tx = self.store().write().await?;
+        if let Some(first) = tx.weighing_by_key(&intent.idempotency_key).await? {
+            return replay(first, &intent.request_sha256, &intent.idempotency_key);
+        }
+        if tx.planned_weighings().await? >= WAITING_MAX {
+            let advice = format!("{WAITING_MAX} weighings are waiting for the bench: try again when some are done");
+            return Err(Error::Busy(advice));
+        }
+        let weighing = tx.insert_weighing(&intent, now()).await?;
+        tx.commit().await?;
+        bench.wake();
+        Ok((weighing, false))
     }
 
     /// One weighing with its ticks.
-    pub async fn weighing(&self, _id: &str) -> Result<WeighingDetail> {
-        self.stub()
+    pub async fn weighing(&self, id: &str) -> Result<WeighingDetail> {
+        let row = self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
+        let ticks = match &row.trace {
+            Some(trace) => {
+                let bytes = self.store().artifacts().get(trace)?;
+                serde_json::from_slice(&bytes).map_err(|error| Error::Internal(error.into()))?
+            }
+            None => self.store().live_ticks(id).await?,
+        };
+        Ok(WeighingDetail { weighing: row.weighing, ticks })
     }
 
     /// Weighings, newest first.
-    pub async fn weighings(&self, _page: PageQuery) -> Result<Page<Weighing>> {
-        self.stub()
+    pub async fn weighings(&self, page: PageQuery) -> Result<Page<Weighing>> {
+        Ok(self.store().weighings(page.window(LIST_LIMIT_MAX)?).await?)
     }
 
     /// Stop a weighing: at once when it waits, at the next tick when it runs. Not an emergency stop.
-    pub async fn stop_weighing(&self, _id: &str) -> Result<Weighing> {
-        self.stub()
+    ///
+    /// # Errors
+    /// `NotFound`; `Conflict` (`weighing_finished`).
+    pub async fn stop_weighing(&self, id: &str) -> Result<Weighing> {
+        if let Some(weighing) = self.jobs_or_refuse()?.bench().stop(id).await? {
+            return Ok(weighing);
+        }
+        self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
+        Err(Error::conflict("weighing_finished", format!("weighing {id} has ended: there is nothing to stop")))
     }
+}
+
+/// The weighing that a key made, if it was asked for with the same request.
+fn replay(first: WeighingRow, request_sha256: &[u8], key: &str) -> Result<(Weighing, bool)> {
+    match first.request_sha256 == request_sha256 {
+        true => Ok((first.weighing, true)),
+        false => Err(Error::Unprocessable { key: key.to_owned(), weighing: first.weighing.id }),
+    }
+}
+
+fn check_key(key: &str) -> Result<()> {
+    match (1..=255).contains(&key.len()) && key.bytes().all(|b| b.is_ascii_graphic()) {
+        true => Ok(()),
+        false => Err(FieldError::new(
+            "Idempotency-Key",
+            "must be 1 to 255 visible ASCII characters: use a new random one, such as a UUID, for each new weighing",
+        )
+        .into()),
+    }
+}
+
+/// Target and tolerances in mg; everything that is wrong with them.
+fn masses(request: &WeighingRequest) -> Result<(f64, (f64, f64))> {
+    let mut check = Check::default();
+    let in_mg = |unit: &str| match unit {
+        "mg" => Some(1.0),
+        "g" => Some(1000.0),
+        _ => None,
+    };
+    let target_mg = match in_mg(&request.target.unit) {
+        Some(factor) => {
+            let value = request.target.value * factor;
+            let checked = bounded("target.value", value, TARGET_MG_MIN, f64::MAX, "mg");
+            let advice = "must be at least 0.1 mg and at most what the spoon holds";
+            check.keep(checked.map_err(|error| FieldError::new(error.field, format!("{advice}, got {value} mg"))))
+        }
+        None => {
+            check.refuse("target.unit", format!("must be `mg` or `g`, got `{}`", shown(&request.target.unit)));
+            None
+        }
+    };
+    let factor = match (request.tolerance.unit.as_str(), target_mg) {
+        ("%", target) => target.map(|mg| mg / 100.0),
+        (unit, _) => in_mg(unit),
+    };
+    if factor.is_none() && request.tolerance.unit != "%" {
+        check.refuse("tolerance.unit", format!("must be `mg`, `g` or `%`, got `{}`", shown(&request.tolerance.unit)));
+    }
+    for (field, value) in [("tolerance.lower", request.tolerance.lower), ("tolerance.upper", request.tolerance.upper)] {
+        let limit = factor.zip(target_mg).map_or(f64::MAX, |(factor, target)| target / factor);
+        if !(value.is_finite() && (0.0..=limit).contains(&value)) {
+            check.refuse(field, format!("must be from 0 to the target itself, got {value} {}", shown(&request.tolerance.unit)));
+        }
+    }
+    check.done()?;
+    let (Some(target_mg), Some(factor)) = (target_mg, factor) else { unreachable!("checked above") };
+    Ok((target_mg, (request.tolerance.lower * factor, request.tolerance.upper * factor)))
+}
+
+/// A caller's text inside a message: short, and without control characters.
+fn shown(text: &str) -> String {
+    text.chars().filter(|c| !c.is_control()).take(20).collect()
+}
+
+/// One of the powder's sets, by seed: among those that the policy has not met, if there are any.
+fn choose_set(sets: Vec<CalibratedSet>, policy: &Policy, seed: u64) -> String {
+    let mut sets = unmet(sets, policy);
+    // By content rather than by age, so that the choice is the same in every data folder that has the same sets.
+    sets.sort_by(|a, b| a.id.cmp(&b.id));
+    let index = derive(seed, &[SET_CHOICE]) % sets.len() as u64;
+    sets.swap_remove(index as usize).id
 }

@@ -64,7 +64,7 @@ struct Powder {
     verification_runs: u32,
     sets: Vec<Set>,
     mean_error_deg: f64,
-    sd_error_deg: f64,
+    sd_error_deg: Option<f64>,
 }
 
 #[derive(Debug, Serialize)]
@@ -73,7 +73,7 @@ struct Set {
     parameters: ParameterSet,
     /// Mean over `runs` heaps, degrees.
     repose_deg: f64,
-    repose_sd_deg: f64,
+    repose_sd_deg: Option<f64>,
     runs: u32,
     error_deg: f64,
 }
@@ -162,7 +162,7 @@ fn text(document: &Document) -> String {
             format!("{:.2}", p.target_deg),
             p.sets.len().to_string(),
             format!("{:.2}", p.mean_error_deg),
-            format!("{:.2}", p.sd_error_deg),
+            p.sd_error_deg.map_or("-".to_owned(), |sd| format!("{sd:.2}")),
             p.evaluations.to_string(),
             p.verification_runs.to_string(),
         ]

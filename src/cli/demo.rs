@@ -74,7 +74,7 @@ struct Learned {
 /// Start the service, run the demonstration as a client of the same application, and serve on until told to stop.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     runtime()?.block_on(async {
-        let app = App::open(&common.data_dir, Options { workers: true }).await?;
+        let app = App::open(&common.data_dir, Options::default()).await?;
         let stop = CancellationToken::new();
         let result = match serve(&app, arguments, &stop).await {
             Ok(service) => attended(&app, common, arguments, service, &stop).await,

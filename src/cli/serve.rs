@@ -58,7 +58,7 @@ struct Document {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     telemetry::start(arguments.log_format.into(), telemetry::SERVICE);
     runtime()?.block_on(async {
-        let app = App::open(&common.data_dir, Options { workers: true }).await?;
+        let app = App::open(&common.data_dir, Options::default()).await?;
         let server = match bind(&app, &arguments.address) {
             Ok(server) => server,
             Err(failure) => {

@@ -9,7 +9,7 @@ use crate::app::{App, OpenError, Options};
 /// SIGTERM and Ctrl-C end the work early: running jobs write a checkpoint, the spoon is levelled, and the same command
 /// run again goes on from there.
 pub(super) fn with_app<T>(common: &Common, work: impl AsyncFnOnce(&App) -> Result<T, Failure>) -> Result<T, Failure> {
-    with_options(common, Options { workers: true }, work)
+    with_options(common, Options::default(), work)
 }
 
 /// As [`with_app`], but leaving queued jobs and weighings where they are.
@@ -17,7 +17,7 @@ pub(super) fn with_writer<T>(
     common: &Common,
     work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
-    with_options(common, Options { workers: false }, work)
+    with_options(common, Options::without_workers(), work)
 }
 
 fn with_options<T>(
@@ -44,7 +44,7 @@ pub(super) fn with_reader<T>(
     work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
     runtime()?.block_on(async {
-        let app = match App::open(&common.data_dir, Options { workers: false }).await {
+        let app = match App::open(&common.data_dir, Options::without_workers()).await {
             Err(OpenError::Held(_)) => App::open_to_read(&common.data_dir).await?,
             opened => opened?,
         };

@@ -46,7 +46,7 @@ struct Document {
     /// Time on the bench, which is simulated and reproducible; not wall time.
     seconds: Option<f64>,
     policy: String,
-    parameter_set: Option<String>,
+    parameter_set: String,
     seed: u64,
 }
 

@@ -10,20 +10,22 @@ use serde::{Deserialize, Serialize};
 pub const PAPER_LEVELS_DEG: [f64; 3] = [28.0, 33.0, 37.0];
 
 /// Which settings a training starts from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
     /// FLIP's own.
+    #[default]
     Flip,
     /// The published robot's.
     Paper,
 }
 
 /// Which powder an episode gets.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Order {
     /// From the lowest angle of repose to the highest, moving on when good enough.
+    #[default]
     Curriculum,
     /// From the highest angle of repose to the lowest, by the same rule.
     Reverse,

@@ -1,0 +1,143 @@
+//! Calibrations: asked for twice, resumed, cancelled, refused.
+
+use crate::harness::{calibrated, calibration_of, ended, functions, heap, open, open_in, until};
+use flip::app::{Error, Functions, JobState, PageQuery, SERIES_LIMIT_MAX, Topic, Trial};
+use flip::app::{App, CalibrationRequest};
+use futures::StreamExt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+async fn all_trials(app: &App, id: &str) -> Vec<Trial> {
+    app.trials(id, PageQuery::first(SERIES_LIMIT_MAX)).await.unwrap().items
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_powder_is_calibrated_and_its_sets_are_stored() {
+    let (_folder, app) = open(functions()).await;
+    let job = calibrated(&app, "salt").await;
+    let calibration = app.calibration(&job.id).await.unwrap();
+    let result = calibration.result.unwrap();
+    assert_eq!((calibration.powder.as_deref(), result.sets.len()), (Some("salt"), 3));
+    assert!(result.sets.iter().all(|set| set.error_deg <= 1.5));
+    let powder = app.powder("salt").await.unwrap();
+    let mut stored: Vec<String> = powder.sets.iter().map(|set| set.id.clone()).collect();
+    let mut kept: Vec<String> = result.sets.iter().map(|set| set.id.clone()).collect();
+    stored.sort();
+    kept.sort();
+    assert_eq!(stored, kept);
+    let trials = all_trials(&app, &job.id).await;
+    assert_eq!(trials.len() as u32, result.evaluations + result.verification_runs);
+    assert!(trials.iter().enumerate().all(|(k, trial)| trial.index as usize == k));
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn asking_again_finds_the_job_that_did_it_and_a_failed_one_is_done_anew() {
+    let (_folder, app) = open(functions()).await;
+    let job = calibrated(&app, "sand").await;
+    let (again, created) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();
+    assert_eq!((again.id, again.state, created), (job.id.clone(), JobState::Succeeded, false));
+    let (other, created) = app.start_calibration(calibration_of("sand", 2)).await.unwrap();
+    assert!(created && other.id != job.id);
+    // Ten trials cannot find a hundred sets.
+    let hopeless = CalibrationRequest { sets: Some(100), trials_max: Some(10), ..calibration_of("sand", 1) };
+    let (failing, _) = app.start_calibration(hopeless.clone()).await.unwrap();
+    let failed = ended(&app, &failing.id).await;
+    assert_eq!(failed.state, JobState::Failed);
+    assert!(failed.error.unwrap().contains("of 100 sets"));
+    assert!(app.start_calibration(hopeless).await.unwrap().1);
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_shut_down_calibration_resumes_and_ends_as_if_it_had_never_stopped() {
+    let (_folder, undisturbed) = open(functions()).await;
+    let whole = calibrated(&undisturbed, "sugar").await;
+    let whole_result = undisturbed.calibration(&whole.id).await.unwrap().result.unwrap();
+
+    let folder = tempfile::tempdir().unwrap();
+    let simulated = Arc::new(AtomicUsize::new(0));
+    let counted = simulated.clone();
+    let slow = Functions {
+        simulate: Arc::new(move |set, settings, seed| {
+            counted.fetch_add(1, Ordering::SeqCst);
+            std::thread::sleep(Duration::from_millis(20));
+            heap(set, settings, seed)
+        }),
+        ..functions()
+    };
+    let app = open_in(folder.path(), slow.clone()).await;
+    let (job, _) = app.start_calibration(calibration_of("sugar", 1)).await.unwrap();
+    until("five trials", async || all_trials(&app, &job.id).await.len() >= 5).await;
+    app.shutdown().await.unwrap();
+    drop(app);
+
+    let app = open_in(folder.path(), slow).await;
+    let job = ended(&app, &job.id).await;
+    assert_eq!((job.state, job.attempts), (JobState::Succeeded, 1), "a shutdown burns no attempt");
+    assert_eq!(app.calibration(&job.id).await.unwrap().result.unwrap(), whole_result);
+    assert_eq!(all_trials(&app, &job.id).await, all_trials(&undisturbed, &whole.id).await);
+    let repeated = simulated.load(Ordering::SeqCst) - all_trials(&app, &job.id).await.len();
+    assert!(repeated <= 4, "{repeated} trials were simulated twice; only a batch that was not saved may be");
+    app.shutdown().await.unwrap();
+    undisturbed.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_running_calibration_is_cancelled_between_two_trials_and_a_waiting_one_at_once() {
+    let slow = Functions {
+        simulate: Arc::new(|set, settings, seed| {
+            std::thread::sleep(Duration::from_millis(30));
+            heap(set, settings, seed)
+        }),
+        ..functions()
+    };
+    let (_folder, app) = open(slow).await;
+    let (running, _) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();
+    let (waiting, _) = app.start_calibration(calibration_of("salt", 1)).await.unwrap();
+    until("a trial", async || !all_trials(&app, &running.id).await.is_empty()).await;
+    assert_eq!(app.cancel_job(&waiting.id).await.unwrap().state, JobState::Cancelled);
+    assert!(app.cancel_job(&running.id).await.unwrap().cancelling);
+    assert_eq!(ended(&app, &running.id).await.state, JobState::Cancelled);
+    assert!(matches!(app.cancel_job(&running.id).await, Err(Error::Conflict { code: "job_finished", .. })));
+    assert!(matches!(app.cancel_job("no-such-job").await, Err(Error::NotFound { what: "job", .. })));
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn followers_hear_every_trial_once_and_resume_where_they_stopped() {
+    let (_folder, app) = open(functions()).await;
+    let job = calibrated(&app, "sand").await;
+    let events: Vec<_> = app.events(Topic::Job(job.id.clone()), 0).await.unwrap().map(Result::unwrap).collect().await;
+    assert!(events.windows(2).all(|pair| pair[0].seq < pair[1].seq));
+    let trials = events.iter().filter(|event| event.kind == "trial").count();
+    assert_eq!(trials, all_trials(&app, &job.id).await.len());
+    assert_eq!(events.iter().filter(|event| event.kind == "progress").count(), 1, "only the newest progress is kept");
+    let states: Vec<&str> =
+        events.iter().filter(|e| e.kind == "state").map(|e| e.data["state"].as_str().unwrap()).collect();
+    assert_eq!(states, ["queued", "running", "succeeded"]);
+    let middle = events[events.len() / 2].seq;
+    let rest: Vec<_> = app.events(Topic::Job(job.id), middle).await.unwrap().map(Result::unwrap).collect().await;
+    assert_eq!(rest, events[events.len() / 2 + 1..]);
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn requests_that_cannot_be_met_name_the_field_and_store_nothing() {
+    let (_folder, app) = open(functions()).await;
+    let refused = async |request: CalibrationRequest| match app.start_calibration(request).await {
+        Err(Error::Invalid(fields)) => fields[0].field.clone(),
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(refused(calibration_of("flour", 1)).await, "powder");
+    assert_eq!(refused(calibration_of("../etc", 1)).await, "powder");
+    assert_eq!(refused(CalibrationRequest::default()).await, "powder");
+    assert_eq!(refused(CalibrationRequest { repose_deg: Some(30.0), ..calibration_of("sand", 1) }).await, "powder");
+    assert_eq!(refused(CalibrationRequest { repose_deg: Some(f64::NAN), ..Default::default() }).await, "repose_deg");
+    assert_eq!(refused(CalibrationRequest { sets: Some(0), ..calibration_of("sand", 1) }).await, "sets");
+    let bad_tolerance = CalibrationRequest { tolerance_deg: Some(f64::INFINITY), ..calibration_of("sand", 1) };
+    assert_eq!(refused(bad_tolerance).await, "tolerance_deg");
+    assert!(app.jobs(None, None, PageQuery::default()).await.unwrap().items.is_empty());
+    app.shutdown().await.unwrap();
+}

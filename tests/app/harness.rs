@@ -1,0 +1,118 @@
+//! One application for each test, and the formulas it computes with.
+
+use flip::app::{App, CalibrationRequest, Functions, Job, JobState, Options, Topic, TrainingRequest};
+use flip::domain::bench::{Action, Reading, Tick};
+use flip::domain::parameters::ParameterSet;
+use flip::domain::weighing::Outcome;
+use flip::jobs::bench::{Poured, Pouring};
+use flip::jobs::train::Train;
+use flip::sim::repose::{self, Refusal, Repose};
+use flip::train::formula::Formula;
+use flip::train::train_on;
+use futures::StreamExt;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use tempfile::TempDir;
+
+/// Longest that a test waits for anything.
+pub const PATIENCE: Duration = Duration::from_secs(20);
+
+/// A heap whose angle grows with friction and cohesion, with a little noise by seed.
+pub fn heap(set: &ParameterSet, settings: &repose::Settings, seed: u64) -> Result<Repose, Refusal> {
+    let noise = (seed % 1000) as f64 / 1000.0 - 0.5;
+    let tip_deg = 22.0 + 15.0 * set.friction() + 6.0 * set.cohesion() + 0.2 * noise;
+    let (speed_rms_mm_s, particles_on_base, overlap_mean, simulated_s) = (0.0, settings.particles, 0.0, 1.0);
+    let (cone_deg, creep_deg_per_s) = (tip_deg - 2.0, 0.0);
+    Ok(Repose { tip_deg, cone_deg, creep_deg_per_s, speed_rms_mm_s, particles_on_base, overlap_mean, simulated_s })
+}
+
+/// A training on spoons that follow a formula.
+fn train() -> Train {
+    Arc::new(|levels, settings, resume, listener| {
+        train_on(&Formula { pitch: settings.rules.pitch }, levels, settings, resume, listener)
+    })
+}
+
+/// A pour of three ticks that is 0.25 mg too much; it stops when asked to.
+pub fn pour(pouring: &Pouring, on_tick: &mut dyn FnMut(&Tick), stop: &AtomicBool) -> Poured {
+    let mut ticks = Vec::new();
+    let end_mg = pouring.order.target_mg + 0.25;
+    for step in 0..3u32 {
+        if stop.load(Ordering::SeqCst) {
+            break;
+        }
+        let mass_mg = end_mg * f64::from(step) / 2.0;
+        let reading = Reading { mass_mg, stable: true };
+        let tick = Tick { step, t_s: f64::from(step), pitch_deg: 10.0, action: Action::default(), reading };
+        on_tick(&tick);
+        ticks.push(tick);
+    }
+    let reading_mg = ticks.last().map_or(0.0, |tick| tick.reading.mass_mg);
+    let outcome = if ticks.len() == 3 { Outcome::Within } else { Outcome::Stopped };
+    Poured { outcome, dispensed_mg: reading_mg, reading_mg, shakes: 2, seconds: 2.0, ticks, error: None }
+}
+
+/// The formulas.
+pub fn functions() -> Functions {
+    Functions { simulate: Arc::new(heap), train: train(), pour: Arc::new(pour) }
+}
+
+/// A fresh data folder, opened with workers.
+pub async fn open(functions: Functions) -> (TempDir, App) {
+    let folder = tempfile::tempdir().unwrap();
+    let app = open_in(folder.path(), functions).await;
+    (folder, app)
+}
+
+/// A data folder, opened with workers.
+pub async fn open_in(folder: &Path, functions: Functions) -> App {
+    App::open(folder, Options { functions, ..Options::default() }).await.unwrap()
+}
+
+/// A calibration of a powder to three sets.
+pub fn calibration_of(powder: &str, seed: u64) -> CalibrationRequest {
+    CalibrationRequest { powder: Some(powder.into()), sets: Some(3), seed: Some(seed), ..Default::default() }
+}
+
+/// The job once it has ended.
+pub async fn ended(app: &App, id: &str) -> Job {
+    let mut events = app.events(Topic::Job(id.into()), 0).await.unwrap();
+    let drained = async { while events.next().await.is_some() {} };
+    tokio::time::timeout(PATIENCE, drained).await.expect("the job ends in time");
+    let job = app.job(id).await.unwrap();
+    assert!(job.state.is_terminal());
+    job
+}
+
+/// Calibrate a powder and return the job.
+pub async fn calibrated(app: &App, powder: &str) -> Job {
+    let (job, _) = app.start_calibration(calibration_of(powder, 1)).await.unwrap();
+    let job = ended(app, &job.id).await;
+    assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
+    job
+}
+
+/// A training of a few random episodes on one powder.
+pub fn training_of(powder: &str, episodes: u32) -> TrainingRequest {
+    TrainingRequest { powders: Some(vec![powder.into()]), episodes: Some(episodes), ..Default::default() }
+}
+
+/// Calibrate a powder, train on it, and return the policy's id.
+pub async fn trained(app: &App, powder: &str) -> String {
+    calibrated(app, powder).await;
+    let (job, _) = app.start_training(training_of(powder, 8)).await.unwrap();
+    let job = ended(app, &job.id).await;
+    assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
+    app.training(&job.id).await.unwrap().result.unwrap().policy
+}
+
+/// Wait until `test` holds.
+pub async fn until<F: Future<Output = bool>>(what: &str, mut test: impl FnMut() -> F) {
+    let deadline = tokio::time::Instant::now() + PATIENCE;
+    while !test().await {
+        assert!(tokio::time::Instant::now() < deadline, "{what}: not in time");
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+}

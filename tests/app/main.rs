@@ -1,0 +1,7 @@
+//! The application from outside, on a real database in a temporary folder, with formulas in place of the physics.
+
+mod calibration;
+mod harness;
+mod ledger;
+mod training;
+mod weighing;

@@ -1,0 +1,148 @@
+//! Trainings and evaluations: from calibrated sets to a policy and its errors.
+
+use crate::harness::{calibrated, ended, functions, open, open_in, trained, training_of, until};
+use flip::app::{App, Episode, Error, EvaluationRequest, Functions, JobState, PageQuery, SERIES_LIMIT_MAX};
+use flip::app::{Preset, TrainingRequest};
+use flip::policy;
+use std::sync::Arc;
+use std::time::Duration;
+
+async fn all_episodes(app: &App, id: &str) -> Vec<Episode> {
+    app.training_episodes(id, PageQuery::first(SERIES_LIMIT_MAX)).await.unwrap().items
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_training_stores_its_episodes_and_a_policy_that_can_be_downloaded() {
+    let (_folder, app) = open(functions()).await;
+    let id = trained(&app, "sand").await;
+    let card = app.policy(&id).await.unwrap();
+    let bytes = app.policy_bytes(&id).await.unwrap();
+    assert_eq!((policy::id(&bytes), bytes.len() as u64, card.kind.as_str()), (id, card.size_bytes, "learned"));
+    assert_eq!(policy::decode(&bytes).unwrap().manifest.episodes, 8);
+    let training = app.training(&card.training.unwrap()).await.unwrap();
+    assert_eq!((training.episodes, training.levels[0].powder.as_str()), (8, "sand"));
+    assert_eq!(training.levels[0].sets.len(), 3);
+    let episodes = all_episodes(&app, &training.job.id).await;
+    assert!(episodes.len() == 8 && episodes.iter().enumerate().all(|(k, episode)| episode.index as usize == k));
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_shut_down_training_resumes_and_ends_with_the_same_policy() {
+    let request = TrainingRequest { episodes: Some(40), ..training_of("sand", 40) };
+    let (_folder, undisturbed) = open(functions()).await;
+    calibrated(&undisturbed, "sand").await;
+    let whole = undisturbed.start_training(request.clone()).await.unwrap().0;
+    ended(&undisturbed, &whole.id).await;
+    let whole_result = undisturbed.training(&whole.id).await.unwrap().result.unwrap();
+
+    let folder = tempfile::tempdir().unwrap();
+    let quick = functions();
+    let slow_train = quick.train.clone();
+    let slow = Functions {
+        train: Arc::new(move |levels, settings, resume, listener| {
+            slow_train(levels, settings, resume, &mut |event| {
+                std::thread::sleep(Duration::from_millis(20));
+                listener(event)
+            })
+        }),
+        ..quick
+    };
+    let app = open_in(folder.path(), slow).await;
+    calibrated(&app, "sand").await;
+    let job = app.start_training(request).await.unwrap().0;
+    until("eight episodes", async || all_episodes(&app, &job.id).await.len() >= 8).await;
+    app.shutdown().await.unwrap();
+    drop(app);
+
+    let app = open_in(folder.path(), functions()).await;
+    let job = ended(&app, &job.id).await;
+    assert_eq!((job.state, job.attempts), (JobState::Succeeded, 1), "{:?}", job.error);
+    assert_eq!(app.training(&job.id).await.unwrap().result.unwrap(), whole_result);
+    assert_eq!(all_episodes(&app, &job.id).await, all_episodes(&undisturbed, &whole.id).await);
+    let left = walk(folder.path().join("blobs"));
+    assert!(left.is_empty(), "no checkpoint outlives its training: {left:?}");
+    app.shutdown().await.unwrap();
+    undisturbed.shutdown().await.unwrap();
+}
+
+fn walk(folder: std::path::PathBuf) -> Vec<std::path::PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().map(|entry| entry.unwrap().path());
+    entries.flat_map(|path| if path.is_dir() { walk(path) } else { vec![path] }).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
+    let (_folder, app) = open(functions()).await;
+    let policy = trained(&app, "sand").await;
+    calibrated(&app, "salt").await;
+    let request = EvaluationRequest {
+        powders: Some(vec!["sand".into(), "salt".into()]),
+        controllers: Some(vec!["policy".into(), "fixed".into()]),
+        repeats: Some(2),
+        ..Default::default()
+    };
+    let (job, _) = app.start_evaluation(request).await.unwrap();
+    let job = ended(&app, &job.id).await;
+    assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
+    let evaluation = app.evaluation(&job.id).await.unwrap();
+    let result = evaluation.result.unwrap();
+    assert_eq!((evaluation.policy, result.rows.len(), result.summary.len()), (policy.clone(), 8, 2));
+    assert!(result.rows.iter().all(|row| row.n == 2 && (row.mae_mg - 0.25).abs() < 1e-9));
+    let evaluated = app.policy(&policy).await.unwrap().evaluated;
+    let powders: Vec<(&str, u32)> = evaluated.iter().map(|e| (e.powder.as_str(), e.n)).collect();
+    assert_eq!(powders, [("salt", 4), ("sand", 4)]);
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn missing_prerequisites_are_conflicts_that_name_the_command() {
+    let (_folder, app) = open(functions()).await;
+    let conflict = |result: Result<_, Error>| match result {
+        Err(Error::Conflict { code, message }) => (code, message),
+        Err(other) => panic!("{other:?}"),
+        Ok(((), false | true)) => panic!("accepted"),
+    };
+    let train = async |request| conflict(app.start_training(request).await.map(|(_, created)| ((), created)));
+    let (code, message) = train(TrainingRequest::default()).await;
+    assert!(code == "calibration_missing" && message.contains("flip calibrate --powder sand"), "{message}");
+    let (code, message) = train(TrainingRequest { preset: Preset::Paper, ..Default::default() }).await;
+    assert!(code == "calibration_missing" && message.contains("28 deg"), "{message}");
+    let evaluate = app.start_evaluation(EvaluationRequest::default()).await;
+    let (code, message) = conflict(evaluate.map(|(_, created)| ((), created)));
+    assert!(code == "policy_missing" && message.contains("flip train"), "{message}");
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn requests_that_cannot_be_met_name_every_wrong_field() {
+    let (_folder, app) = open(functions()).await;
+    let policy = trained(&app, "sand").await;
+    let fields = |error: Error| match error {
+        Error::Invalid(fields) => fields.into_iter().map(|f| f.field).collect::<Vec<_>>(),
+        other => panic!("{other:?}"),
+    };
+    let bad = EvaluationRequest {
+        controllers: Some(vec!["policy".into(), "magic".into()]),
+        targets_mg: Some(vec![15.0, f64::NAN, -1.0]),
+        repeats: Some(0),
+        ..Default::default()
+    };
+    let named = fields(app.start_evaluation(bad).await.unwrap_err());
+    assert_eq!(named, ["repeats", "controllers[1]", "targets_mg[1]", "targets_mg[2]"]);
+    let too_much = EvaluationRequest {
+        policy: Some(policy),
+        powders: Some(vec!["sand".into()]),
+        targets_mg: Some(vec![10.0, 500.0]),
+        ..Default::default()
+    };
+    assert_eq!(fields(app.start_evaluation(too_much).await.unwrap_err()), ["targets_mg[1]"]);
+    let unknown = EvaluationRequest { policy: Some("p-0".into()), ..Default::default() };
+    assert_eq!(fields(app.start_evaluation(unknown).await.unwrap_err()), ["policy"]);
+    let twice = TrainingRequest { episodes: Some(0), ..training_of("sand", 0) };
+    let twice = TrainingRequest { powders: Some(vec!["sand".into(), "sand".into()]), ..twice };
+    assert_eq!(fields(app.start_training(twice).await.unwrap_err()), ["episodes", "powders"]);
+    let unknown = app.start_training(training_of("flour", 8)).await.unwrap_err();
+    assert_eq!(fields(unknown), ["powders[0]"]);
+    app.shutdown().await.unwrap();
+}
