@@ -102,19 +102,14 @@ impl JobContext {
         })
     }
 
-    /// Save bytes to resume from: the file first, then the row that names it, then the file it replaces goes.
+    /// Save bytes to resume from: the file first, then the row that names it.
     pub fn checkpoint(&self, bytes: &[u8]) -> store::Result<()> {
         let sha256 = self.store.artifacts().put(bytes)?;
-        let replaced = self.runtime.block_on(async {
+        self.runtime.block_on(async {
             let mut tx = self.store.write().await?;
-            let replaced = tx.set_checkpoint(&self.lease, &sha256).await?;
-            tx.commit().await?;
-            store::Result::Ok(replaced)
-        })?;
-        match replaced {
-            Some(old) => self.runtime.block_on(self.store.forget_artifact(&old)),
-            None => Ok(()),
-        }
+            tx.set_checkpoint(&self.lease, &sha256).await?;
+            tx.commit().await
+        })
     }
 
     /// Save the last things and the result, and end the job, in one transaction.

@@ -116,7 +116,16 @@ impl Tx {
         }))
     }
 
+    /// The job ends: nothing will resume from its checkpoint.
+    async fn unname_checkpoint(&mut self, id: &str) -> Result<()> {
+        let old = sqlx::query_scalar("SELECT checkpoint FROM job WHERE id = ?1 AND checkpoint IS NOT NULL");
+        let old: Option<String> = old.bind(id).fetch_optional(&mut *self.inner).await?;
+        self.unnamed.extend(old);
+        Ok(())
+    }
+
     async fn end_unclaimed(&mut self, id: &str, state: JobState, error: Option<&str>, now: Timestamp) -> Result<()> {
+        self.unname_checkpoint(id).await?;
         let sql = "UPDATE job SET state = ?2, error = coalesce(?3, error), owner = NULL, lease_until = NULL, \
                    checkpoint = NULL, finished_at = ?4 WHERE id = ?1 RETURNING *";
         let row = sqlx::query(sql)
@@ -163,17 +172,19 @@ impl Tx {
         self.emit_latest(&job_topic(&lease.job), "progress", progress).await
     }
 
-    /// Name the artifact to resume from; the one that it replaces.
-    pub(crate) async fn set_checkpoint(&mut self, lease: &Lease, sha256: &str) -> Result<Option<String>> {
+    /// Name the artifact to resume from.
+    pub(crate) async fn set_checkpoint(&mut self, lease: &Lease, sha256: &str) -> Result<()> {
         let old: Option<String> = self.prove(lease).await?.plain("checkpoint")?;
+        self.unnamed.extend(old.filter(|old| old != sha256));
         self.advance(lease).await?;
         let sql = "UPDATE job SET checkpoint = ?2 WHERE id = ?1";
         sqlx::query(sql).bind(&lease.job).bind(sha256).execute(&mut *self.inner).await?;
-        Ok(old.filter(|old| old != sha256))
+        Ok(())
     }
 
     /// The job is done, and this is its result.
     pub(crate) async fn succeed(&mut self, lease: &Lease, result: &str, now: Timestamp) -> Result<()> {
+        self.unname_checkpoint(&lease.job).await?;
         let sql = "UPDATE job SET state = 'succeeded', result = ?3, fraction = 1, message = 'done', error = NULL, \
                    owner = NULL, lease_until = NULL, checkpoint = NULL, finished_at = ?4 \
                    WHERE id = ?1 AND fence = ?2 AND state = 'running' RETURNING *";

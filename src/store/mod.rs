@@ -88,7 +88,7 @@ impl Store {
     /// [`Error::ReadOnly`]; [`Error::Database`] when the write lock is not free within the time-outs.
     pub async fn write(&self) -> Result<Tx> {
         let inner = self.writer()?.begin_with("BEGIN IMMEDIATE").await?;
-        Ok(Tx { inner, newest_event: None, announce: self.newest_event.clone() })
+        Ok(Tx { inner, store: self.clone(), newest_event: None, unnamed: Vec::new() })
     }
 
     /// The connection that writes, for the queue library, which brings its own statements.
@@ -120,19 +120,26 @@ impl Store {
 #[derive(Debug)]
 pub struct Tx {
     inner: Transaction<'static, Sqlite>,
+    store: Store,
     newest_event: Option<i64>,
-    announce: watch::Sender<i64>,
+    /// Artifacts that rows named until this transaction.
+    unnamed: Vec<String>,
 }
 
 impl Tx {
-    /// Make it durable, then wake whoever follows events.
+    /// Make it durable, then wake whoever follows events, and remove files that no row names any more.
     ///
     /// # Errors
     /// [`Error::Database`]: nothing was written.
     pub async fn commit(self) -> Result<()> {
         self.inner.commit().await?;
         if let Some(seq) = self.newest_event {
-            self.announce.send_if_modified(|newest| std::mem::replace(newest, seq.max(*newest)) < seq);
+            self.store.newest_event.send_if_modified(|newest| std::mem::replace(newest, seq.max(*newest)) < seq);
+        }
+        for sha256 in self.unnamed {
+            if let Err(error) = self.store.forget_artifact(&sha256).await {
+                tracing::warn!(sha256, %error, "a file that no row names was left; the next start removes it");
+            }
         }
         Ok(())
     }
