@@ -9,7 +9,7 @@ SHELL := /bin/bash
 
 ARGS ?=
 LOGS := target/test
-WEB_SOURCES := $(shell find web proto -name node_modules -prune -o -name dist -prune -o -type f -print 2>/dev/null)
+WEB_SOURCES := $(shell find web -name node_modules -prune -o -name dist -prune -o -type f -print 2>/dev/null)
 
 run: setup
 	cargo build --release --locked
@@ -18,7 +18,8 @@ run: setup
 test: setup chromium
 	mkdir -p $(LOGS)
 	cargo test --release --locked 2>&1 | tee $(LOGS)/rust.log
-	(cd web && npm test) 2>&1 | tee $(LOGS)/web.log
+	binary="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip"
+	(cd web && FLIP_BIN="$$binary" npm test) 2>&1 | tee $(LOGS)/web.log
 	rust=$$(awk '/^test result:/ { n += $$4 } END { print n + 0 }' $(LOGS)/rust.log)
 	web=$$(awk '$$2 == "pass" { n += $$3 } END { print n + 0 }' $(LOGS)/web.log)
 	echo "tests passed: $$((rust + web)) (Rust $$rust, page $$web)"
@@ -52,4 +53,5 @@ bench: setup
 lint: setup
 	cargo fmt --check
 	cargo clippy --release --locked --all-targets -- -D warnings
+	cargo doc --release --locked --no-deps --document-private-items
 	cargo deny check

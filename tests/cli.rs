@@ -72,12 +72,13 @@ fn repose_gives_the_same_bytes_twice_and_on_any_number_of_threads() {
 #[test]
 fn bad_input_exits_2_and_names_the_field() {
     let folder = tempfile::tempdir().unwrap();
-    let cases: [(&[&str], &str); 14] = [
+    let cases: [(&[&str], &str); 15] = [
         (&["repose", "--friction", "1.31"], "friction: must be a number from 0 to 1.3"),
         (&["repose", "--cohesion", "NaN"], "cohesion: must be a number from 0 to 1.2"),
         (&["repose", "--particle-diameter-mm", "-1"], "particle_diameter_mm"),
         (&["repose", "--damping", "soft"], "--damping"),
         (&["repose", "--repeats", "0"], "repeats"),
+        (&["repose", "--particles", "199"], "particles: must be from 200 to 20000"),
         (&["repose", "--weight", "3"], "--weight"),
         (&["calibrate", "--powder", "chalk"], "powder"),
         (&["calibrate", "--powder", "salt", "--sets", "0"], "sets"),
@@ -176,7 +177,7 @@ fn while_a_server_holds_the_database_writers_exit_2_and_readers_read() {
     ] {
         let output = flip(folder.path(), arguments);
         expect_status(&output, 2);
-        assert!(stderr(&output).contains("another process"), "{arguments:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains("holds this database"), "{arguments:?}: {}", stderr(&output));
     }
     let jobs = flip(folder.path(), &["jobs", "--json"]);
     expect_status(&jobs, 0);

@@ -4,7 +4,7 @@ use super::Common;
 use super::calibrate::{Search, Target, calibrate};
 use super::failure::Failure;
 use super::serve::{self, Address};
-use super::session::{interrupted, runtime, stop_requested};
+use super::session::{StopSignals, interrupted, runtime};
 use super::table::table;
 use super::token;
 use super::train::{Timing, train};
@@ -74,10 +74,11 @@ struct Learned {
 /// Start the service, run the demonstration as a client of the same application, and serve on until told to stop.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     runtime()?.block_on(async {
+        let signals = StopSignals::catch()?;
         let app = App::open(&common.data_dir, Options::default()).await?;
         let stop = CancellationToken::new();
         let result = match serve(&app, arguments, &stop).await {
-            Ok(service) => attended(&app, common, arguments, service, &stop).await,
+            Ok(service) => attended(&app, common, arguments, service, &stop, signals).await,
             Err(failure) => Err(failure),
         };
         let closed = app.shutdown().await;
@@ -113,6 +114,7 @@ async fn attended(
     arguments: &Arguments,
     service: Option<Service>,
     stop: &CancellationToken,
+    mut signals: StopSignals,
 ) -> Result<(), Failure> {
     if let Some(token) = token::first(app).await? {
         eprintln!("flip: {}", serve::announce(&token));
@@ -123,13 +125,13 @@ async fn attended(
             common.print(&document, || text(&document))?;
             None
         }
-        signal = stop_requested() => Some(signal?),
+        signal = signals.received() => Some(signal),
     };
     if let Some(mut service) = service {
         if signal.is_none() && !arguments.exit {
             eprintln!("flip: serving {} until Ctrl-C", service.url);
             tokio::select! {
-                signal = stop_requested() => drop(signal?),
+                _ = signals.received() => {}
                 ended = &mut service.ended => return Ok(ended.map_err(anyhow::Error::from)??),
             }
         }

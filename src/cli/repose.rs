@@ -12,13 +12,15 @@ use serde::Serialize;
 
 /// Repeats beyond this say nothing that fewer do not, and a typing mistake should not run for a day.
 const REPEATS_MAX: u32 = 1000;
+/// Grains that a heap may have: fewer cover no base, more take hours.
+const PARTICLES: std::ops::RangeInclusive<u32> = 200..=20_000;
 
 /// Arguments of `flip repose`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Grains poured; fewer than cover the base are refused [default: 2000].
-    #[arg(long, value_name = "N", allow_negative_numbers = true)]
-    particles: Option<u32>,
+    /// Grains poured, 200 to 20000; a heap that does not cover its base is refused.
+    #[arg(long, value_name = "N", default_value_t = 2000, allow_negative_numbers = true)]
+    particles: u32,
     /// Heaps poured, each with a seed of its own.
     #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true)]
     repeats: u32,
@@ -56,8 +58,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         let message = format!("must be from 1 to {REPEATS_MAX} heaps, got {}", arguments.repeats);
         return Err(FieldError::new("repeats", message).into());
     }
-    let mut settings = Settings::default();
-    settings.particles = arguments.particles.unwrap_or(settings.particles);
+    if !PARTICLES.contains(&arguments.particles) {
+        let message = format!("must be from {} to {} grains, got {}", PARTICLES.start(), PARTICLES.end(), arguments.particles);
+        return Err(FieldError::new("particles", message).into());
+    }
+    let settings = Settings { particles: arguments.particles, ..Settings::default() };
     let outcomes = pour(&set, &settings, common.seed, arguments.repeats);
     let document = summarise(set, settings, common.seed, outcomes)?;
     common.print(&document, || text(&document))

@@ -2,7 +2,7 @@
 
 use super::Common;
 use super::failure::Failure;
-use super::session::{runtime, stop_requested};
+use super::session::{StopSignals, runtime};
 use super::token;
 use crate::api::{self, ServeConfig, ServeError, Server, Tls};
 use crate::app::{App, Options};
@@ -58,6 +58,7 @@ struct Document {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     telemetry::start(arguments.log_format.into(), telemetry::SERVICE);
     runtime()?.block_on(async {
+        let signals = StopSignals::catch()?;
         let app = App::open(&common.data_dir, Options::default()).await?;
         let server = match bind(&app, &arguments.address) {
             Ok(server) => server,
@@ -68,7 +69,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         };
         let document = Document { url: arguments.address.url(&server)?, token: token::first(&app).await? };
         common.print(&document, || text(&document))?;
-        server.run(stopped()).await?;
+        server.run(stopped(signals)).await?;
         Ok(())
     })
 }
@@ -97,12 +98,10 @@ pub(super) fn announce(token: &str) -> String {
     format!("operator token (shown once; `flip token create` makes another): {token}")
 }
 
-/// Completes when the process is asked to stop. Without signals there is nothing to wait for.
-async fn stopped() {
-    match stop_requested().await {
-        Ok(signal) => tracing::info!(signal, "shutting down"),
-        Err(error) => tracing::error!(%error, "signals cannot be received; shutting down"),
-    }
+/// Completes when the process is asked to stop.
+async fn stopped(mut signals: StopSignals) {
+    let signal = signals.received().await;
+    tracing::info!(signal, "shutting down");
 }
 
 fn text(document: &Document) -> String {

@@ -2,7 +2,8 @@
 
 use super::Common;
 use super::failure::Failure;
-use crate::app::{App, OpenError, Options};
+use crate::app::{App, Options};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// Run `work` with the application open for writing and its workers running; close it whatever happens.
 ///
@@ -26,10 +27,11 @@ fn with_options<T>(
     work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
     runtime()?.block_on(async {
+        let mut signals = StopSignals::catch()?;
         let app = App::open(&common.data_dir, options).await?;
         let result = tokio::select! {
             result = work(&app) => result,
-            signal = stop_requested() => Err(interrupted(signal?)),
+            signal = signals.received() => Err(interrupted(signal)),
         };
         let closed = app.shutdown().await;
         let result = result?;
@@ -38,16 +40,13 @@ fn with_options<T>(
     })
 }
 
-/// Run `work` with the application open and no workers; when another process holds the folder, open it to read.
+/// Run `work` with the application open to read, also while another process holds the folder.
 pub(super) fn with_reader<T>(
     common: &Common,
     work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
     runtime()?.block_on(async {
-        let app = match App::open(&common.data_dir, Options::without_workers()).await {
-            Err(OpenError::Held(_)) => App::open_to_read(&common.data_dir).await?,
-            opened => opened?,
-        };
+        let app = App::open_to_read(&common.data_dir).await?;
         let result = work(&app).await?;
         app.shutdown().await?;
         Ok(result)
@@ -59,14 +58,25 @@ pub(super) fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
     Ok(tokio::runtime::Builder::new_multi_thread().enable_all().build()?)
 }
 
-/// Wait for SIGTERM or Ctrl-C; which one it was.
-pub(super) async fn stop_requested() -> std::io::Result<&'static str> {
-    use tokio::signal::unix::{SignalKind, signal};
-    let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
-    Ok(tokio::select! {
-        _ = terminate.recv() => "SIGTERM",
-        _ = interrupt.recv() => "Ctrl-C",
-    })
+/// SIGTERM and Ctrl-C, caught from the moment this is made: make it before saying that anything has begun.
+pub(super) struct StopSignals {
+    terminate: Signal,
+    interrupt: Signal,
+}
+
+impl StopSignals {
+    /// Catch them from now on.
+    pub(super) fn catch() -> std::io::Result<Self> {
+        Ok(Self { terminate: signal(SignalKind::terminate())?, interrupt: signal(SignalKind::interrupt())? })
+    }
+
+    /// Wait for one; which one it was.
+    pub(super) async fn received(&mut self) -> &'static str {
+        tokio::select! {
+            _ = self.terminate.recv() => "SIGTERM",
+            _ = self.interrupt.recv() => "Ctrl-C",
+        }
+    }
 }
 
 /// The end of a command that was stopped before it was done.
