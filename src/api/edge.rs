@@ -81,3 +81,42 @@ pub fn panicked(cause: Box<dyn std::any::Any + Send>) -> Response {
     tracing::error!(panic = text.unwrap_or("of unknown cause"), "a request handler panicked");
     Problem::internal().into_response()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::api::grpc::status::PROBLEM_TRAILER;
+    use axum::Router;
+    use axum::body::{Body, to_bytes};
+    use axum::middleware::from_fn;
+    use axum::routing::post;
+    use tower::ServiceExt;
+    use tower_http::catch_panic::CatchPanicLayer;
+
+    async fn answer_of_a_panic(content_type: &str) -> Response {
+        let fails = async || -> () { panic!("a bug") };
+        let layers = (from_fn(edge), CatchPanicLayer::custom(panicked));
+        let router = Router::new().route("/", post(fails)).layer(layers);
+        let request = Request::post("/").header(header::CONTENT_TYPE, content_type);
+        router.oneshot(request.body(Body::empty()).unwrap()).await.unwrap()
+    }
+
+    #[tokio::test]
+    async fn a_panic_is_a_problem_with_the_requests_id_and_without_the_cause() {
+        let response = answer_of_a_panic("application/json").await;
+        assert_eq!(response.status(), 500);
+        let id = response.headers()["x-request-id"].to_str().unwrap().to_owned();
+        let body = to_bytes(response.into_body(), 10_000).await.unwrap();
+        let problem: Problem = serde_json::from_slice(&body).unwrap();
+        assert_eq!(problem.instance, Some(format!("urn:uuid:{id}")));
+        assert!(!String::from_utf8_lossy(&body).contains("a bug"));
+    }
+
+    #[tokio::test]
+    async fn a_panic_is_a_status_for_those_who_speak_grpc() {
+        let response = answer_of_a_panic("application/grpc").await;
+        assert_eq!(response.status(), 200);
+        assert_eq!(response.headers()["grpc-status"], "13");
+        assert!(response.headers().contains_key(PROBLEM_TRAILER));
+    }
+}

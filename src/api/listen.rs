@@ -1,5 +1,6 @@
 //! Where the service listens, and what it refuses to expose.
 
+use axum_server::tls_rustls::RustlsConfig;
 use rustls::crypto::ring;
 use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::path::PathBuf;
@@ -77,11 +78,11 @@ impl ServeConfig {
     ///
     /// # Errors
     /// [`ServeError::Tls`] if a file is missing, is not PEM, or certificate and key do not belong together.
-    pub async fn tls(&self) -> Result<Option<axum_server::tls_rustls::RustlsConfig>, ServeError> {
+    pub async fn tls(&self) -> Result<Option<RustlsConfig>, ServeError> {
         let Some(tls) = &self.tls else { return Ok(None) };
         // A second call in one process finds the provider in place, which is as good.
         let _installed = ring::default_provider().install_default();
-        let config = axum_server::tls_rustls::RustlsConfig::from_pem_file(&tls.certificate, &tls.key);
+        let config = RustlsConfig::from_pem_file(&tls.certificate, &tls.key);
         Ok(Some(config.await.map_err(ServeError::Tls)?))
     }
 }

@@ -1,11 +1,12 @@
 //! REST, gRPC and the page on one port, all through [`crate::app`].
 //!
 //! A request passes, from the outside in: [`edge`] (id, protocol of refusals, headers, counts), a net for panics,
-//! [`auth::same_origin`], [`auth::identify`], then its route in [`rest`], [`grpc`], [`probes`] or [`page`].
+//! [`limits::fair`], [`auth::same_origin`], [`auth::identify`], then its route in [`rest`], [`grpc`], [`probes`] or [`page`].
 
 mod auth;
 mod edge;
 pub mod grpc;
+mod limits;
 mod listen;
 mod page;
 mod probes;
@@ -17,6 +18,8 @@ pub use listen::{ServeConfig, ServeError, Tls};
 use crate::app::App;
 use axum::Router;
 use axum::middleware::{from_fn, from_fn_with_state};
+use axum_server::tls_rustls::{RustlsAcceptor, RustlsConfig};
+use hyper_util::rt::TokioTimer;
 use std::future::Future;
 use std::net::{SocketAddr, TcpListener};
 use std::time::Duration;
@@ -25,6 +28,9 @@ use tower_http::catch_panic::CatchPanicLayer;
 
 /// How long open requests may take to end once the service shuts down.
 const DRAIN: Duration = Duration::from_secs(10);
+
+/// How long a client may take to send the head of a request, and how often silent HTTP/2 ones are asked for a sign of life.
+const HEAD: Duration = Duration::from_secs(15);
 
 /// The service, bound to its address and not yet answering.
 pub struct Server {
@@ -59,39 +65,54 @@ impl Server {
         Ok(self.listener.local_addr()?)
     }
 
-    /// Answers until `shutdown` completes. Then: says that it is not ready, closes the application (the spoon is levelled,
-    /// running jobs are checkpointed, event streams end), and gives open requests [`DRAIN`] to end.
+    /// Answers until `shutdown` completes. Then takes no more connections, gives open requests [`DRAIN`] to end, and closes
+    /// the application: the spoon is levelled, running jobs are checkpointed, event streams end.
     ///
     /// # Errors
     /// [`ServeError::Tls`] for unusable certificates, [`ServeError::Broken`] if the server breaks down.
     pub async fn run(self, shutdown: impl Future<Output = ()> + Send) -> Result<(), ServeError> {
-        let tls = self.config.tls().await?;
         let closing = CancellationToken::new();
-        let router = router(&self.app, &self.config, closing.clone());
         let handle = axum_server::Handle::new();
-        let server = axum_server::from_tcp(self.listener)?.handle(handle.clone());
-
-        let close = async {
+        let mut close = std::pin::pin!(async {
             shutdown.await;
             closing.cancel();
+            handle.graceful_shutdown(Some(DRAIN));
             if let Err(error) = self.app.shutdown().await {
                 tracing::error!(%error, "the application did not close cleanly");
             }
-            handle.graceful_shutdown(Some(DRAIN));
-            std::future::pending().await
-        };
-        let service = router.into_make_service();
-        let answer = async {
-            match tls {
-                None => server.serve(service).await,
-                Some(tls) => server.acceptor(axum_server::tls_rustls::RustlsAcceptor::new(tls)).serve(service).await,
-            }
-        };
+        });
+        let router = router(&self.app, &self.config, closing.clone());
+        let tls = self.config.tls().await?;
+        let mut answer = std::pin::pin!(answer(self.listener, tls, handle.clone(), router));
         tokio::select! {
-            ended = answer => Ok(ended?),
-            () = close => Ok(()),
+            ended = &mut answer => {
+                // Drained before the application was closed; or broken, and then nothing closes it but us.
+                if closing.is_cancelled() {
+                    close.await;
+                }
+                ended
+            }
+            () = &mut close => answer.await,
         }
     }
+}
+
+async fn answer(
+    listener: TcpListener,
+    tls: Option<RustlsConfig>,
+    handle: axum_server::Handle<SocketAddr>,
+    router: Router,
+) -> Result<(), ServeError> {
+    let mut server = axum_server::from_tcp(listener)?.handle(handle);
+    let http = server.http_builder();
+    http.http1().timer(TokioTimer::new()).header_read_timeout(HEAD);
+    http.http2().timer(TokioTimer::new()).keep_alive_interval(HEAD);
+    let service = router.into_make_service();
+    match tls {
+        None => server.serve(service).await?,
+        Some(tls) => server.acceptor(RustlsAcceptor::new(tls)).serve(service).await?,
+    }
+    Ok(())
 }
 
 fn router(app: &App, config: &ServeConfig, closing: CancellationToken) -> Router {
@@ -102,6 +123,7 @@ fn router(app: &App, config: &ServeConfig, closing: CancellationToken) -> Router
         .fallback(page::fallback)
         .layer(from_fn_with_state(gate, auth::identify))
         .layer(from_fn(auth::same_origin))
+        .layer(from_fn_with_state(limits::Limits::default(), limits::fair))
         .layer(CatchPanicLayer::custom(edge::panicked))
         .layer(from_fn(edge::edge))
 }

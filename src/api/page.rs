@@ -1,8 +1,9 @@
 //! The page: the files of `web/dist`, embedded when the program was built.
 
+use super::grpc;
 use super::problem::Problem;
 use axum::body::Body;
-use axum::http::{HeaderValue, Method, StatusCode, Uri, header};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use rust_embed::{EmbeddedFile, RustEmbed};
 
@@ -13,7 +14,10 @@ struct Files;
 
 /// Answers everything that no route takes: a file of the page, the page itself for the addresses it makes up
 /// (`/weighings/…`), or a problem.
-pub async fn fallback(method: Method, uri: Uri) -> Response {
+pub async fn fallback(method: Method, uri: Uri, headers: HeaderMap) -> Response {
+    if grpc::is_grpc(&headers) {
+        return tonic::Status::unimplemented("no such service; reflection lists all").into_http();
+    }
     let path = uri.path().trim_start_matches('/');
     if path.starts_with("v1/") || path == "v1" || !matches!(method, Method::GET | Method::HEAD) {
         return Problem::not_found("no such path; /openapi.json lists all").into_response();

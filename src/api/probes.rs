@@ -3,12 +3,14 @@
 use super::auth::Viewer;
 use super::problem::Problem;
 use crate::app::App;
+use crate::app::Counts;
 use axum::Router;
 use axum::extract::State;
 use axum::http::header;
 use axum::response::IntoResponse;
 use axum::routing::get;
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
+use serde::Serialize;
 use std::sync::OnceLock;
 use tokio_util::sync::CancellationToken;
 
@@ -32,10 +34,36 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         .method_not_allowed_fallback(async || Problem::method_not_allowed())
 }
 
-async fn exposition(_: Viewer, State(_app): State<App>) -> Result<impl IntoResponse, Problem> {
+async fn exposition(_: Viewer, State(app): State<App>) -> Result<impl IntoResponse, Problem> {
     let recorder = recorder().ok_or_else(|| Problem::unavailable("another recorder holds this process's metrics"))?;
     recorder.run_upkeep();
-    Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], recorder.render()))
+    let text = recorder.render() + &gauges(&app.counts().await?);
+    Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text))
+}
+
+/// What the database holds, written out here: a recorder would go on telling of states that nothing is in any more.
+fn gauges(counts: &Counts) -> String {
+    let jobs = counts.jobs.iter().map(|((kind, state), n)| {
+        let (kind, state) = (name(kind), name(state));
+        format!("flip_jobs{{kind=\"{kind}\",state=\"{state}\"}} {n}\n")
+    });
+    let weighings = counts.weighings.iter().map(|((state, outcome), n)| {
+        let (state, outcome) = (name(state), outcome.map_or("none".to_owned(), |outcome| name(&outcome)));
+        format!("flip_weighings{{state=\"{state}\",outcome=\"{outcome}\"}} {n}\n")
+    });
+    [
+        "# HELP flip_jobs Jobs in the database, by kind and state.\n# TYPE flip_jobs gauge\n".to_owned(),
+        jobs.collect(),
+        "# HELP flip_weighings Weighings in the database, by state and outcome.\n# TYPE flip_weighings gauge\n"
+            .to_owned(),
+        weighings.collect(),
+    ]
+    .concat()
+}
+
+/// An enum's variant as the rest of the API writes it.
+fn name(variant: &impl Serialize) -> String {
+    serde_json::to_value(variant).ok().and_then(|json| json.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
 /// The process's one recorder, started at the first call; tests run several services beside each other.

@@ -2,6 +2,7 @@
 
 mod calibrations;
 mod check;
+mod counts;
 mod error;
 mod evaluations;
 mod events;
@@ -19,6 +20,7 @@ pub use crate::jobs::Functions;
 pub use crate::jobs::calibrate::{CalibrationResult, CalibrationSet};
 pub use crate::jobs::evaluate::EvaluationResult;
 pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
+pub use crate::store::counts::Counts;
 pub use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
 pub use crate::store::events::Event;
 pub use crate::store::jobs::Job;

@@ -4,6 +4,7 @@
 //! read first and writes later can fail with a snapshot conflict that the busy time-out does not wait for.
 
 pub mod artifacts;
+pub mod counts;
 pub mod evaluations;
 pub mod events;
 pub mod jobs;

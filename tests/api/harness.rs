@@ -1,10 +1,13 @@
 //! A service of one's own for every test: port 0, a temporary data folder, a toy bench.
 
+use crate::toy::Bench;
 use flip::api::{self, ServeConfig};
 use flip::app::{App, Options, Role};
 use reqwest::{Method, Response};
 use serde_json::Value;
 use std::net::SocketAddr;
+use std::sync::MutexGuard;
+use std::time::Duration;
 use tempfile::TempDir;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
@@ -13,21 +16,31 @@ use tokio::task::JoinHandle;
 pub struct Service {
     pub app: App,
     pub address: SocketAddr,
+    bench: Bench,
     client: reqwest::Client,
     stop: Option<oneshot::Sender<()>>,
     ended: JoinHandle<Result<(), api::ServeError>>,
-    _data: TempDir,
+    data: TempDir,
 }
 
 impl Service {
-    /// On a loopback address.
+    /// On a loopback address, with the published powders.
     pub async fn start() -> Self {
         Self::start_at(ServeConfig::loopback("127.0.0.1:0".parse().unwrap())).await
     }
 
+    /// As [`Service::start`], and salt can be weighed.
+    pub async fn ready() -> Self {
+        let service = Self::start().await;
+        crate::toy::calibrate_salt(service.data.path()).await;
+        service
+    }
+
     pub async fn start_at(config: ServeConfig) -> Self {
         let data = TempDir::new().unwrap();
-        let app = App::open(data.path(), Options::default()).await.unwrap();
+        let bench = Bench::default();
+        let options = Options { workers: true, functions: bench.functions() };
+        let app = App::open(data.path(), options).await.unwrap();
         let server = api::bind(app.clone(), config).unwrap();
         let address = server.address().unwrap();
         let (stop, stopped) = oneshot::channel();
@@ -35,7 +48,7 @@ impl Service {
             let _told_or_dropped = stopped.await;
         }));
         let client = reqwest::Client::new();
-        Self { app, address, client, stop: Some(stop), ended, _data: data }
+        Self { app, address, bench, client, stop: Some(stop), ended, data }
     }
 
     /// Shuts the service down and waits until it has.
@@ -57,8 +70,46 @@ impl Service {
         self.request("GET", path).send().await.unwrap()
     }
 
+    /// A new token's secret.
     pub async fn token(&self, role: Role) -> String {
         self.app.create_token("test", role).await.unwrap()
+    }
+
+    /// Asks for a weighing, as an operator.
+    pub async fn weigh(&self, key: &str, body: &Value) -> Response {
+        let request = self.request("POST", "/v1/weighings").bearer_auth(self.token(Role::Operator).await);
+        request.header("idempotency-key", key).json(body).send().await.unwrap()
+    }
+
+    /// Follows events until they end; `None` if there is nothing to follow (204).
+    pub async fn watch(&self, path: &str, last_event_id: Option<i64>) -> Option<Vec<Watched>> {
+        let mut request = self.request("GET", path);
+        if let Some(id) = last_event_id {
+            request = request.header("last-event-id", id);
+        }
+        let response = request.send().await.unwrap();
+        if response.status() == 204 {
+            return None;
+        }
+        assert_eq!(response.headers()["content-type"], "text/event-stream");
+        Some(frames(&response.text().await.unwrap()))
+    }
+
+    /// Pours that the bench has begun.
+    pub fn pours(&self) -> usize {
+        self.bench.pours()
+    }
+
+    /// Keeps whatever pours from going on until the guard is dropped or the weighing is stopped.
+    pub fn hold_bench(&self) -> MutexGuard<'_, ()> {
+        self.bench.hold()
+    }
+
+    /// Waits until a pour has begun.
+    pub async fn until_pouring(&self) {
+        while self.pours() == 0 {
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
     }
 }
 
@@ -80,4 +131,27 @@ pub async fn problem(response: Response, status: u16) -> Value {
 /// The fields that a problem names.
 pub fn fields(problem: &Value) -> Vec<&str> {
     problem["errors"].as_array().unwrap().iter().map(|e| e["field"].as_str().unwrap()).collect()
+}
+
+/// One server-sent event.
+pub struct Watched {
+    pub id: i64,
+    pub kind: String,
+    pub data: Value,
+}
+
+/// The events of a stream that has ended. Every frame must hold one line each of `id`, `event` and `data`.
+fn frames(text: &str) -> Vec<Watched> {
+    let frame = |frame: &str| {
+        let field = |name: &str| {
+            let line = frame.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'));
+            line.unwrap_or_else(|| panic!("no {name} in {frame}")).trim().to_owned()
+        };
+        Watched {
+            id: field("id").parse().unwrap(),
+            kind: field("event"),
+            data: serde_json::from_str(&field("data")).unwrap(),
+        }
+    };
+    text.split("\n\n").filter(|text| !text.is_empty() && !text.starts_with(':')).map(frame).collect()
 }

@@ -1,5 +1,11 @@
 //! The product through its sockets: REST, gRPC, events and the page, as its users meet them.
 
+mod authorization;
 mod document;
+mod grpc;
 mod harness;
 mod protocol;
+mod refusals;
+mod tls;
+mod toy;
+mod weighing;

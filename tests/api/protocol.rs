@@ -54,6 +54,21 @@ async fn probes_answer_and_metrics_count_requests() {
 }
 
 #[tokio::test]
+async fn metrics_count_weighings_by_outcome() {
+    let service = Service::ready().await;
+    let body = serde_json::json!({
+        "powder": "salt",
+        "target": { "value": 15, "unit": "mg" },
+        "tolerance": { "lower": 1, "upper": 1, "unit": "mg" },
+    });
+    let weighing: serde_json::Value = service.weigh("counted", &body).await.json().await.unwrap();
+    service.watch(&format!("/v1/weighings/{}/events", weighing["id"].as_str().unwrap()), None).await.unwrap();
+    let metrics = service.get("/metrics").await.text().await.unwrap();
+    assert!(metrics.contains("flip_weighings{state=\"done\",outcome=\"within\"} 1\n"), "{metrics}");
+    assert!(metrics.contains("flip_jobs{kind=\"calibration\",state=\"succeeded\"} 1\n"), "{metrics}");
+}
+
+#[tokio::test]
 async fn an_address_that_others_reach_is_refused_without_tls_or_the_flag() {
     let service = Service::start().await;
     let exposed = ServeConfig::loopback("0.0.0.0:0".parse().unwrap());

@@ -38,14 +38,19 @@ fn code(problem: &Problem) -> Code {
     }
 }
 
-/// Gives statuses that did not come from a [`Problem`] one. Those are tonic's own: it reads the message before we do, and
-/// calls one that does not decode an internal error, where the caller is at fault.
+/// Completes what a handler or tonic answered: problems get the request's id, and messages that do not decode become
+/// problems. Those are tonic's own: it reads the message before we do, and calls one that does not decode an internal
+/// error, where the caller is at fault.
 pub fn explain(response: Response, id: &str) -> Response {
     let Some(status) = response.extensions().get::<Status>() else { return response };
-    if status.code() != Code::Internal || status.metadata().contains_key(PROBLEM_TRAILER) {
-        return response;
-    }
-    let problem = Problem::malformed(format!("the message does not decode: {}", status.message()));
+    let carried = status.metadata().get_bin(PROBLEM_TRAILER).and_then(|value| value.to_bytes().ok());
+    let problem = match carried.map(|json| serde_json::from_slice(&json)) {
+        Some(Ok(problem)) => problem,
+        None if status.code() == Code::Internal => {
+            Problem::malformed(format!("the message does not decode: {}", status.message()))
+        }
+        _ => return response,
+    };
     from_problem(Problem { instance: Some(format!("urn:uuid:{id}")), ..problem }).into_http()
 }
 

@@ -3,7 +3,6 @@
 use super::convert::{all, page};
 use super::proto::*;
 use super::{EventStream, Service, after, read, watch, write};
-use crate::api::rest::idempotency_key;
 use crate::app;
 use crate::app::Topic;
 use crate::app::WeighingRequest;
@@ -17,7 +16,6 @@ impl weighings_server::Weighings for Service {
         request: Request<StartWeighingRequest>,
     ) -> Result<Response<StartWeighingResponse>, Status> {
         let asked = write(request)?;
-        let key = idempotency_key("idempotency_key", &asked.idempotency_key)?;
         let request = WeighingRequest {
             powder: asked.powder,
             target: target(asked.target)?,
@@ -25,7 +23,7 @@ impl weighings_server::Weighings for Service {
             policy: asked.policy,
             seed: asked.seed,
         };
-        let (weighing, replayed) = self.app.start_weighing(request, key).await?;
+        let (weighing, replayed) = self.app.start_weighing(request, &asked.idempotency_key).await?;
         Ok(Response::new(StartWeighingResponse { weighing: Some(weighing.into()), replayed }))
     }
 

@@ -40,7 +40,8 @@ fn is_json(headers: &HeaderMap) -> bool {
 fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     let mut json = serde_json::Deserializer::from_slice(bytes);
     let value = serde_path_to_error::deserialize(&mut json).map_err(|error| {
-        let path = error.path().to_string();
+        // Where a body breaks off says nothing about the field it was in.
+        let path = if error.inner().is_eof() { ".".to_owned() } else { error.path().to_string() };
         refuse(&path, &error.into_inner().to_string())
     })?;
     json.end().map_err(|error| Problem::malformed(format!("the body is not one JSON document: {error}")))?;

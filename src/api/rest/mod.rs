@@ -14,8 +14,6 @@ mod tokens;
 mod trainings;
 mod weighings;
 
-pub use weighings::idempotency_key;
-
 use super::problem::Problem;
 use crate::app::App;
 use axum::extract::DefaultBodyLimit;

@@ -1,0 +1,131 @@
+//! A bench and a heap that answer at once, by formula.
+
+use flip::app::Functions;
+use flip::domain::bench::{Action, Reading, Tick};
+use flip::domain::parameters::ParameterSet;
+use flip::domain::weighing::Outcome;
+use flip::jobs::bench::{Poured, Pouring};
+use flip::policy::{self, Controller, Kind, Manifest, Policy, Rules, ScheduledStep};
+use flip::sim::repose::{Refusal, Repose, Settings};
+use sha2::{Digest, Sha256};
+use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+
+/// Counts pours, and can be held.
+#[derive(Clone, Default)]
+pub struct Bench {
+    pours: Arc<AtomicUsize>,
+    gate: Arc<Mutex<()>>,
+}
+
+impl Bench {
+    pub fn functions(&self) -> Functions {
+        let bench = self.clone();
+        Functions {
+            simulate: Arc::new(heap),
+            pour: Arc::new(move |pouring, on_tick, stop| bench.pour(pouring, on_tick, stop)),
+            ..Functions::default()
+        }
+    }
+
+    pub fn pours(&self) -> usize {
+        self.pours.load(Ordering::SeqCst)
+    }
+
+    pub fn hold(&self) -> MutexGuard<'_, ()> {
+        self.gate.lock().unwrap()
+    }
+
+    /// Half of the target, then all of it, unless stopped.
+    fn pour(&self, pouring: &Pouring, on_tick: &mut dyn FnMut(&Tick), stop: &AtomicBool) -> Poured {
+        self.pours.fetch_add(1, Ordering::SeqCst);
+        while self.gate.try_lock().is_err() && !stop.load(Ordering::SeqCst) {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let mut ticks = Vec::new();
+        for step in 0..3_u32 {
+            if stop.load(Ordering::SeqCst) {
+                break;
+            }
+            let mass_mg = pouring.order.target_mg * f64::from(step) / 2.0;
+            let action = Action { incline_change_deg: 1.0, shake_mm: 4.0 };
+            let (t_s, pitch_deg) = (f64::from(step) * 0.7, f64::from(step));
+            let tick = Tick { step, t_s, pitch_deg, action, reading: Reading { mass_mg, stable: true } };
+            on_tick(&tick);
+            ticks.push(tick);
+        }
+        let stopped = stop.load(Ordering::SeqCst);
+        let reading_mg = ticks.last().map_or(0.0, |tick| tick.reading.mass_mg);
+        Poured {
+            outcome: if stopped { Outcome::Stopped } else { Outcome::Within },
+            dispensed_mg: reading_mg,
+            reading_mg,
+            shakes: 2,
+            seconds: 1.4,
+            ticks,
+            error: None,
+        }
+    }
+}
+
+/// A heap that is steeper with more friction and cohesion: 20 to 65 degrees.
+fn heap(set: &ParameterSet, _settings: &Settings, _seed: u64) -> Result<Repose, Refusal> {
+    let unit = set.to_unit();
+    let angle = 20.0 + 30.0 * unit[4] + 15.0 * unit[7];
+    Ok(Repose {
+        tip_deg: angle,
+        cone_deg: angle,
+        creep_deg_per_s: 0.0,
+        speed_rms_mm_s: 0.0,
+        particles_on_base: 1000,
+        overlap_mean: 0.0,
+        simulated_s: 1.0,
+    })
+}
+
+/// Id, manifest and bytes of a policy that needs no training.
+fn fixed_policy() -> (String, String, Vec<u8>) {
+    let step = ScheduledStep { pitch_deg: 20.0, shake_mm: 8.0 };
+    let manifest = Manifest::of_untrained(Kind::Fixed { step }, Rules::FLIP, 1);
+    let text = serde_json::to_string(&manifest).unwrap();
+    let bytes = policy::encode(&Policy { manifest, controller: Controller::Fixed(step) });
+    (policy::id(&bytes), text, bytes)
+}
+
+/// Puts a calibrated salt and a policy into the database of a data folder, as a calibration and a training would.
+pub async fn calibrate_salt(data_dir: &Path) {
+    let options = SqliteConnectOptions::new().filename(data_dir.join("flip.db")).busy_timeout(Duration::from_secs(5));
+    let pool = SqlitePool::connect_with(options).await.unwrap();
+    let set = ParameterSet::default();
+    sqlx::query(
+        "INSERT INTO job (id, kind, spec, spec_sha256, state, result, created_at, finished_at)
+         VALUES ('toy', 'calibration', '{}', zeroblob(32), 'succeeded', '{}', 0, 0)",
+    )
+    .execute(&pool)
+    .await
+    .unwrap();
+    sqlx::query(
+        "INSERT INTO parameter_set (id, powder, calibration, parameters, repose_deg, runs, error_deg, created_at)
+         VALUES (?1, 'salt', 'toy', ?2, 36, 1, 0, 0)",
+    )
+    .bind(set.id())
+    .bind(serde_json::to_string(&set).unwrap())
+    .execute(&pool)
+    .await
+    .unwrap();
+    let (id, manifest, bytes) = fixed_policy();
+    sqlx::query(
+        "INSERT INTO policy (id, kind, manifest, bytes, sha256, created_at) VALUES (?1, 'fixed', ?2, ?3, ?4, 0)",
+    )
+    .bind(id)
+    .bind(manifest)
+    .bind(&bytes)
+    .bind(hex::encode(Sha256::digest(&bytes)))
+    .execute(&pool)
+    .await
+    .unwrap();
+    pool.close().await;
+}
