@@ -56,8 +56,8 @@ impl Law {
     /// d    = particle_diameter                         grain diameter
     /// g    = gravity_scale * 9.81 m/s^2
     /// v   <- v (1 - damping * h)                       every substep h
-    /// mu   = 0.06 + 0.13 friction                      between grains
-    /// Bo   = (0.45 cohesion + 0.15 adhesion * particle_adhesion_scale) (d_ref / d)^2     between grains
+    /// mu   = 0.11 + 0.18 friction                      between grains
+    /// Bo   = (0.65 cohesion + 0.15 adhesion * particle_adhesion_scale) (d_ref / d)^2     between grains
     /// Bo_w = 1.0 adhesion (d_ref / d)^2                grain to wall
     /// reach = (0.05 + 1000 adhesion_offset_scale) d    gap at which attraction ends
     /// ```

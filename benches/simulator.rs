@@ -1,0 +1,45 @@
+//! What the simulator costs: one heap and one step of the spoon, the two things that every calibration and every
+//! training are made of: `cargo bench --bench simulator`.
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use flip::domain::bench::Action;
+use flip::domain::parameters::ParameterSet;
+use flip::sim::dispense::{self, Dispenser};
+use flip::sim::repose::{self, repose};
+use std::hint::black_box;
+
+fn heap(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("heap");
+    group.sample_size(10);
+    for particles in [500, 1000, 2000] {
+        // The base shrinks with the cube root, so that all three overflow alike.
+        let base_radius_diameters = 9.0 * (f64::from(particles) / 2000.0).cbrt();
+        let settings = repose::Settings { particles, base_radius_diameters, ..Default::default() };
+        group.bench_function(format!("{particles} grains"), |bencher| {
+            bencher.iter(|| repose(black_box(&ParameterSet::default()), &settings, 1));
+        });
+    }
+    group.finish();
+}
+
+fn spoon(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("spoon");
+    group.sample_size(10);
+    let settings = dispense::Settings::default();
+    group.bench_function("fill 2500 grains", |bencher| {
+        bencher.iter(|| Dispenser::new(black_box(&ParameterSet::default()), &settings, 1));
+    });
+    let mut tilted = Dispenser::new(&ParameterSet::default(), &settings, 1);
+    for _ in 0..3 {
+        tilted.step(Action { incline_change_deg: 8.0, shake_mm: 0.0 });
+    }
+    for shake_mm in [2.0, 8.0, 16.0] {
+        group.bench_function(format!("shake {shake_mm} mm at 24 deg"), |bencher| {
+            bencher.iter(|| tilted.clone().step(black_box(Action { incline_change_deg: 0.0, shake_mm })));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(simulator, heap, spoon);
+criterion_main!(simulator);
