@@ -27,7 +27,11 @@ fn main() {
             let doses: Vec<String> = (0..5)
                 .map(|_| format!("{:.2}", spoon.step(Action { incline_change_deg: 0.0, shake_mm }).vial_mg))
                 .collect();
-            format!("{pitch} deg {shake_mm} mm: tilt {tilted:.2}, shakes {} mg, spilled {:.2}", doses.join(" "), spoon.spilled_mg())
+            format!(
+                "{pitch} deg {shake_mm} mm: tilt {tilted:.2}, shakes {} mg, spilled {:.2}",
+                doses.join(" "),
+                spoon.spilled_mg()
+            )
         })
         .collect();
     println!("spoon {:.1} mg\n{}", full.spoon_mg(), rows.join("\n"));

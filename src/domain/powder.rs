@@ -81,7 +81,8 @@ const fn angle(repose_deg: f64, sd_deg: f64) -> Flowability {
 }
 
 /// Where [`PUBLISHED`] comes from.
-pub const PUBLISHED_SOURCE: &str = "arXiv:2506.03896, table of automated and manual (ISO 8398) angles of repose, five repeats each";
+pub const PUBLISHED_SOURCE: &str =
+    "arXiv:2506.03896, table of automated and manual (ISO 8398) angles of repose, five repeats each";
 
 /// The published measurements, from the most to the least flowable as the paper lists them. Facts from [`PUBLISHED_SOURCE`].
 pub const PUBLISHED: [Published; 5] = [
@@ -89,7 +90,12 @@ pub const PUBLISHED: [Published; 5] = [
     Published { id: "sugar", name: "Sugar", automated: angle(31.41, 1.42), manual: angle(30.93, 0.87) },
     Published { id: "salt", name: "Salt", automated: angle(36.03, 2.29), manual: angle(35.80, 1.71) },
     Published { id: "semolina", name: "Semolina", automated: angle(42.762, 1.97), manual: angle(40.91, 1.85) },
-    Published { id: "sodium_bicarbonate", name: "Sodium bicarbonate", automated: angle(42.38, 2.48), manual: angle(43.14, 1.00) },
+    Published {
+        id: "sodium_bicarbonate",
+        name: "Sodium bicarbonate",
+        automated: angle(42.38, 2.48),
+        manual: angle(43.14, 1.00),
+    },
 ];
 
 #[cfg(test)]

@@ -36,7 +36,10 @@ impl Settings {
         let mass = after_mg + (before_mg - after_mg) * decay + self.noise_mg * normal(seed, index);
         let shown = (mass / self.readability_mg).round() * self.readability_mg;
         // Rounding in decimal keeps 0.3 from being shown as 0.30000000000000004.
-        Reading { mass_mg: (shown * 1e6).round() / 1e6, stable: (before_mg - after_mg).abs() * decay < self.readability_mg / 2.0 }
+        Reading {
+            mass_mg: (shown * 1e6).round() / 1e6,
+            stable: (before_mg - after_mg).abs() * decay < self.readability_mg / 2.0,
+        }
     }
 }
 

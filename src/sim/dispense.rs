@@ -142,7 +142,8 @@ impl Dispenser {
             }
             height += 1.15;
         }
-        let fall_s = (2.0 * f64::from(height + self.bowl.semi_axes[2]) * self.law.diameter_m / super::law::GRAVITY).sqrt();
+        let fall_s =
+            (2.0 * f64::from(height + self.bowl.semi_axes[2]) * self.law.diameter_m / super::law::GRAVITY).sqrt();
         self.run(fall_s, |_| (Pose::default(), 0.0));
         self.rest(2.0 * self.settings.settle_max_s);
         (self.vial_grains, self.spilled_grains) = (0, 0);

@@ -180,7 +180,8 @@ impl Grains {
             if !dot(*x, *x).is_finite() || !dot(*v, *v).is_finite() {
                 return Some(format!("grain {i} has no position"));
             }
-            (dot(*v, *v) > SPEED_MAX * SPEED_MAX).then(|| format!("grain {i} moves more than a diameter in one substep"))
+            (dot(*v, *v) > SPEED_MAX * SPEED_MAX)
+                .then(|| format!("grain {i} moves more than a diameter in one substep"))
         })
     }
 

@@ -102,11 +102,6 @@ impl Law {
         f64::from(speed) * self.diameter_m / self.substep_s
     }
 
-    /// A speed in m/s as diameters per substep.
-    pub(super) fn speed(&self, m_s: f64) -> f32 {
-        (m_s * self.substep_s / self.diameter_m) as f32
-    }
-
     /// Substeps in a time, rounded to the nearest.
     pub(super) fn substeps(&self, seconds: f64) -> u32 {
         (seconds / self.substep_s).round() as u32

@@ -108,9 +108,12 @@ mod tests {
     #[test]
     fn a_move_ends_at_its_distance_at_rest_within_its_limits() {
         let slow = MotionLimits { velocity_m_s: 0.05, ..MotionLimits::PAPER };
-        for (distance, limits) in
-            [(0.016, MotionLimits::PAPER), (0.0009, MotionLimits::PAPER), (0.000_02, MotionLimits::PAPER), (0.016, slow)]
-        {
+        for (distance, limits) in [
+            (0.016, MotionLimits::PAPER),
+            (0.0009, MotionLimits::PAPER),
+            (0.000_02, MotionLimits::PAPER),
+            (0.016, slow),
+        ] {
             let [x, v, top] = travel(distance, limits);
             assert!((x / distance - 1.0).abs() < 1e-3, "{x} for {distance}");
             assert!(v.abs() < 1e-5 && top <= limits.velocity_m_s * 1.0001);

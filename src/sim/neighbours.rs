@@ -216,7 +216,9 @@ mod tests {
     fn cloud(n: usize, side: f32, speed: f32, seed: u64) -> (Vec<Vector>, Vec<Vector>) {
         let u = |i: usize, k: u64| (derive(seed, &[i as u64, k]) >> 40) as f32 / (1u64 << 24) as f32;
         let p = (0..n).map(|i| vector(side * u(i, 0), side * u(i, 1), side * u(i, 2))).collect();
-        let v = (0..n).map(|i| if i % 7 == 0 { vector(speed * u(i, 3), 0.0, -speed * u(i, 4)) } else { [0.0; 4] }).collect();
+        let v = (0..n)
+            .map(|i| if i % 7 == 0 { vector(speed * u(i, 3), 0.0, -speed * u(i, 4)) } else { [0.0; 4] })
+            .collect();
         (p, v)
     }
 

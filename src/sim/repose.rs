@@ -72,7 +72,9 @@ pub struct Repose {
 #[derive(Debug, Clone, PartialEq, thiserror::Error, Serialize, Deserialize)]
 pub enum Refusal {
     /// The base is not covered.
-    #[error("the pile covers {covered} of {sectors} sectors of the base rim: pour more particles or use a smaller base")]
+    #[error(
+        "the pile covers {covered} of {sectors} sectors of the base rim: pour more particles or use a smaller base"
+    )]
     BaseNotCovered {
         /// Sectors of the rim that hold a grain.
         covered: u32,

@@ -120,7 +120,9 @@ fn hangs(changes: &[(&str, f64)]) -> bool {
 fn a_grain_hangs_from_a_wall_exactly_when_adhesion_exceeds_its_weight() {
     // Bo_w = adhesion (d_ref / d)^2 against gravity_scale.
     assert!(hangs(&[("adhesion", 1.05)]) && !hangs(&[("adhesion", 0.95)]));
-    assert!(hangs(&[("adhesion", 0.55), ("gravity_scale", 0.5)]) && !hangs(&[("adhesion", 0.45), ("gravity_scale", 0.5)]));
+    assert!(
+        hangs(&[("adhesion", 0.55), ("gravity_scale", 0.5)]) && !hangs(&[("adhesion", 0.45), ("gravity_scale", 0.5)])
+    );
 }
 
 #[test]
@@ -180,7 +182,8 @@ fn a_grain_slides_down_an_incline_above_atan_mu_and_with_coulombs_acceleration()
 fn a_collision_keeps_momentum() {
     let law = law(&[("cohesion", 0.5), ("friction", 1.0)]);
     let mut cluster = Grains::default();
-    for (x, v) in [([0.0, 0.0, 0.0], 0.02), ([1.3, 0.3, 0.0], -0.05), ([0.4, 1.2, 0.2], 0.01), ([0.6, -1.1, 0.4], 0.03)] {
+    for (x, v) in [([0.0, 0.0, 0.0], 0.02), ([1.3, 0.3, 0.0], -0.05), ([0.4, 1.2, 0.2], 0.01), ([0.6, -1.1, 0.4], 0.03)]
+    {
         cluster.pour(vector(x[0], x[1], x[2]), vector(v, -v, 0.5 * v));
     }
     let momentum = |g: &Grains| g.v.iter().fold([0.0; 4], |sum, v| add(sum, *v));
@@ -241,7 +244,10 @@ fn the_same_seed_gives_the_same_bytes_on_any_thread() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             use rayon::prelude::*;
-            (0..6u64).into_par_iter().map(|seed| format!("{:?}", repose(&set(&[]), &settings, seed))).collect::<Vec<_>>()
+            (0..6u64)
+                .into_par_iter()
+                .map(|seed| format!("{:?}", repose(&set(&[]), &settings, seed)))
+                .collect::<Vec<_>>()
         })
     };
     assert_eq!(run(1), run(2));

@@ -115,8 +115,7 @@ fn dose(
             return Ok(End::Stopped);
         }
         let seen = Observation { reading_mg: now.mass_mg, target_mg: order.target_mg, pitch_deg: bench.pitch_deg() };
-        let situation =
-            Situation { target_mg: order.target_mg, steps, pitch_deg: seen.pitch_deg, before, now };
+        let situation = Situation { target_mg: order.target_mg, steps, pitch_deg: seen.pitch_deg, before, now };
         let allowed = guard(&limits, &situation, controller.propose(steps, &seen));
         let action = match allowed {
             Ok(_) if now.stable && rules.after(steps, &seen) == Episode::Terminated => return Ok(End::Course),
