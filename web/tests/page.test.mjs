@@ -24,7 +24,7 @@ before(async () => {
   await finished(made.evaluation.id)
   chromium = await openBrowser(service.url)
   page = await chromium.tab()
-}, { timeout: 300_000 })
+}, { timeout: 900_000 })
 
 after(async () => {
   await chromium?.browser.close()
@@ -240,7 +240,7 @@ describe('a weighing', () => {
     const { id } = await ask('to-be-stopped')
     await chromium.open(page, `weighings/${id}`)
     await page.getByRole('button', { name: 'Stop at the next step' }).click()
-    await page.locator('.verdict').getByText('Stopped').waitFor({ timeout: 60_000 })
+    await page.locator('.verdict').getByText('Stopped').waitFor({ timeout: 120_000 })
     assert.equal((await service.get(`/v1/weighings/${id}`)).weighing.outcome, 'stopped')
   })
 
@@ -265,9 +265,9 @@ describe('jobs', () => {
     await unlock(page, service.token)
     const { id } = await service.post('/v1/calibrations', { powder: 'semolina', sets: 50, tolerance_deg: 0.1, trials_max: 2000 })
     const name = new RegExp(`Cancel Calibration ${id.slice(-8)}`)
-    await row('Jobs', id.slice(-8)).getByText('Running').waitFor({ timeout: 60_000 })
+    await row('Jobs', id.slice(-8)).getByText('Running').waitFor({ timeout: 120_000 })
     await page.getByRole('button', { name }).click()
-    await row('Jobs', id.slice(-8)).getByText('Cancelled').waitFor({ timeout: 60_000 })
+    await row('Jobs', id.slice(-8)).getByText('Cancelled').waitFor({ timeout: 120_000 })
     assert.equal((await service.get(`/v1/jobs/${id}`)).state, 'cancelled')
     await page.locator('[aria-live=polite]').getByText(new RegExp(`${id.slice(-8)}: Cancelled`)).waitFor()
     await csvEqualsTable('Jobs')

@@ -49,7 +49,7 @@ export async function startService() {
   const post = (path, body, headers) => ask('POST', path, body, headers)
 
   /** The job once it has ended well. */
-  async function finished(id, seconds = 120) {
+  async function finished(id, seconds = 400) {
     for (let k = 0; k < seconds * 5; k++) {
       const job = await get(`/v1/jobs/${id}`)
       if (job.state === 'succeeded') return job
