@@ -169,6 +169,39 @@ fn trials_are_numbered_without_gaps_and_no_two_share_a_seed() {
 }
 
 #[test]
+fn of_good_candidates_those_far_apart_are_verified_first() {
+    let (settings, powder) = (Settings::default(), target(36.0));
+    let at = |coordinates: [f64; 3]| {
+        let [friction, damping, mass] = coordinates;
+        space::parameters_at(&[0.5, 0.5, 0.5, 0.5, friction, 0.5, damping, 0.5, mass])
+    };
+    // All at the target but the last, which is within the tolerance: three neighbours, one at the other end, one between.
+    let points = [
+        [0.5, 0.1, 0.1],
+        [0.5, 0.12, 0.1],
+        [0.5, 0.1, 0.12],
+        [0.5, 0.9, 0.9],
+        [0.53, 0.5, 0.5],
+        [0.1, 0.5, 0.5],
+        [0.9, 0.5, 0.5],
+    ];
+    let trials: Vec<Trial> = (0..)
+        .zip(points)
+        .map(|(index, point)| {
+            let tip = heap(36.0 + 40.0 * (point[0] - 0.5));
+            Planned::search(index, at(point), 1).concluded(index, Outcome::of(tip), &powder)
+        })
+        .collect();
+    let emulator = Emulator::of(&trials, powder.repose_deg).unwrap();
+    let candidates = verify::candidates(&trials, &emulator, &settings);
+    assert_eq!(candidates.iter().map(|c| c.index).collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
+    let first = verify::choose(candidates, Vec::new(), 3, &emulator, &settings);
+    let mut first: Vec<u32> = first.iter().map(|c| c.index).collect();
+    first.sort_unstable();
+    assert!(first[0] <= 2 && first[1..] == [3, 4], "{first:?}");
+}
+
+#[test]
 fn progress_never_goes_back_and_ends_at_one() {
     let mut last = 0.0;
     let hear = |_: &Trial, progress: &Progress| {
