@@ -228,7 +228,7 @@ fn refused_simulations_are_recorded_and_then_avoided() {
         for trial in trials.iter().filter(|t| t.phase == Phase::Search) {
             let refused = trial.outcome == Outcome::Refused("the base is not covered".to_owned());
             assert_eq!(refused, trial.error_deg.is_none());
-            let half = if trial.index < 8 { &mut early } else { &mut late };
+            let half = if trial.index < 6 { &mut early } else { &mut late };
             (half.0, half.1) = (half.0 + u32::from(refused), half.1 + 1);
         }
     }
@@ -291,7 +291,7 @@ fn a_history_of_another_calibration_is_refused_by_its_first_foreign_trial() {
     };
     assert_eq!(resume(36.03, &Settings { seed: 4, ..few() }, &trials), Err(Error::History { index: 0 }));
     // The first design is the same for every target, what follows is not.
-    assert!(matches!(resume(28.0, &few(), &trials), Err(Error::History { index }) if index >= 8));
+    assert!(matches!(resume(28.0, &few(), &trials), Err(Error::History { index }) if index >= 6));
     let mut gap = trials.clone();
     gap.remove(2);
     assert_eq!(resume(36.03, &few(), &gap), Err(Error::History { index: 2 }));
