@@ -39,7 +39,8 @@ impl Watch {
         loop {
             let job = app.job(id).await?;
             match job.state {
-                JobState::Queued | JobState::Running => line.show(job.progress.fraction, &job.progress.message),
+                JobState::Queued => line.wait(&job.progress.message),
+                JobState::Running => line.show(job.progress.fraction, &job.progress.message),
                 JobState::Succeeded => {
                     line.end("done");
                     return Ok(job);
@@ -65,14 +66,7 @@ impl Watch {
         let bar = self.bars.add(ProgressBar::new(STEPS as u64));
         bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
         bar.set_prefix(label.to_owned());
-        Line {
-            bar,
-            label: label.to_owned(),
-            terminal: self.terminal,
-            began: Instant::now(),
-            said: Instant::now(),
-            first: None,
-        }
+        Line { bar, label: label.to_owned(), terminal: self.terminal, pace: None, said: Instant::now() }
     }
 }
 
@@ -81,23 +75,26 @@ struct Line {
     bar: ProgressBar,
     label: String,
     terminal: bool,
-    began: Instant,
+    /// When the job was first seen running, and how far it was: a resumed job starts above zero.
+    pace: Option<(Instant, f64)>,
     said: Instant,
-    /// The fraction first seen: a resumed job starts above zero, and time left counts from there.
-    first: Option<f64>,
 }
 
 impl Line {
+    fn wait(&self, message: &str) {
+        self.bar.set_message(message.to_owned());
+    }
+
     fn show(&mut self, fraction: f64, message: &str) {
-        if self.first.is_none() {
+        if self.pace.is_none() {
             self.bar.reset_eta();
         }
-        let first = *self.first.get_or_insert(fraction);
+        let (began, first) = *self.pace.get_or_insert((Instant::now(), fraction));
         self.bar.set_position((fraction.clamp(0.0, 1.0) * STEPS) as u64);
         self.bar.set_message(message.to_owned());
         if !self.terminal && self.said.elapsed() >= SAY_EVERY {
             self.said = Instant::now();
-            let left = seconds_left(fraction - first, 1.0 - fraction, self.began.elapsed());
+            let left = seconds_left(fraction - first, 1.0 - fraction, began.elapsed());
             let left = left.map_or(String::new(), |s| format!(", about {s:.0} s left"));
             eprintln!("{}: {:.0} %, {message}{left}", self.label, 100.0 * fraction);
         }
@@ -107,7 +104,9 @@ impl Line {
         self.bar.set_position(STEPS as u64);
         self.bar.finish_with_message(message.to_owned());
         if !self.terminal {
-            eprintln!("{}: {message} after {:.0} s", self.label, self.began.elapsed().as_secs_f64());
+            // A job that another command finished was never seen running.
+            let took = self.pace.map_or(String::new(), |(began, _)| format!(" after {:.0} s", began.elapsed().as_secs_f64()));
+            eprintln!("{}: {message}{took}", self.label);
         }
     }
 }
