@@ -11,7 +11,9 @@ use super::train::{Timing, train};
 use super::watch::Watch;
 use super::weigh::{request, weigh};
 use crate::api::ServeError;
-use crate::app::{App, Calibration, Options, Order, Preset, TrainingRequest, TrainingResult, Weighing, WeighingRequest};
+use crate::app::{
+    App, Calibration, Options, Order, Preset, TrainingRequest, TrainingResult, Weighing, WeighingRequest,
+};
 use crate::domain::powder::PUBLISHED;
 use serde::Serialize;
 use std::time::Instant;

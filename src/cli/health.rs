@@ -67,7 +67,10 @@ mod tests {
     #[test]
     fn the_status_line_is_all_that_counts() {
         assert_eq!(ask(service("HTTP/1.1 200 OK\r\n\r\nalive\n")).unwrap(), "HTTP/1.1 200 OK");
-        assert_eq!(ask(service("HTTP/1.1 503 Service Unavailable\r\n\r\n")).unwrap(), "HTTP/1.1 503 Service Unavailable");
+        assert_eq!(
+            ask(service("HTTP/1.1 503 Service Unavailable\r\n\r\n")).unwrap(),
+            "HTTP/1.1 503 Service Unavailable"
+        );
     }
 
     #[test]

@@ -59,7 +59,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         return Err(FieldError::new("repeats", message).into());
     }
     if !PARTICLES.contains(&arguments.particles) {
-        let message = format!("must be from {} to {} grains, got {}", PARTICLES.start(), PARTICLES.end(), arguments.particles);
+        let message =
+            format!("must be from {} to {} grains, got {}", PARTICLES.start(), PARTICLES.end(), arguments.particles);
         return Err(FieldError::new("particles", message).into());
     }
     let settings = Settings { particles: arguments.particles, ..Settings::default() };

@@ -105,7 +105,8 @@ impl Line {
         self.bar.finish_with_message(message.to_owned());
         if !self.terminal {
             // A job that another command finished was never seen running.
-            let took = self.pace.map_or(String::new(), |(began, _)| format!(" after {:.0} s", began.elapsed().as_secs_f64()));
+            let took =
+                self.pace.map_or(String::new(), |(began, _)| format!(" after {:.0} s", began.elapsed().as_secs_f64()));
             eprintln!("{}: {message}{took}", self.label);
         }
     }
