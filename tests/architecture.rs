@@ -191,6 +191,17 @@ fn nothing_is_left_unfinished_or_switched_off() {
 }
 
 #[test]
+fn every_file_that_the_map_names_exists() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let map = fs::read_to_string(root.join("src/ARCHITECTURE.md")).unwrap();
+    let is_file = |name: &&str| (name.ends_with(".rs") || name.ends_with(".md")) && !name.contains(char::is_whitespace);
+    let names: Vec<&str> = map.split('`').filter(is_file).collect();
+    assert!(names.len() > 20, "the map names only {} files", names.len());
+    let is_missing = |name: &&&str| !root.join("src").join(name).exists() && !root.join(name).exists();
+    check(names.iter().filter(is_missing).map(|name| format!("src/ARCHITECTURE.md: there is no {name}")).collect());
+}
+
+#[test]
 fn the_checks_see_what_they_should() {
     assert_eq!(named_modules("use crate::domain::seed;\nlet x = crate::sim::VERSION;"), ["domain", "sim"]);
     assert_eq!(named_modules("use crate::{domain, sim};"), [""]);
