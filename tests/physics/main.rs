@@ -32,3 +32,14 @@ fn the_angle_of_repose_rises_with_friction_and_with_cohesion() {
     // The published powders, 28 to 43 deg, lie well inside.
     assert!(at(0, 0).0 < 25.0 && at(4, 4).0 > 46.0, "{:?} {:?}", at(0, 0), at(4, 4));
 }
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_on_any_thread() {
+    let settings = Settings { particles: 300, base_radius_diameters: 4.0, ..Default::default() };
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let heap = |seed: u64| format!("{:?}", repose(&ParameterSet::default(), &settings, seed));
+        pool.install(|| (0..6).into_par_iter().map(heap).collect::<Vec<_>>())
+    };
+    assert_eq!(run(1), run(2));
+}
