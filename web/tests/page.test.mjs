@@ -263,7 +263,7 @@ describe('jobs', () => {
   it('are watched live and cancelled, and the cancellation is announced', async () => {
     await chromium.open(page, 'jobs?kind=calibration')
     await unlock(page, service.token)
-    const { id } = await service.post('/v1/calibrations', { powder: 'semolina', sets: 50, tolerance_deg: 0.1, trials_max: 2000 })
+    const { id } = await service.post('/v1/calibrations', { powder: 'semolina', sets: 50, tolerance_deg: 0.1, trials_max: 500 })
     const name = new RegExp(`Cancel Calibration ${id.slice(-8)}`)
     await row('Jobs', id.slice(-8)).getByText('Running').waitFor({ timeout: 120_000 })
     await page.getByRole('button', { name }).click()
