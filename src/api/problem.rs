@@ -15,9 +15,11 @@ use serde::{Deserialize, Serialize};
 pub struct Problem {
     /// Stable name of the kind of problem, e.g. `urn:flip:problem:invalid`.
     #[serde(rename = "type")]
-    pub kind: String,
+    #[schema(value_type = String)]
+    pub kind: Box<str>,
     /// The kind in words; the same for every problem of one type.
-    pub title: String,
+    #[schema(value_type = String)]
+    pub title: Box<str>,
     /// HTTP status.
     pub status: u16,
     /// What went wrong this time and what to do.
@@ -35,8 +37,8 @@ pub const CONTENT_TYPE: &str = "application/problem+json";
 impl Problem {
     fn new(status: StatusCode, kind: &str, title: &str, detail: impl Into<String>) -> Self {
         Self {
-            kind: format!("urn:flip:problem:{kind}"),
-            title: title.to_owned(),
+            kind: format!("urn:flip:problem:{kind}").into(),
+            title: title.into(),
             status: status.as_u16(),
             detail: detail.into(),
             instance: None,

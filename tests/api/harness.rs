@@ -1,12 +1,11 @@
 //! A service of one's own for every test: port 0, a temporary data folder, a toy bench.
 
-use crate::toy::Bench;
+use crate::toy::{Bench, Hold};
 use flip::api::{self, ServeConfig};
 use flip::app::{App, Options, Role};
 use reqwest::{Method, Response};
 use serde_json::Value;
 use std::net::SocketAddr;
-use std::sync::MutexGuard;
 use std::time::Duration;
 use tempfile::TempDir;
 use tokio::sync::oneshot;
@@ -100,8 +99,8 @@ impl Service {
         self.bench.pours()
     }
 
-    /// Keeps whatever pours from going on until the guard is dropped or the weighing is stopped.
-    pub fn hold_bench(&self) -> MutexGuard<'_, ()> {
+    /// Keeps whatever pours from going on until the hold is dropped or the weighing is stopped.
+    pub fn hold_bench(&self) -> Hold {
         self.bench.hold()
     }
 

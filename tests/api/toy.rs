@@ -10,15 +10,24 @@ use flip::sim::repose::{Refusal, Repose, Settings};
 use sha2::{Digest, Sha256};
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 /// Counts pours, and can be held.
 #[derive(Clone, Default)]
 pub struct Bench {
     pours: Arc<AtomicUsize>,
-    gate: Arc<Mutex<()>>,
+    held: Arc<AtomicBool>,
+}
+
+/// While it lives, pours do not go on.
+pub struct Hold(Arc<AtomicBool>);
+
+impl Drop for Hold {
+    fn drop(&mut self) {
+        self.0.store(false, Ordering::SeqCst);
+    }
 }
 
 impl Bench {
@@ -35,14 +44,15 @@ impl Bench {
         self.pours.load(Ordering::SeqCst)
     }
 
-    pub fn hold(&self) -> MutexGuard<'_, ()> {
-        self.gate.lock().unwrap()
+    pub fn hold(&self) -> Hold {
+        self.held.store(true, Ordering::SeqCst);
+        Hold(self.held.clone())
     }
 
     /// Half of the target, then all of it, unless stopped.
     fn pour(&self, pouring: &Pouring, on_tick: &mut dyn FnMut(&Tick), stop: &AtomicBool) -> Poured {
         self.pours.fetch_add(1, Ordering::SeqCst);
-        while self.gate.try_lock().is_err() && !stop.load(Ordering::SeqCst) {
+        while self.held.load(Ordering::SeqCst) && !stop.load(Ordering::SeqCst) {
             std::thread::sleep(Duration::from_millis(1));
         }
         let mut ticks = Vec::new();
