@@ -11,10 +11,10 @@ CREATE TABLE job (
     fence            INTEGER NOT NULL DEFAULT 0 CHECK (fence >= 0),
     -- Claims in all, for people.
     attempts         INTEGER NOT NULL DEFAULT 0 CHECK (attempts >= 0),
-    -- Claims since something was last saved: these are limited, so that a job which kills its process ends,
-    -- while one that only lives in an unlucky process goes on.
-    fruitless        INTEGER NOT NULL DEFAULT 0 CHECK (fruitless BETWEEN 0 AND fruitless_max),
-    fruitless_max    INTEGER NOT NULL DEFAULT 3 CHECK (fruitless_max >= 1),
+    -- Attempts that ended in an error or a panic since something was last saved.
+    failures         INTEGER NOT NULL DEFAULT 0 CHECK (failures >= 0),
+    -- Attempts whose process ended since something was last saved.
+    deaths           INTEGER NOT NULL DEFAULT 0 CHECK (deaths >= 0),
     owner            TEXT,
     lease_until      INTEGER,
     cancel_requested INTEGER NOT NULL DEFAULT 0 CHECK (cancel_requested IN (0, 1)),

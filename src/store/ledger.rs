@@ -13,8 +13,9 @@
 //! once somebody else has claimed the job ([`Error::Fenced`]): a worker that was given up for dead and comes back can
 //! change nothing. A lease that is not renewed ends, and the job can be claimed again.
 //!
-//! Attempts are limited between two things saved, not in all: a job whose process is killed again and again goes on as
-//! long as each life saves a trial or a checkpoint, and one that kills its process itself ends after three.
+//! A job gets [`FAILURES_MAX`] attempts that end in an error or a panic. An attempt whose process ends is another matter:
+//! whoever killed it, it was hardly the job, which goes on where it was; only after [`DEATHS_MAX`] such ends it is taken to
+//! be the cause. Both are counted from when something was last saved: what makes progress is not given up.
 
 use super::jobs::job_topic;
 use super::row::Columns;
@@ -22,6 +23,11 @@ use super::{Error, Result, Store, Tx};
 use crate::domain::job::{JobKind, JobState, Progress};
 use crate::domain::timestamp::Timestamp;
 use sqlx::sqlite::SqliteRow;
+
+/// Attempts that may end in an error or a panic before the job fails for good.
+pub const FAILURES_MAX: u32 = 3;
+/// Ends of the process, one after the other with nothing saved in between, before the job is taken to be their cause.
+pub const DEATHS_MAX: u32 = 12;
 
 /// The right to compute a job, and to write to its row until somebody else claims it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -89,22 +95,25 @@ impl Tx {
             self.end_unclaimed(id, JobState::Cancelled, None, now).await?;
             return Ok(Claim::Ended);
         }
-        if let Some(error) = exhausted(&row, "the process ended each time")? {
+        let deaths = row.count("deaths")? + u32::from(state == JobState::Running);
+        if deaths >= DEATHS_MAX {
+            let error = format!("gave up: the process ended {deaths} times during this job with nothing saved in between");
             self.end_unclaimed(id, JobState::Failed, Some(&error), now).await?;
             return Ok(Claim::Ended);
         }
-        self.grant(id, owner, now, until).await
+        self.grant(id, owner, deaths, now, until).await
     }
 
-    async fn grant(&mut self, id: &str, owner: &str, now: Timestamp, until: Timestamp) -> Result<Claim> {
-        let sql = "UPDATE job SET state = 'running', fence = fence + 1, attempts = attempts + 1, \
-                   fruitless = fruitless + 1, owner = ?2, lease_until = ?3, message = 'begins', \
-                   started_at = coalesce(started_at, ?4) WHERE id = ?1 RETURNING *";
+    async fn grant(&mut self, id: &str, owner: &str, deaths: u32, now: Timestamp, until: Timestamp) -> Result<Claim> {
+        let sql = "UPDATE job SET state = 'running', fence = fence + 1, attempts = attempts + 1, deaths = ?5, \
+                   owner = ?2, lease_until = ?3, message = 'begins', started_at = coalesce(started_at, ?4) \
+                   WHERE id = ?1 RETURNING *";
         let row = sqlx::query(sql)
             .bind(id)
             .bind(owner)
             .bind(until.unix_ms())
             .bind(now.unix_ms())
+            .bind(deaths)
             .fetch_one(&mut *self.inner)
             .await?;
         let job = self.announce_job(&row).await?;
@@ -153,10 +162,10 @@ impl Tx {
         held(row.fetch_optional(&mut *self.inner).await?)
     }
 
-    /// Something new is saved: the attempt was not fruitless, and the last one's error is history.
+    /// Something new is saved: failures and deaths before it no longer count.
     pub(crate) async fn advance(&mut self, lease: &Lease) -> Result<()> {
         self.prove(lease).await?;
-        let sql = "UPDATE job SET fruitless = 0, error = NULL WHERE id = ?1";
+        let sql = "UPDATE job SET failures = 0, deaths = 0, error = NULL WHERE id = ?1";
         sqlx::query(sql).bind(&lease.job).execute(&mut *self.inner).await?;
         Ok(())
     }
@@ -202,21 +211,21 @@ impl Tx {
 
     /// The attempt came to nothing: back into the queue, or failed when it was the last.
     pub(crate) async fn retry(&mut self, lease: &Lease, error: &str, now: Timestamp) -> Result<()> {
-        let sql = "UPDATE job SET state = 'queued', error = ?3, message = 'waits to be tried again', \
-                   owner = NULL, lease_until = NULL WHERE id = ?1 AND fence = ?2 AND state = 'running' RETURNING *";
-        let row = sqlx::query(sql).bind(&lease.job).bind(lease.fence).bind(error);
-        let row = held(row.fetch_optional(&mut *self.inner).await?)?;
-        match exhausted(&row, error)? {
-            Some(error) => self.end_unclaimed(&lease.job, JobState::Failed, Some(&error), now).await,
-            None => self.announce_job(&row).await.map(drop),
+        let failures = self.prove(lease).await?.count("failures")? + 1;
+        if failures >= FAILURES_MAX {
+            let error = format!("gave up after {failures} attempts with nothing saved in between: {error}");
+            return self.end_unclaimed(&lease.job, JobState::Failed, Some(&error), now).await;
         }
+        let sql = "UPDATE job SET state = 'queued', failures = ?2, error = ?3, message = 'waits to be tried again', \
+                   owner = NULL, lease_until = NULL WHERE id = ?1 RETURNING *";
+        let row = sqlx::query(sql).bind(&lease.job).bind(failures).bind(error).fetch_one(&mut *self.inner).await?;
+        self.announce_job(&row).await.map(drop)
     }
 
     /// The worker goes home: back into the queue as if the attempt had not been.
     pub(crate) async fn release(&mut self, lease: &Lease) -> Result<()> {
         let sql = "UPDATE job SET state = 'queued', message = 'waits for a worker', attempts = attempts - 1, \
-                   fruitless = max(fruitless - 1, 0), owner = NULL, lease_until = NULL \
-                   WHERE id = ?1 AND fence = ?2 AND state = 'running' RETURNING *";
+                   owner = NULL, lease_until = NULL WHERE id = ?1 AND fence = ?2 AND state = 'running' RETURNING *";
         let row = sqlx::query(sql).bind(&lease.job).bind(lease.fence);
         let row = held(row.fetch_optional(&mut *self.inner).await?)?;
         self.announce_job(&row).await.map(drop)
@@ -227,10 +236,5 @@ fn held(row: Option<SqliteRow>) -> Result<SqliteRow> {
     row.ok_or(Error::Fenced)
 }
 
-/// Why a job that has used up its attempts fails; `None` while it has some left.
-fn exhausted(row: &SqliteRow, cause: &str) -> Result<Option<String>> {
-    let fruitless = row.count("fruitless")?;
-    let cause = row.plain::<Option<String>>("error")?.unwrap_or_else(|| cause.to_owned());
-    let exhausted = fruitless >= row.count("fruitless_max")?;
-    Ok(exhausted.then(|| format!("gave up after {fruitless} attempts that saved nothing: {cause}")))
-}
+#[cfg(test)]
+mod tests;
