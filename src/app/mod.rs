@@ -15,6 +15,7 @@ mod weighings;
 
 pub use crate::domain::FieldError;
 pub use crate::domain::job::{JobKind, JobState, Progress};
+pub use crate::domain::powder::{Flowability, Method};
 pub use crate::domain::timestamp::Timestamp;
 pub use crate::jobs::Functions;
 pub use crate::jobs::calibrate::{CalibrationResult, CalibrationSet};

@@ -18,8 +18,8 @@ const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
 const POWDERS_MAX: usize = 20;
 /// Most episodes in one training.
 const EPISODES_MAX: u32 = 20_000;
-/// Most rounds between two checkpoints.
-const CHECKPOINT_ROUNDS: u32 = 5;
+/// Most episodes that a crash may cost, whole rounds apart.
+const EPISODES_PER_CHECKPOINT: u32 = 4;
 
 /// What to train. Everything has a default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -171,8 +171,9 @@ fn settings_of(request: &TrainingRequest) -> Result<Settings> {
     check.done()?;
     let mut settings = Settings::of(request.preset, request.order, request.seed.unwrap_or(1));
     settings.episodes = request.episodes.unwrap_or(settings.episodes);
-    // A round is seconds of work and a checkpoint a fraction of a second: lose at most one round to a crash.
-    settings.rounds_per_checkpoint = settings.rounds_per_checkpoint.min(CHECKPOINT_ROUNDS);
+    // Episodes are seconds of work, a checkpoint is a fraction of one.
+    let rounds = (EPISODES_PER_CHECKPOINT / settings.episodes_per_round).max(1);
+    settings.rounds_per_checkpoint = settings.rounds_per_checkpoint.min(rounds);
     Ok(settings.checked()?)
 }
 

@@ -197,6 +197,12 @@ impl Bench {
     }
 }
 
+impl Drop for Bench {
+    fn drop(&mut self) {
+        self.closing.store(true, Ordering::SeqCst);
+    }
+}
+
 /// The thread that owns the bench.
 struct LaneThread {
     store: Store,

@@ -61,12 +61,11 @@ impl Default for Functions {
     }
 }
 
-/// The machinery behind jobs and weighings. Cheap to clone.
-#[derive(Clone)]
+/// The machinery behind jobs and weighings. Dropping it without [`Jobs::shutdown`] ends it too, only unwaited for.
 pub struct Jobs {
     shared: Arc<Shared>,
-    tasks: Arc<Mutex<Vec<JoinHandle<()>>>>,
-    bench: Arc<Bench>,
+    tasks: Mutex<Vec<JoinHandle<()>>>,
+    bench: Bench,
 }
 
 /// What the parts of the machinery have in common.
@@ -99,7 +98,7 @@ impl Jobs {
             reconcile: Notify::new(),
             closing: CancellationToken::new(),
         });
-        let jobs = Self { shared, tasks: Arc::default(), bench: Arc::new(bench) };
+        let jobs = Self { shared, tasks: Mutex::default(), bench };
         if workers {
             jobs.take_up().await?;
         }
@@ -159,19 +158,25 @@ impl Jobs {
         self.shared.closing.clone()
     }
 
-    /// Stop the bench, then take no more jobs, let running ones save a checkpoint and go back into the queue.
+    /// Stop the bench, take no more jobs, let running ones save a checkpoint and go back into the queue.
     pub async fn shutdown(&self) {
         self.shared.closing.cancel();
-        self.bench.shutdown().await;
         for flag in self.shared.running().values() {
             flag.set(Stop::Shutdown);
         }
+        self.bench.shutdown().await;
         let tasks = std::mem::take(&mut *self.tasks.lock().unwrap_or_else(PoisonError::into_inner));
         for task in tasks {
             if let Err(error) = task.await {
                 tracing::error!(%error, "a task of the job machinery ended badly");
             }
         }
+    }
+}
+
+impl Drop for Jobs {
+    fn drop(&mut self) {
+        self.shared.closing.cancel();
     }
 }
 

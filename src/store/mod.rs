@@ -105,15 +105,16 @@ impl Store {
         &self.artifacts
     }
 
-    /// Move the write-ahead log into the database and close every connection.
+    /// Close every connection, after moving the write-ahead log into the database. Once is enough; more does no harm.
     pub async fn close(&self) {
-        if let Some(writer) = &self.writer {
+        // Readers would keep the log from being moved.
+        self.reader.close().await;
+        if let Some(writer) = self.writer.as_ref().filter(|writer| !writer.is_closed()) {
             if let Err(error) = sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(writer).await {
                 tracing::warn!(%error, "the write-ahead log was not checkpointed; SQLite does it at the next start");
             }
             writer.close().await;
         }
-        self.reader.close().await;
     }
 }
 

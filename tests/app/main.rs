@@ -3,5 +3,6 @@
 mod calibration;
 mod harness;
 mod ledger;
+mod registry;
 mod training;
 mod weighing;

@@ -1,0 +1,186 @@
+//! `flip serve` is killed, again and again, in the middle of its work. Nothing is lost, and nothing is done twice.
+
+use serde_json::{Value, json};
+use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// Kills in each half.
+const KILLS: u64 = 5;
+/// Longest wait for anything.
+const PATIENCE: Duration = Duration::from_secs(240);
+
+/// A service in a process of its own.
+struct Service {
+    process: Child,
+    url: String,
+    client: reqwest::Client,
+}
+
+impl Service {
+    /// Start it on a data folder, and its operator's token if this is the first start.
+    fn start(folder: &Path) -> (Self, Option<String>) {
+        let mut process = Command::new(env!("CARGO_BIN_EXE_flip"))
+            .args(["serve", "--json", "--listen", "127.0.0.1:0", "--data-dir"])
+            .arg(folder)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let stdout = process.stdout.take().unwrap();
+        let said = serde_json::Deserializer::from_reader(stdout).into_iter::<Value>().next();
+        let said = said.expect("the service says where it listens").unwrap();
+        let url = said["url"].as_str().unwrap().to_owned();
+        let token = said["token"].as_str().map(str::to_owned);
+        (Self { process, url, client: reqwest::Client::new() }, token)
+    }
+
+    /// SIGKILL: no destructor, no last word.
+    fn kill(mut self) {
+        self.process.kill().unwrap();
+        self.process.wait().unwrap();
+    }
+
+    async fn get(&self, path: &str) -> Value {
+        let response = self.client.get(format!("{}{path}", self.url)).send().await.unwrap();
+        assert!(response.status().is_success(), "{path}: {}", response.status());
+        response.json().await.unwrap()
+    }
+
+    async fn post(&self, path: &str, token: &str, body: &Value) -> Value {
+        let request = self.client.post(format!("{}{path}", self.url)).bearer_auth(token).json(body);
+        let response = request.send().await.unwrap();
+        assert!(response.status().is_success(), "{path}: {} {}", response.status(), response.text().await.unwrap());
+        response.json().await.unwrap()
+    }
+
+    async fn items(&self, path: &str) -> Vec<Value> {
+        self.get(&format!("{path}?limit=5000")).await["items"].as_array().unwrap().clone()
+    }
+
+    /// Ask for a weighing; its id.
+    async fn weigh(&self, token: &str, key: &str, body: &Value) -> String {
+        let request = self.client.post(format!("{}/v1/weighings", self.url)).bearer_auth(token).json(body);
+        let response = request.header("Idempotency-Key", key).send().await.unwrap();
+        assert!(response.status().is_success(), "{} {}", response.status(), response.text().await.unwrap());
+        response.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned()
+    }
+
+    async fn works_on(&self, job: &str) -> bool {
+        let job = self.get(&format!("/v1/jobs/{job}")).await;
+        ["queued", "running"].contains(&job["state"].as_str().unwrap())
+    }
+
+    /// Wait until the job has ended, and return it.
+    async fn ended(&self, id: &str) -> Value {
+        let deadline = Instant::now() + PATIENCE;
+        while self.works_on(id).await {
+            assert!(Instant::now() < deadline, "job {id} does not end");
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        self.get(&format!("/v1/jobs/{id}")).await
+    }
+}
+
+/// Kill the service over and over while it works on a job: at a moment of its own each time, and every other time only
+/// after this life has saved something. The service that finally lives.
+async fn torment(mut service: Service, folder: &Path, job: &str, series: &str) -> Service {
+    for kill in 0..KILLS {
+        let before = service.items(series).await.len();
+        let deadline = Instant::now() + PATIENCE;
+        while kill % 2 == 0 && service.items(series).await.len() == before && service.works_on(job).await {
+            assert!(Instant::now() < deadline, "nothing is saved");
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        let moment = flip::domain::seed::derive(2026, &[kill]) % 1200;
+        tokio::time::sleep(Duration::from_millis(moment)).await;
+        service.kill();
+        service = Service::start(folder).0;
+    }
+    service
+}
+
+fn is_whole(series: &[Value]) -> bool {
+    series.iter().enumerate().all(|(k, item)| item["index"] == k)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ten_kills_during_a_calibration_and_a_training_lose_nothing_and_repeat_nothing() {
+    let folder = TempDir::new().unwrap();
+    let (service, token) = Service::start(folder.path());
+    let token = token.expect("the first start prints a token");
+
+    let request = json!({"powder": "sand", "sets": 2, "seed": 3});
+    let calibration = service.post("/v1/calibrations", &token, &request).await["id"].as_str().unwrap().to_owned();
+    let trials = format!("/v1/calibrations/{calibration}/trials");
+    let service = torment(service, folder.path(), &calibration, &trials).await;
+    let job = service.ended(&calibration).await;
+    assert_eq!(job["state"], "succeeded", "{job}");
+    let found = service.get(&format!("/v1/calibrations/{calibration}")).await["result"].clone();
+    let trials = service.items(&trials).await;
+    assert_eq!(trials.len() as u64, found["evaluations"].as_u64().unwrap() + found["verification_runs"].as_u64().unwrap());
+    assert!(is_whole(&trials));
+
+    let request = json!({"powders": ["sand"], "episodes": 12, "seed": 3});
+    let training = service.post("/v1/trainings", &token, &request).await["id"].as_str().unwrap().to_owned();
+    let episodes = format!("/v1/trainings/{training}/episodes");
+    let service = torment(service, folder.path(), &training, &episodes).await;
+    let job = service.ended(&training).await;
+    assert_eq!(job["state"], "succeeded", "{job}");
+    let episodes = service.items(&episodes).await;
+    assert!(episodes.len() == 12 && is_whole(&episodes));
+
+    let policies = service.get("/v1/policies").await["items"].as_array().unwrap().clone();
+    assert_eq!(policies.len(), 1, "one training, one policy");
+    let sets = service.get("/v1/parameter-sets").await["items"].as_array().unwrap().clone();
+    assert_eq!(sets.len(), found["sets"].as_array().unwrap().len());
+    assert_eq!(service.get("/v1/jobs").await["items"].as_array().unwrap().len(), 2);
+
+    let service = interrupted_weighing(service, folder.path(), &token).await;
+    service.kill();
+    check_database(folder.path()).await;
+}
+
+/// A weighing that was moving when the process ended is never taken up again; one that waited is.
+async fn interrupted_weighing(service: Service, folder: &Path, token: &str) -> Service {
+    let mg = |value: f64| json!({"value": value, "unit": "mg"});
+    let tolerance = json!({"lower": 1.0, "upper": 1.0, "unit": "mg"});
+    let body = json!({"powder": "sand", "target": mg(12.0), "tolerance": tolerance});
+    let moving = service.weigh(token, "moving", &body).await;
+    let waiting = service.weigh(token, "waiting", &body).await;
+    let state = async |service: &Service, id: &str| {
+        let weighing = service.get(&format!("/v1/weighings/{id}")).await;
+        weighing["weighing"]["state"].as_str().unwrap().to_owned()
+    };
+    let deadline = Instant::now() + PATIENCE;
+    while state(&service, &moving).await == "planned" {
+        assert!(Instant::now() < deadline, "the bench does not move");
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+    service.kill();
+    let service = Service::start(folder).0;
+    assert_eq!(state(&service, &moving).await, "unknown");
+    assert_eq!(service.weigh(token, "moving", &body).await, moving, "its key does not pour again");
+    while ["planned", "armed", "dosing"].contains(&state(&service, &waiting).await.as_str()) {
+        assert!(Instant::now() < deadline, "the waiting weighing is not taken up");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    assert_eq!(state(&service, &waiting).await, "done");
+    assert_eq!(state(&service, &moving).await, "unknown");
+    service
+}
+
+/// What SQLite itself says about the file that so many processes left behind.
+async fn check_database(folder: &Path) {
+    let pool = SqlitePool::connect_with(SqliteConnectOptions::new().filename(folder.join("flip.db"))).await.unwrap();
+    let integrity: String = sqlx::query_scalar("PRAGMA integrity_check").fetch_one(&pool).await.unwrap();
+    assert_eq!(integrity, "ok");
+    let broken: Vec<sqlx::sqlite::SqliteRow> = sqlx::query("PRAGMA foreign_key_check").fetch_all(&pool).await.unwrap();
+    assert!(broken.is_empty());
+    let twice = "SELECT count(*) FROM event WHERE kind = 'state' AND data ->> '$.state' = 'succeeded'";
+    let successes: i64 = sqlx::query_scalar(twice).fetch_one(&pool).await.unwrap();
+    assert_eq!(successes, 2, "each job succeeds once");
+    pool.close().await;
+}
