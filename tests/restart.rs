@@ -120,7 +120,10 @@ async fn ten_kills_during_a_calibration_and_a_training_lose_nothing_and_repeat_n
     assert_eq!(job["state"], "succeeded", "{job}");
     let found = service.get(&format!("/v1/calibrations/{calibration}")).await["result"].clone();
     let trials = service.items(&trials).await;
-    assert_eq!(trials.len() as u64, found["evaluations"].as_u64().unwrap() + found["verification_runs"].as_u64().unwrap());
+    assert_eq!(
+        trials.len() as u64,
+        found["evaluations"].as_u64().unwrap() + found["verification_runs"].as_u64().unwrap()
+    );
     assert!(is_whole(&trials));
 
     let request = json!({"powders": ["sand"], "episodes": 12, "seed": 3});

@@ -27,7 +27,9 @@ pub enum Error {
         message: String,
     },
     /// The Idempotency-Key was used before with another body.
-    #[error("the Idempotency-Key `{key}` belongs to weighing {weighing}, which was asked for with another body: use a new key for a new weighing")]
+    #[error(
+        "the Idempotency-Key `{key}` belongs to weighing {weighing}, which was asked for with another body: use a new key for a new weighing"
+    )]
     Unprocessable {
         /// The key.
         key: String,
@@ -72,7 +74,9 @@ impl From<store::Error> for Error {
             store::Error::ReadOnly => Self::Unavailable(
                 "the data folder was opened to read only because `flip serve` holds it: ask the server instead".into(),
             ),
-            error if error.is_closed() => Self::Unavailable("FLIP is shutting down: ask again after the restart".into()),
+            error if error.is_closed() => {
+                Self::Unavailable("FLIP is shutting down: ask again after the restart".into())
+            }
             other => Self::Internal(Box::new(other)),
         }
     }

@@ -109,7 +109,8 @@ impl App {
         }
         let newest = self.store().policies(PageQuery::first(1).window(1)?).await?.items;
         newest.into_iter().next().ok_or_else(|| {
-            let advice = "there is no policy yet: run `flip train` or POST /v1/trainings, and evaluate when it has succeeded";
+            let advice =
+                "there is no policy yet: run `flip train` or POST /v1/trainings, and evaluate when it has succeeded";
             Error::conflict("policy_missing", advice)
         })
     }
@@ -170,7 +171,12 @@ fn within_the_spoon(powder: &str, targets_mg: &[f64], sets: &[CalibratedSet]) ->
     let mut check = Check::default();
     for (k, target_mg) in targets_mg.iter().enumerate().filter(|(_, target)| **target > capacity_mg) {
         let field = format!("targets_mg[{k}]");
-        check.refuse(&field, format!("must be at most {capacity_mg:.1} mg, which is what the spoon holds of `{powder}`, got {target_mg}"));
+        check.refuse(
+            &field,
+            format!(
+                "must be at most {capacity_mg:.1} mg, which is what the spoon holds of `{powder}`, got {target_mg}"
+            ),
+        );
     }
     check.done()
 }

@@ -162,7 +162,10 @@ fn settings_of(request: &TrainingRequest) -> Result<Settings> {
         unique.sort();
         unique.dedup();
         if powders.is_empty() || powders.len() > POWDERS_MAX || unique.len() < powders.len() {
-            check.refuse("powders", format!("must name 1 to {POWDERS_MAX} powders, each once; leave it out for the default"));
+            check.refuse(
+                "powders",
+                format!("must name 1 to {POWDERS_MAX} powders, each once; leave it out for the default"),
+            );
         }
         if request.preset == Preset::Paper || request.order == Order::DomainRandomisation {
             check.refuse("powders", "does not go with the `paper` preset or `domain-randomisation`: leave it out");

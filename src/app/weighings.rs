@@ -81,7 +81,8 @@ impl App {
     /// (`calibration_missing`, `policy_missing`).
     pub async fn start_weighing(&self, request: WeighingRequest, idempotency_key: &str) -> Result<(Weighing, bool)> {
         check_key(idempotency_key)?;
-        let request_sha256 = Sha256::digest(serde_json::to_vec(&request).map_err(|e| Error::Internal(e.into()))?).to_vec();
+        let request_sha256 =
+            Sha256::digest(serde_json::to_vec(&request).map_err(|e| Error::Internal(e.into()))?).to_vec();
         if let Some(first) = self.store().weighing_by_key(idempotency_key).await? {
             return replay(first, &request_sha256, idempotency_key);
         }
@@ -129,7 +130,8 @@ impl App {
             None => self.store().best_policy(powder).await?,
         };
         let Some(id) = id else {
-            let advice = "there is no policy yet: run `flip train` or POST /v1/trainings, and weigh when it has succeeded";
+            let advice =
+                "there is no policy yet: run `flip train` or POST /v1/trainings, and weigh when it has succeeded";
             return Err(Error::conflict("policy_missing", advice));
         };
         self.store().policy(&id).await?.ok_or_else(|| {
@@ -234,7 +236,10 @@ fn masses(request: &WeighingRequest) -> Result<(f64, (f64, f64))> {
     for (field, value) in [("tolerance.lower", request.tolerance.lower), ("tolerance.upper", request.tolerance.upper)] {
         let limit = factor.zip(target_mg).map_or(f64::MAX, |(factor, target)| target / factor);
         if !(value.is_finite() && (0.0..=limit).contains(&value)) {
-            check.refuse(field, format!("must be from 0 to the target itself, got {value} {}", shown(&request.tolerance.unit)));
+            check.refuse(
+                field,
+                format!("must be from 0 to the target itself, got {value} {}", shown(&request.tolerance.unit)),
+            );
         }
     }
     check.done()?;

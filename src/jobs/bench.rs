@@ -271,7 +271,8 @@ impl LaneThread {
         let missing = |what: &str| store::Error::Corrupt(format!("the weighing's {what} is gone"));
         self.runtime.block_on(async {
             let policy = self.store.policy_bytes(&weighing.policy).await?.ok_or_else(|| missing("policy"))?;
-            let set = self.store.parameter_set(&weighing.parameter_set).await?.ok_or_else(|| missing("parameter set"))?;
+            let set =
+                self.store.parameter_set(&weighing.parameter_set).await?.ok_or_else(|| missing("parameter set"))?;
             let policy = policy::decode(&policy).map_err(|error| store::Error::Corrupt(error.to_string()))?;
             Ok(Pouring {
                 order: Order {

@@ -136,7 +136,9 @@ fn to_row(trial: &calibrate::Trial) -> Trial {
 
 fn from_row(row: Trial) -> calibrate::Trial {
     let outcome = match (row.tip_deg, row.cone_deg, row.creep_deg_per_s) {
-        (Some(tip_deg), Some(cone_deg), Some(creep_deg_per_s)) => Outcome::Heap(Heap { tip_deg, cone_deg, creep_deg_per_s }),
+        (Some(tip_deg), Some(cone_deg), Some(creep_deg_per_s)) => {
+            Outcome::Heap(Heap { tip_deg, cone_deg, creep_deg_per_s })
+        }
         _ => Outcome::Refused(row.refusal.unwrap_or_default()),
     };
     calibrate::Trial {

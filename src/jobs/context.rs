@@ -113,7 +113,11 @@ impl JobContext {
     }
 
     /// Save the last things and the result, and end the job, in one transaction.
-    pub fn succeed<T: Serialize>(&self, result: &T, save: impl AsyncFnOnce(&mut Tx) -> store::Result<()>) -> store::Result<()> {
+    pub fn succeed<T: Serialize>(
+        &self,
+        result: &T,
+        save: impl AsyncFnOnce(&mut Tx) -> store::Result<()>,
+    ) -> store::Result<()> {
         let result = serde_json::to_string(result).map_err(|error| store::Error::Corrupt(error.to_string()))?;
         self.runtime.block_on(async {
             let mut tx = self.store.write().await?;

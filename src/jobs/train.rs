@@ -23,7 +23,8 @@ pub const SETS_PER_LEVEL: usize = 7;
 const RECENT: usize = 20;
 
 /// A training as jobs call it: [`crate::train::train`] in the product, a formula in tests.
-pub type Train = Arc<dyn Fn(&[Level], &Settings, Option<&[u8]>, &mut Listener<'_>) -> Result<Trained, TrainError> + Send + Sync>;
+pub type Train =
+    Arc<dyn Fn(&[Level], &Settings, Option<&[u8]>, &mut Listener<'_>) -> Result<Trained, TrainError> + Send + Sync>;
 /// Who hears what a training does, and says whether it goes on.
 pub type Listener<'a> = dyn FnMut(Event) -> ControlFlow<()> + 'a;
 

@@ -52,7 +52,8 @@ pub(super) async fn supervise(shared: Arc<Shared>) {
     }
     // Whoever still computes holds the lane until the row is settled.
     let waiting = shared.clone();
-    let last = tokio::task::spawn_blocking(move || drop(waiting.compute.lock().unwrap_or_else(PoisonError::into_inner)));
+    let last =
+        tokio::task::spawn_blocking(move || drop(waiting.compute.lock().unwrap_or_else(PoisonError::into_inner)));
     if last.await.is_err() {
         tracing::error!("could not wait for the last computation");
     }

@@ -76,7 +76,8 @@ impl Artifacts {
 impl Store {
     /// Remove a file that a row named until now, unless another row does.
     pub(super) async fn forget_artifact(&self, sha256: &str) -> Result<()> {
-        let sql = "SELECT EXISTS (SELECT 1 FROM job WHERE checkpoint = ?1 UNION SELECT 1 FROM weighing WHERE trace = ?1)";
+        let sql =
+            "SELECT EXISTS (SELECT 1 FROM job WHERE checkpoint = ?1 UNION SELECT 1 FROM weighing WHERE trace = ?1)";
         let named: bool = sqlx::query_scalar(sql).bind(sha256).fetch_one(&self.reader).await?;
         if named { Ok(()) } else { remove(&self.artifacts.path(sha256)) }
     }

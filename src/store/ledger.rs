@@ -97,7 +97,8 @@ impl Tx {
         }
         let deaths = row.count("deaths")? + u32::from(state == JobState::Running);
         if deaths >= DEATHS_MAX {
-            let error = format!("gave up: the process ended {deaths} times during this job with nothing saved in between");
+            let error =
+                format!("gave up: the process ended {deaths} times during this job with nothing saved in between");
             self.end_unclaimed(id, JobState::Failed, Some(&error), now).await?;
             return Ok(Claim::Ended);
         }
@@ -203,7 +204,13 @@ impl Tx {
     }
 
     /// The job ends without a result.
-    pub(crate) async fn end(&mut self, lease: &Lease, state: JobState, error: Option<&str>, now: Timestamp) -> Result<()> {
+    pub(crate) async fn end(
+        &mut self,
+        lease: &Lease,
+        state: JobState,
+        error: Option<&str>,
+        now: Timestamp,
+    ) -> Result<()> {
         debug_assert!(matches!(state, JobState::Failed | JobState::Cancelled));
         self.prove(lease).await?;
         self.end_unclaimed(&lease.job, state, error, now).await

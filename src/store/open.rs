@@ -121,7 +121,8 @@ mod tests {
         let store = Store::open(folder.path()).await.unwrap();
         assert!(matches!(Store::open(folder.path()).await, Err(Error::Held(_))));
         let reader = Store::open_to_read(folder.path()).await.unwrap();
-        let count: i64 = sqlx::query_scalar("SELECT count(*) FROM measurement").fetch_one(&reader.reader).await.unwrap();
+        let count: i64 =
+            sqlx::query_scalar("SELECT count(*) FROM measurement").fetch_one(&reader.reader).await.unwrap();
         assert_eq!(count, 10);
         assert!(matches!(reader.write().await, Err(Error::ReadOnly)));
         drop(store);

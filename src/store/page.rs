@@ -100,7 +100,10 @@ fn encode(seq: i64) -> String {
 fn decode(cursor: &str) -> std::result::Result<i64, FieldError> {
     let bytes = URL_SAFE_NO_PAD.decode(cursor).ok().and_then(|b| <[u8; 8]>::try_from(b).ok());
     bytes.map(i64::from_be_bytes).ok_or_else(|| {
-        FieldError::new("after", "is not a cursor of this list: pass `next` of the page before as it is, or leave it out")
+        FieldError::new(
+            "after",
+            "is not a cursor of this list: pass `next` of the page before as it is, or leave it out",
+        )
     })
 }
 

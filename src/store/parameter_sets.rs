@@ -59,7 +59,8 @@ impl Store {
 
     /// One calibrated set.
     pub(crate) async fn parameter_set(&self, id: &str) -> Result<Option<CalibratedSet>> {
-        let row = sqlx::query("SELECT * FROM parameter_set WHERE id = ?1").bind(id).fetch_optional(&self.reader).await?;
+        let row =
+            sqlx::query("SELECT * FROM parameter_set WHERE id = ?1").bind(id).fetch_optional(&self.reader).await?;
         row.as_ref().map(calibrated_set).transpose()
     }
 

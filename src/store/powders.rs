@@ -125,12 +125,7 @@ fn powder(row: &SqliteRow) -> Result<Powder> {
         Some(repose_deg) => Some(Flowability { repose_deg, sd_deg: row.plain("sd_deg")?, n: row.count("n")? }),
         None => None,
     };
-    Ok(Powder {
-        id: row.plain("id")?,
-        name: row.plain("name")?,
-        flowability,
-        created_at: row.time("created_at")?,
-    })
+    Ok(Powder { id: row.plain("id")?, name: row.plain("name")?, flowability, created_at: row.time("created_at")? })
 }
 
 fn measurement(row: &SqliteRow) -> Result<Measurement> {

@@ -86,7 +86,8 @@ impl Store {
 
     /// Episodes of a training, in order.
     pub(crate) async fn episodes(&self, job: &str, window: Window) -> Result<Page<Episode>> {
-        let sql = "SELECT position AS seq, body FROM episode WHERE job = ?1 AND position > ?2 ORDER BY position LIMIT ?3";
+        let sql =
+            "SELECT position AS seq, body FROM episode WHERE job = ?1 AND position > ?2 ORDER BY position LIMIT ?3";
         self.series(sql, job, window).await
     }
 
@@ -108,7 +109,8 @@ impl Tx {
     /// resumes and plays them again.
     pub(crate) async fn insert_episode(&mut self, job: &str, episode: &Episode) -> Result<bool> {
         let sql = "INSERT INTO episode (job, position, body) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING";
-        let done = sqlx::query(sql).bind(job).bind(episode.index).bind(json(episode)?).execute(&mut *self.inner).await?;
+        let done =
+            sqlx::query(sql).bind(job).bind(episode.index).bind(json(episode)?).execute(&mut *self.inner).await?;
         Ok(done.rows_affected() == 1)
     }
 }

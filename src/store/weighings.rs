@@ -177,7 +177,8 @@ impl Tx {
 
     /// The bench is about to move for a weighing. `false`: it waits no longer (stopped before its turn).
     pub(crate) async fn arm_weighing(&mut self, id: &str, now: Timestamp) -> Result<bool> {
-        let sql = "UPDATE weighing SET state = 'armed', started_at = ?2 WHERE id = ?1 AND state = 'planned' RETURNING *";
+        let sql =
+            "UPDATE weighing SET state = 'armed', started_at = ?2 WHERE id = ?1 AND state = 'planned' RETURNING *";
         let row = sqlx::query(sql).bind(id).bind(now.unix_ms()).fetch_optional(&mut *self.inner).await?;
         match row {
             Some(row) => self.announce_weighing(&row).await.map(|_| true),

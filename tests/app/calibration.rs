@@ -1,8 +1,8 @@
 //! Calibrations: asked for twice, resumed, cancelled, refused.
 
 use crate::harness::{calibrated, calibration_of, ended, functions, heap, open, open_in, until};
-use flip::app::{Error, Functions, JobState, PageQuery, SERIES_LIMIT_MAX, Topic, Trial};
 use flip::app::{App, CalibrationRequest};
+use flip::app::{Error, Functions, JobState, PageQuery, SERIES_LIMIT_MAX, Topic, Trial};
 use futures::StreamExt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
