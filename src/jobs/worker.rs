@@ -22,6 +22,10 @@ const HELD_WAIT_MAX: Duration = Duration::from_secs(1);
 const RESTART: Duration = Duration::from_millis(500);
 const RESTART_MAX: Duration = Duration::from_secs(30);
 
+/// How often, and with what pause, the end of an attempt is written when the database refuses.
+const SETTLE_TRIES: u32 = 30;
+const SETTLE_PAUSE: Duration = Duration::from_secs(1);
+
 /// Keep a queue worker running until the machinery closes: the library ends one on the first statement that fails.
 pub(super) async fn supervise(shared: Arc<Shared>) {
     let mut pause = RESTART;
@@ -137,9 +141,7 @@ fn on_compute_thread(shared: &Shared, claimed: Claimed, stop: &Arc<StopFlag>, ru
         JobContext::new(shared.store.clone(), shared.functions.clone(), lease.clone(), stop.clone(), runtime.clone());
     let ended = catch_unwind(AssertUnwindSafe(|| perform(&context, &claimed)))
         .unwrap_or_else(|panic| Err(JobError::Retry(format!("it panicked: {}", panic_message(&*panic)))));
-    if let Err(error) = runtime.block_on(settle(shared, &lease, stop.get(), ended)) {
-        tracing::error!(job = lease.job, %error, "a job's end was not recorded; its lease ends and it is tried again");
-    }
+    runtime.block_on(settle_surely(shared, &lease, stop, ended));
     shared.running().remove(&lease.job);
     drop(lane);
     shared.reconcile.notify_one();
@@ -156,14 +158,23 @@ fn perform(context: &JobContext, claimed: &Claimed) -> Result<(), JobError> {
     }
 }
 
+/// Write how an attempt ended, however long the database is busy: the lease is renewed meanwhile.
+async fn settle_surely(shared: &Shared, lease: &Lease, stop: &StopFlag, ended: Result<(), JobError>) {
+    for _ in 0..SETTLE_TRIES {
+        match settle(shared, lease, stop.get(), &ended).await {
+            Ok(()) => return,
+            Err(error) => tracing::warn!(job = lease.job, %error, "a job's end was not recorded yet"),
+        }
+        tokio::time::sleep(SETTLE_PAUSE).await;
+    }
+    tracing::error!(job = lease.job, "a job's end was not recorded; it is tried again when its lease has ended");
+}
+
 /// Write how an attempt ended. Success has been written by the body, together with its results.
-async fn settle(shared: &Shared, lease: &Lease, stop: Option<Stop>, ended: Result<(), JobError>) -> store::Result<()> {
-    let error = match ended {
-        Ok(()) => return Ok(()),
-        Err(error) => error,
-    };
+async fn settle(shared: &Shared, lease: &Lease, stop: Option<Stop>, ended: &Result<(), JobError>) -> store::Result<()> {
+    let Err(error) = ended else { return Ok(()) };
     let mut tx = shared.store.write().await?;
-    let written = match (&error, stop) {
+    let written = match (error, stop) {
         (_, Some(Stop::Fenced)) => return Ok(()),
         (JobError::Stopped, Some(Stop::Cancelled)) => tx.end(lease, JobState::Cancelled, None, now()).await,
         (JobError::Stopped, _) => tx.release(lease).await,

@@ -1,9 +1,12 @@
 //! The ledger: attempts, fences, leases.
 
-use crate::harness::{calibration_of, ended, functions, heap, open};
-use flip::app::{Functions, JobState};
+use crate::harness::{calibration_of, ended, functions, heap, open, until};
+use flip::app::{Functions, JobState, PageQuery, SERIES_LIMIT_MAX};
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Connection};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_job_that_panics_fails_for_good_after_exactly_three_attempts() {
@@ -22,6 +25,32 @@ async fn a_job_that_panics_fails_for_good_after_exactly_three_attempts() {
     assert_eq!((job.state, job.attempts), (JobState::Failed, 3));
     let error = job.error.unwrap();
     assert!(error.contains("after 3 attempts") && error.contains("poison"), "{error}");
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_database_that_somebody_locks_for_a_while_costs_time_and_nothing_else() {
+    let slow = Functions {
+        simulate: Arc::new(|set, settings, seed| {
+            std::thread::sleep(Duration::from_millis(20));
+            heap(set, settings, seed)
+        }),
+        ..functions()
+    };
+    let (folder, app) = open(slow).await;
+    let (job, _) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();
+    until("it runs", async || app.job(&job.id).await.unwrap().state == JobState::Running).await;
+    // Longer than any of our connections waits: the queue's worker ends, and the trial at hand is not saved.
+    let path = SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
+    let mut intruder = path.connect().await.unwrap();
+    let lock = intruder.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    tokio::time::sleep(Duration::from_millis(6500)).await;
+    lock.rollback().await.unwrap();
+    let job = ended(&app, &job.id).await;
+    assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
+    let found = app.calibration(&job.id).await.unwrap().result.unwrap();
+    let trials = app.trials(&job.id, PageQuery::first(SERIES_LIMIT_MAX)).await.unwrap().items;
+    assert_eq!(trials.len() as u32, found.evaluations + found.verification_runs);
     app.shutdown().await.unwrap();
 }
 
