@@ -78,25 +78,28 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     runtime()?.block_on(async {
         let signals = StopSignals::catch()?;
         let app = App::open(&common.data_dir, Options::default()).await?;
+        // Cancelled when the service is to end, and by the service when it ends by itself.
         let stop = CancellationToken::new();
-        let result = match serve(&app, arguments, &stop).await {
-            Ok(service) => attended(&app, common, arguments, service, &stop, signals).await,
-            Err(failure) => Err(failure),
+        let service = match serve(&app, arguments, &stop) {
+            Ok(service) => service,
+            Err(failure) => {
+                app.shutdown().await?;
+                return Err(failure);
+            }
         };
-        let closed = app.shutdown().await;
-        result?;
-        Ok(closed?)
+        let result = attended(&app, common, arguments, service.is_some(), &stop, signals).await;
+        stop.cancel();
+        match service {
+            // A service that ends closes the application.
+            Some(service) => service.await.map_err(anyhow::Error::from)??,
+            None => app.shutdown().await?,
+        }
+        result
     })
 }
 
-/// A service that runs beside the demonstration.
-struct Service {
-    url: String,
-    ended: JoinHandle<Result<(), ServeError>>,
-}
-
 /// Serve in the background until `stop`. A demonstration that ends by itself can do without a port that is taken.
-async fn serve(app: &App, arguments: &Arguments, stop: &CancellationToken) -> Result<Option<Service>, Failure> {
+fn serve(app: &App, arguments: &Arguments, stop: &CancellationToken) -> Result<Option<Service>, Failure> {
     let server = match serve::bind(app, &arguments.address) {
         Err(Failure::Failed(error)) if arguments.exit => {
             eprintln!("flip: going on without the page: {error:#}");
@@ -104,43 +107,44 @@ async fn serve(app: &App, arguments: &Arguments, stop: &CancellationToken) -> Re
         }
         bound => bound?,
     };
-    let url = arguments.address.url(&server)?;
-    eprintln!("flip: watch it at {url}");
-    Ok(Some(Service { url, ended: tokio::spawn(server.run(stop.clone().cancelled_owned())) }))
+    eprintln!("flip: watch it at {}", arguments.address.url(&server)?);
+    let stop = stop.clone();
+    Ok(Some(tokio::spawn(async move {
+        let result = server.run(stop.clone().cancelled_owned()).await;
+        stop.cancel();
+        result
+    })))
 }
 
-/// The demonstration until it is done, told to stop, or loses its service.
+/// A service that runs beside the demonstration.
+type Service = JoinHandle<Result<(), ServeError>>;
+
+/// The demonstration, and after it the service, until done, told to stop, or left by the service.
 async fn attended(
     app: &App,
     common: &Common,
     arguments: &Arguments,
-    service: Option<Service>,
+    serving: bool,
     stop: &CancellationToken,
     mut signals: StopSignals,
 ) -> Result<(), Failure> {
     if let Some(token) = token::first(app).await? {
         eprintln!("flip: {}", serve::announce(&token));
     }
-    let signal = tokio::select! {
-        document = demonstrate(app, common, arguments) => {
-            let document = document?;
-            common.print(&document, || text(&document))?;
-            None
-        }
-        signal = signals.received() => Some(signal),
+    let document = tokio::select! {
+        document = demonstrate(app, common, arguments) => document?,
+        signal = signals.received() => return Err(interrupted(signal)),
+        () = stop.cancelled() => return Ok(()),
     };
-    if let Some(mut service) = service {
-        if signal.is_none() && !arguments.exit {
-            eprintln!("flip: serving {} until Ctrl-C", service.url);
-            tokio::select! {
-                _ = signals.received() => {}
-                ended = &mut service.ended => return Ok(ended.map_err(anyhow::Error::from)??),
-            }
+    common.print(&document, || text(&document))?;
+    if serving && !arguments.exit {
+        eprintln!("flip: serving on {} until Ctrl-C", arguments.address.listen);
+        tokio::select! {
+            _ = signals.received() => {}
+            () = stop.cancelled() => {}
         }
-        stop.cancel();
-        service.ended.await.map_err(anyhow::Error::from)??;
     }
-    signal.map_or(Ok(()), |signal| Err(interrupted(signal)))
+    Ok(())
 }
 
 /// Calibrate, train, weigh.
