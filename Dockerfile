@@ -22,6 +22,7 @@ RUN python3 .cargo/fetch_libtorch.py
 COPY Cargo.toml Cargo.lock ./
 COPY proto proto
 COPY migrations migrations
+COPY benches benches
 COPY src src
 COPY --from=page /flip/web/dist web/dist
 RUN cargo build --release --locked --bin flip
