@@ -31,9 +31,9 @@ pub(super) struct Arguments {
     /// End after the table instead of serving on.
     #[arg(long)]
     exit: bool,
-    /// Episodes of the training: the demonstration budget. `flip train` uses 4000.
-    #[arg(long, value_name = "N", default_value_t = 400, allow_negative_numbers = true)]
-    episodes: u32,
+    /// Episodes of the training [default: the demonstration budget, as `flip train` has it].
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    episodes: Option<u32>,
     #[command(flatten)]
     search: Search,
     #[command(flatten)]
@@ -176,7 +176,7 @@ async fn learn(app: &App, watch: &Watch, common: &Common, arguments: &Arguments)
     let request = TrainingRequest {
         order: Order::Curriculum,
         preset: Preset::Flip,
-        episodes: Some(arguments.episodes),
+        episodes: arguments.episodes,
         powders: None,
         seed: Some(common.seed),
     };

@@ -25,9 +25,9 @@ pub(super) struct Arguments {
     /// Collection of settings: FLIP's own, or as published.
     #[arg(long, value_enum, default_value_t = PresetFlag::Flip)]
     preset: PresetFlag,
-    /// Episodes; 4000 is the full budget.
-    #[arg(long, value_name = "N", default_value_t = 4000, allow_negative_numbers = true)]
-    episodes: u32,
+    /// Episodes [default: the preset's: a demonstration's for flip, the full 4000 for paper].
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    episodes: Option<u32>,
     /// Powders whose calibrated sets are the levels [default: sand,sugar,salt]; not with the paper preset.
     #[arg(long, value_name = "ID,…", value_delimiter = ',')]
     powders: Option<Vec<String>>,
@@ -79,7 +79,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let request = TrainingRequest {
         order: arguments.order.into(),
         preset: arguments.preset.into(),
-        episodes: Some(arguments.episodes),
+        episodes: arguments.episodes,
         powders: arguments.powders.clone(),
         seed: Some(common.seed),
     };
