@@ -6,7 +6,7 @@ use crate::domain::FieldError;
 use crate::domain::job::JobKind;
 use crate::domain::powder::Flowability;
 use crate::jobs::calibrate::{CalibrationResult, Settings};
-use crate::jobs::{CalibrationSpec, JobSpec};
+use crate::jobs::{CalibrationSpec, JobSpec, SIMULATOR};
 use crate::store::jobs::{Job, JobRow};
 use crate::store::page::{Page, PageQuery, SERIES_LIMIT_MAX};
 use crate::store::trials::Trial;
@@ -64,8 +64,8 @@ impl App {
             seed: request.seed.unwrap_or(defaults.seed),
             ..defaults
         };
-        let spec = JobSpec::Calibration(CalibrationSpec::new(powder, target, settings.checked()?));
-        Ok(self.jobs_or_refuse()?.enqueue(&spec).await?)
+        let spec = CalibrationSpec { powder, target, settings: settings.checked()?, simulator: SIMULATOR.to_owned() };
+        Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Calibration(spec)).await?)
     }
 
     /// What to aim at: a powder's measurement, or a bare angle.

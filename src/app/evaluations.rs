@@ -8,7 +8,7 @@ use crate::domain::powder::PUBLISHED;
 use crate::domain::{FieldError, bounded};
 use crate::jobs::bench::spoon_holds_mg;
 use crate::jobs::evaluate::{CONTROLLERS, EvaluationResult};
-use crate::jobs::{EvaluationPowder, EvaluationSpec, JobSpec};
+use crate::jobs::{EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR};
 use crate::store::jobs::{Job, JobRow};
 use crate::store::page::{Page, PageQuery};
 use crate::store::parameter_sets::CalibratedSet;
@@ -96,9 +96,9 @@ impl App {
             readability_mg: request.readability_mg.unwrap_or(1.0),
             max_shakes: request.max_shakes.unwrap_or(10),
             seed: request.seed.unwrap_or(1),
-            simulator: String::new(),
+            simulator: SIMULATOR.to_owned(),
         };
-        Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Evaluation(spec.on_this_simulator())).await?)
+        Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Evaluation(spec)).await?)
     }
 
     async fn policy_to_evaluate(&self, named: Option<&str>) -> Result<Policy> {

@@ -5,7 +5,7 @@ use super::jobs::{corrupt, stored};
 use super::{App, Error, Result};
 use crate::domain::job::JobKind;
 use crate::jobs::train::{Level, Order, PAPER_LEVELS_DEG, Preset, SETS_PER_LEVEL, Settings, TrainingResult};
-use crate::jobs::{JobSpec, TrainingSpec};
+use crate::jobs::{JobSpec, SIMULATOR, TrainingSpec};
 use crate::store::jobs::{Job, JobRow};
 use crate::store::page::{Page, PageQuery, SERIES_LIMIT_MAX};
 use crate::store::parameter_sets::CalibratedSet;
@@ -83,8 +83,8 @@ impl App {
             (_, Preset::Flip) => self.levels_of_powders(request.powders.as_deref()).await?,
             (_, Preset::Paper) => self.published_levels().await?,
         };
-        let spec = JobSpec::Training(TrainingSpec::new(levels, settings));
-        Ok(self.jobs_or_refuse()?.enqueue(&spec).await?)
+        let spec = TrainingSpec { levels, settings, simulator: SIMULATOR.to_owned() };
+        Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Training(spec)).await?)
     }
 
     async fn levels_of_powders(&self, powders: Option<&[String]>) -> Result<Vec<Level>> {

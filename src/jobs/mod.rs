@@ -26,7 +26,7 @@ pub mod train;
 mod worker;
 
 pub use context::JobError;
-pub use spec::{CalibrationSpec, EvaluationPowder, EvaluationSpec, JobSpec, TrainingSpec};
+pub use spec::{CalibrationSpec, EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR, TrainingSpec};
 
 use crate::domain::parameters::ParameterSet;
 use crate::sim::repose::{self, Refusal, Repose};

@@ -8,6 +8,9 @@ use crate::train;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+/// Version of this program's simulator. It is part of every specification: results of different ones are never mixed.
+pub const SIMULATOR: &str = sim::VERSION;
+
 /// What a job is to do. Two equal specifications have equal results, so the second one asked for is the first's job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -29,7 +32,7 @@ pub struct CalibrationSpec {
     pub target: Flowability,
     /// Settings of the search.
     pub settings: calibrate::Settings,
-    /// Version of the simulator: results of different ones are never mixed.
+    /// Version of the simulator: [`SIMULATOR`].
     pub simulator: String,
 }
 
@@ -40,7 +43,7 @@ pub struct TrainingSpec {
     pub levels: Vec<train::Level>,
     /// Every setting.
     pub settings: train::Settings,
-    /// Version of the simulator.
+    /// Version of the simulator: [`SIMULATOR`].
     pub simulator: String,
 }
 
@@ -63,8 +66,7 @@ pub struct EvaluationSpec {
     pub max_shakes: u32,
     /// Seed.
     pub seed: u64,
-    /// Version of the simulator; filled in by [`EvaluationSpec::on_this_simulator`].
-    #[serde(default)]
+    /// Version of the simulator: [`SIMULATOR`].
     pub simulator: String,
 }
 
@@ -93,26 +95,5 @@ impl JobSpec {
         let text = serde_json::to_string(self).expect("specifications hold only finite numbers, text and lists");
         let sha256 = Sha256::digest(&text).to_vec();
         (text, sha256)
-    }
-}
-
-impl EvaluationSpec {
-    /// The same, to be carried out by this program's simulator.
-    pub fn on_this_simulator(self) -> Self {
-        Self { simulator: sim::VERSION.to_owned(), ..self }
-    }
-}
-
-impl TrainingSpec {
-    /// A training on this program's simulator.
-    pub fn new(levels: Vec<train::Level>, settings: train::Settings) -> Self {
-        Self { levels, settings, simulator: sim::VERSION.to_owned() }
-    }
-}
-
-impl CalibrationSpec {
-    /// A calibration by this program's simulator.
-    pub fn new(powder: Option<String>, target: Flowability, settings: calibrate::Settings) -> Self {
-        Self { powder, target, settings, simulator: sim::VERSION.to_owned() }
     }
 }
