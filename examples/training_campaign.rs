@@ -1,0 +1,134 @@
+//! Train and weigh from one JSON file, without database or service: for experiments, also on other machines.
+//!
+//! ```text
+//! cargo run --release --example training_campaign -- powders.json settings.json [policy.safetensors] > result.json
+//! ```
+//!
+//! `powders.json` is a list of `{"powder", "repose_deg", "sets": [...nine parameters each], "train": true|false}`; all of
+//! them are weighed, those marked `train` are trained on. `settings.json` overrides fields of `train::Settings`, plus
+//! `preset`, `order`, `save`, and `targets_mg`, `repeats`, `max_steps`, `rivals`, `trace` of the evaluation. With a third
+//! argument that policy is weighed instead of a new one. Progress goes to stderr.
+
+use flip::domain::bench::INCLINE_CHANGE_DEG_MAX;
+use flip::domain::parameters::ParameterSet;
+use flip::policy::{self, Controller, Rules, ScheduledStep};
+use flip::sim::balance;
+use flip::train::environment::{Filling, play, simulated};
+use flip::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
+use flip::train::{Event, Level, Order, Preset, Settings, train};
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+#[derive(Deserialize)]
+struct Powder {
+    train: bool,
+    #[serde(flatten)]
+    level: Level,
+}
+
+/// Settings of the preset with the fields that the file names replaced.
+fn settings(overrides: &Value) -> anyhow::Result<Settings> {
+    let preset: Preset = serde_json::from_value(overrides.get("preset").cloned().unwrap_or(json!("flip")))?;
+    let order: Order = serde_json::from_value(overrides.get("order").cloned().unwrap_or(json!("curriculum")))?;
+    let mut value = serde_json::to_value(Settings::of(preset, order, 1))?;
+    for (key, new) in overrides.as_object().into_iter().flatten() {
+        if let Some(old) = value.get_mut(key) {
+            *old = new.clone();
+        }
+    }
+    Ok(serde_json::from_value::<Settings>(value)?.checked()?)
+}
+
+/// Train on these levels, telling each episode; the policy's bytes.
+fn learn(levels: &[Level], settings: &Settings) -> anyhow::Result<Vec<u8>> {
+    let started = Instant::now();
+    let trained = train(levels, settings, None, |event| {
+        if let Event::Episode(e) = event {
+            let alpha = e.losses.map_or(f64::NAN, |l| l.alpha);
+            let (s, error_mg) = (started.elapsed().as_secs_f64(), e.dispensed_mg - e.target_mg);
+            let (index, powder, target_mg, steps) = (e.index, e.powder, e.target_mg, e.steps);
+            eprintln!("{s:7.1}s {index:4} {powder:8} target {target_mg:5.2} error {error_mg:6.2} steps {steps:2} alpha {alpha:.4}");
+        }
+        ControlFlow::Continue(())
+    })?;
+    Ok(trained.artifact)
+}
+
+/// One dose on a fresh spoon.
+fn weigh(controller: &Controller, set: &ParameterSet, rules: &Rules, settings: &Settings, target_mg: f64, seed: u64, trace: bool) -> Dose {
+    let mut spoon = simulated(settings).fill(set, seed);
+    let (mut steps, mut shakes, mut told) = (0, 0, String::new());
+    let played = play(&mut spoon, rules, &balance::Settings::default(), target_mg, seed, |seen| {
+        let action = controller.propose(steps, seen);
+        steps += 1;
+        shakes += u32::from(action.executed_shake_mm() > 0.0);
+        let pitch_deg = seen.pitch_deg + action.incline_change_deg;
+        told += &format!(" {:.0} mg: {pitch_deg:.0} deg {:.1} mm;", seen.reading_mg, action.executed_shake_mm());
+        [(action.incline_change_deg / INCLINE_CHANGE_DEG_MAX) as f32, (action.shake_mm / 8.0 - 1.0) as f32]
+    });
+    if trace {
+        eprintln!("target {target_mg} mg, dispensed {:.2} mg:{told}", played.dispensed_mg);
+    }
+    Dose { dispensed_mg: played.dispensed_mg, reading_mg: played.reading_mg, shakes, seconds: 0.0 }
+}
+
+fn tell(evaluation: &Evaluation) {
+    for row in &evaluation.rows {
+        let (over, zero) = (100.0 * row.over_share, 100.0 * row.zero_share);
+        eprintln!(
+            "{:18} {:18} {:4.1} mg: mae {:5.2} bias {:+5.2} over {over:3.0} % zero {zero:3.0} % shakes {:.1}",
+            row.controller, row.powder, row.target_mg, row.mae_mg, row.bias_mg, row.shakes_mean,
+        );
+    }
+    for s in &evaluation.summary {
+        eprintln!("{:18} mae {:.3} [{:.2}, {:.2}] sd {:.2}", s.controller, s.mae_mg, s.ci95[0], s.ci95[1], s.sd_trials_mg);
+    }
+}
+
+fn main() -> anyhow::Result<()> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [powders, overrides, rest @ ..] = arguments.as_slice() else {
+        anyhow::bail!("training_campaign POWDERS.json SETTINGS.json [POLICY.safetensors]");
+    };
+    let powders: Vec<Powder> = serde_json::from_slice(&std::fs::read(powders)?)?;
+    let overrides: Value = serde_json::from_slice(&std::fs::read(overrides)?)?;
+    let settings = settings(&overrides)?;
+    let levels: Vec<Level> = powders.iter().filter(|p| p.train).map(|p| p.level.clone()).collect();
+
+    let started = Instant::now();
+    let artifact = match rest.first() {
+        Some(path) => std::fs::read(path)?,
+        None => learn(&levels, &settings)?,
+    };
+    let train_s = started.elapsed().as_secs_f64();
+    if let Some(path) = overrides.get("save").and_then(Value::as_str) {
+        std::fs::write(path, &artifact)?;
+    }
+    let policy = policy::decode(&artifact)?;
+    let number = |key: &str, default: u64| overrides.get(key).and_then(Value::as_u64).unwrap_or(default) as u32;
+    let flag = |key: &str| overrides.get(key) == Some(&json!(true));
+    let rules = Rules { steps_max: number("max_steps", 10), pitch: policy.manifest.rules.pitch, ..Rules::FLIP };
+    let mut contenders = vec![Contender { name: policy::id(&artifact), controller: policy.controller }];
+    if flag("rivals") {
+        contenders.push(Contender { name: "untrained".into(), controller: Controller::untrained(1) });
+        contenders.push(Contender { name: "fixed".into(), controller: Controller::Fixed(ScheduledStep::FIXED) });
+    }
+    let targets = overrides.get("targets_mg").cloned().unwrap_or(json!([15.0, 20.0]));
+    let plan = Plan {
+        contenders,
+        subjects: powders.into_iter().map(|p| Subject { powder: p.level.powder, sets: p.level.sets }).collect(),
+        targets_mg: serde_json::from_value(targets)?,
+        repeats: number("repeats", 5),
+        seed: 777,
+    };
+    let trace = flag("trace");
+    let once = |c: &Controller, set: &ParameterSet, mg, seed| anyhow::Ok(weigh(c, set, &rules, &settings, mg, seed, trace));
+    let evaluation = evaluate(&plan, once)?;
+    tell(&evaluation);
+    let timing = json!({ "train_s": train_s, "all_s": started.elapsed().as_secs_f64() });
+    let result = json!({ "settings": settings, "rows": evaluation.rows, "summary": evaluation.summary, "timing": timing });
+    println!("{}", serde_json::to_string(&result)?);
+    Ok(())
+}
