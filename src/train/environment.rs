@@ -24,6 +24,10 @@ pub trait Spoon: Clone + Send + Sync {
     fn pitch_deg(&self) -> f64;
     /// True mass in the vial, mg.
     fn vial_mg(&self) -> f64;
+    /// The simulation left the range where its numbers mean anything; the last step is not to be used.
+    fn has_failed(&self) -> bool {
+        false
+    }
 }
 
 /// The simulator's spoon.
@@ -49,6 +53,9 @@ impl Spoon for Dispenser {
     }
     fn vial_mg(&self) -> f64 {
         Dispenser::vial_mg(self)
+    }
+    fn has_failed(&self) -> bool {
+        self.fault().is_some()
     }
 }
 
@@ -99,7 +106,9 @@ pub struct Played {
 /// Seed indices of what happens within one episode.
 const BALANCE: u64 = 1;
 
-/// Play one episode: `propose` is asked before each step and answers in -1..=1.
+/// Play one episode: `propose` is asked before each step and answers in -1..=1. The vial is tared first.
+///
+/// A simulation that fails ends the episode before the failed step, as a time-out: nothing is learned from it.
 pub fn play(
     spoon: &mut impl Spoon,
     rules: &Rules,
@@ -110,35 +119,36 @@ pub fn play(
 ) -> Played {
     let noise = derive(seed, &[BALANCE]);
     let read = |before_mg: f64, after_mg: f64, index: u32| balance.read(before_mg, after_mg, noise, index.into()).mass_mg;
-    let start_mg = spoon.vial_mg();
-    let mut seen = Observation { reading_mg: read(start_mg, start_mg, 0), target_mg, pitch_deg: spoon.pitch_deg() };
+    let tare_mg = spoon.vial_mg();
+    let mut true_mg = 0.0;
+    let mut seen = Observation { reading_mg: read(0.0, 0.0, 0), target_mg, pitch_deg: spoon.pitch_deg() };
     let (mut steps, mut sum) = (Vec::new(), 0.0);
     let ending = loop {
         let action = propose(&seen);
-        let before_mg = spoon.vial_mg();
         spoon.step(Action::from_unit(action.map(f64::from)));
+        if spoon.has_failed() {
+            break Episode::TimedOut;
+        }
         let index = steps.len() as u32 + 1;
-        let next = Observation {
-            reading_mg: read(before_mg, spoon.vial_mg(), index),
-            target_mg,
-            pitch_deg: spoon.pitch_deg(),
-        };
+        let before_mg = true_mg;
+        true_mg = spoon.vial_mg() - tare_mg;
+        let next = Observation { reading_mg: read(before_mg, true_mg, index), target_mg, pitch_deg: spoon.pitch_deg() };
         steps.push(Step {
             reading_mg: seen.reading_mg as f32,
             pitch_deg: seen.pitch_deg as f32,
             action,
             next_reading_mg: next.reading_mg as f32,
             next_pitch_deg: next.pitch_deg as f32,
-            next_true_mg: spoon.vial_mg() as f32,
+            next_true_mg: true_mg as f32,
         });
-        sum += reward(target_mg, spoon.vial_mg());
+        sum += reward(target_mg, true_mg);
         seen = next;
         match rules.after(index, &seen) {
             Episode::Running => {}
             ended => break ended,
         }
     };
-    Played { steps, target_mg, dispensed_mg: spoon.vial_mg(), reading_mg: seen.reading_mg, reward: sum, ending }
+    Played { steps, target_mg, dispensed_mg: true_mg, reading_mg: seen.reading_mg, reward: sum, ending }
 }
 
 /// The simulator's spoon as these settings ask for it.
