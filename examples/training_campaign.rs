@@ -49,7 +49,9 @@ fn learn(levels: &[Level], settings: &Settings) -> anyhow::Result<Vec<u8>> {
             let alpha = e.losses.map_or(f64::NAN, |l| l.alpha);
             let (s, error_mg) = (started.elapsed().as_secs_f64(), e.dispensed_mg - e.target_mg);
             let (index, powder, target_mg, steps) = (e.index, e.powder, e.target_mg, e.steps);
-            eprintln!("{s:7.1}s {index:4} {powder:8} target {target_mg:5.2} error {error_mg:6.2} steps {steps:2} alpha {alpha:.4}");
+            eprintln!(
+                "{s:7.1}s {index:4} {powder:8} target {target_mg:5.2} error {error_mg:6.2} steps {steps:2} alpha {alpha:.4}"
+            );
         }
         ControlFlow::Continue(())
     })?;
@@ -57,7 +59,15 @@ fn learn(levels: &[Level], settings: &Settings) -> anyhow::Result<Vec<u8>> {
 }
 
 /// One dose on a fresh spoon.
-fn weigh(controller: &Controller, set: &ParameterSet, rules: &Rules, settings: &Settings, target_mg: f64, seed: u64, trace: bool) -> Dose {
+fn weigh(
+    controller: &Controller,
+    set: &ParameterSet,
+    rules: &Rules,
+    settings: &Settings,
+    target_mg: f64,
+    seed: u64,
+    trace: bool,
+) -> Dose {
     let mut spoon = simulated(settings).fill(set, seed);
     let (mut steps, mut shakes, mut told) = (0, 0, String::new());
     let played = play(&mut spoon, rules, &balance::Settings::default(), target_mg, seed, |seen| {
@@ -83,7 +93,10 @@ fn tell(evaluation: &Evaluation) {
         );
     }
     for s in &evaluation.summary {
-        eprintln!("{:18} mae {:.3} [{:.2}, {:.2}] sd {:.2}", s.controller, s.mae_mg, s.ci95[0], s.ci95[1], s.sd_trials_mg);
+        eprintln!(
+            "{:18} mae {:.3} [{:.2}, {:.2}] sd {:.2}",
+            s.controller, s.mae_mg, s.ci95[0], s.ci95[1], s.sd_trials_mg
+        );
     }
 }
 
@@ -124,11 +137,13 @@ fn main() -> anyhow::Result<()> {
         seed: 777,
     };
     let trace = flag("trace");
-    let once = |c: &Controller, set: &ParameterSet, mg, seed| anyhow::Ok(weigh(c, set, &rules, &settings, mg, seed, trace));
+    let once =
+        |c: &Controller, set: &ParameterSet, mg, seed| anyhow::Ok(weigh(c, set, &rules, &settings, mg, seed, trace));
     let evaluation = evaluate(&plan, once)?;
     tell(&evaluation);
     let timing = json!({ "train_s": train_s, "all_s": started.elapsed().as_secs_f64() });
-    let result = json!({ "settings": settings, "rows": evaluation.rows, "summary": evaluation.summary, "timing": timing });
+    let result =
+        json!({ "settings": settings, "rows": evaluation.rows, "summary": evaluation.summary, "timing": timing });
     println!("{}", serde_json::to_string(&result)?);
     Ok(())
 }

@@ -9,7 +9,8 @@ CREATE TABLE weighing (
     tolerance_lower_mg REAL NOT NULL CHECK (tolerance_lower_mg >= 0 AND tolerance_lower_mg <= 1e6),
     tolerance_upper_mg REAL NOT NULL CHECK (tolerance_upper_mg >= 0 AND tolerance_upper_mg <= 1e6),
     policy             TEXT NOT NULL REFERENCES policy (id),
-    parameter_set      TEXT NOT NULL REFERENCES parameter_set (id),
+    -- The nine values on the simulated bench, by content address.
+    parameter_set      TEXT NOT NULL CHECK (parameter_set GLOB 'ps-*'),
     seed               INTEGER NOT NULL,
     state              TEXT NOT NULL CHECK (state IN ('planned', 'armed', 'dosing', 'done', 'aborted', 'unknown')),
     outcome            TEXT CHECK (outcome IN ('within', 'under', 'over', 'stopped', 'aborted', 'unknown')),

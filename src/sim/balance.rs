@@ -35,9 +35,9 @@ impl Settings {
         let decay = (-self.wait_s / self.settling_tau_s).exp();
         let mass = after_mg + (before_mg - after_mg) * decay + self.noise_mg * normal(seed, index);
         let shown = (mass / self.readability_mg).round() * self.readability_mg;
-        // Rounding in decimal keeps 0.3 from being shown as 0.30000000000000004.
+        // Rounding in decimal keeps 0.3 from being shown as 0.30000000000000004, and adding zero -0 from being shown at all.
         Reading {
-            mass_mg: (shown * 1e6).round() / 1e6,
+            mass_mg: (shown * 1e6).round() / 1e6 + 0.0,
             stable: (before_mg - after_mg).abs() * decay < self.readability_mg / 2.0,
         }
     }
@@ -63,6 +63,8 @@ mod tests {
                 let shown = balance.read(true_mg, true_mg, 3, index).mass_mg;
                 let steps = shown / readability_mg;
                 assert!((steps - steps.round()).abs() < 1e-9);
+                let empty = balance.read(0.0, 0.0, 3, index).mass_mg;
+                assert!(empty != 0.0 || empty.is_sign_positive(), "an empty vial shows -0");
                 sum += shown - true_mg;
             }
             // SD of one error is at most 0.31 mg, so 4 standard errors over 4000 readings are 0.02 mg.

@@ -15,7 +15,7 @@ pub struct CalibratedSet {
     pub id: String,
     /// Powder id; absent for a calibration to a bare angle.
     pub powder: Option<String>,
-    /// The calibration that found it first.
+    /// The calibration that kept it.
     pub calibration: String,
     /// The nine values.
     pub parameters: ParameterSet,
@@ -57,23 +57,24 @@ impl Store {
         window.page_of(&query.fetch_all(&self.reader).await?, calibrated_set)
     }
 
-    /// One calibrated set.
+    /// One calibrated set; of several calibrations that kept the same values, the newest.
     pub(crate) async fn parameter_set(&self, id: &str) -> Result<Option<CalibratedSet>> {
-        let row =
-            sqlx::query("SELECT * FROM parameter_set WHERE id = ?1").bind(id).fetch_optional(&self.reader).await?;
+        let row = sqlx::query("SELECT * FROM parameter_set WHERE id = ?1 ORDER BY seq DESC LIMIT 1")
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?;
         row.as_ref().map(calibrated_set).transpose()
     }
 
     /// The sets that a calibration kept, in its order.
     pub(crate) async fn sets_of_calibration(&self, calibration: &str) -> Result<Vec<CalibratedSet>> {
-        let sql = "SELECT p.* FROM calibration_set c JOIN parameter_set p ON p.id = c.parameter_set \
-                   WHERE c.calibration = ?1 ORDER BY c.position";
+        let sql = "SELECT * FROM parameter_set WHERE calibration = ?1 ORDER BY position";
         sqlx::query(sql).bind(calibration).fetch_all(&self.reader).await?.iter().map(calibrated_set).collect()
     }
 }
 
 impl Tx {
-    /// Store the set that a calibration kept at `position`. Another calibration may have found the same values before.
+    /// Store the set that a calibration kept at `position`.
     pub(crate) async fn insert_parameter_set(
         &mut self,
         calibration: &str,
@@ -81,14 +82,14 @@ impl Tx {
         position: u32,
         set: &NewSet,
     ) -> Result<()> {
-        let id = set.parameters.id();
         let sql = "INSERT INTO parameter_set \
-                   (id, powder, calibration, parameters, repose_deg, repose_sd_deg, runs, error_deg, created_at) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9) ON CONFLICT (id) DO NOTHING";
+                   (id, powder, calibration, position, parameters, repose_deg, repose_sd_deg, runs, error_deg, created_at) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)";
         sqlx::query(sql)
-            .bind(&id)
+            .bind(set.parameters.id())
             .bind(powder)
             .bind(calibration)
+            .bind(position)
             .bind(json(&set.parameters)?)
             .bind(set.repose_deg)
             .bind(set.repose_sd_deg)
@@ -97,8 +98,6 @@ impl Tx {
             .bind(now().unix_ms())
             .execute(&mut *self.inner)
             .await?;
-        let sql = "INSERT INTO calibration_set (calibration, position, parameter_set) VALUES (?1, ?2, ?3)";
-        sqlx::query(sql).bind(calibration).bind(position).bind(&id).execute(&mut *self.inner).await?;
         Ok(())
     }
 }

@@ -50,7 +50,7 @@ pub struct Settings {
     /// Seed of everything that is drawn.
     pub seed: u64,
 
-    /// Episodes in the training. Default 160 (demonstration), 4000 (paper).
+    /// Episodes in the training. Default 240 (demonstration), 4000 (paper).
     pub episodes: u32,
     /// Episodes collected in parallel with one snapshot of the policy, before updates. Fixed, so that the result does not
     /// depend on the number of threads. Default 4 (ours), 1 (paper).
@@ -77,7 +77,7 @@ pub struct Settings {
     pub hidden: u32,
     /// Transitions per update. Default 256 (ours), 16 (prior work).
     pub batch: u32,
-    /// Updates per environment step. Default 8 (ours), 1 (prior work).
+    /// Updates per environment step. Default 4 (ours), 1 (prior work).
     pub updates_per_step: f64,
     /// Episodes with random actions before the first update. Default 16 (ours), 20 (prior work).
     pub warmup_episodes: u32,
@@ -121,7 +121,7 @@ impl Settings {
             preset,
             order,
             seed,
-            episodes: 160,
+            episodes: 240,
             episodes_per_round: 4,
             rounds_per_checkpoint: 5,
             fills_per_set: 2,
@@ -133,7 +133,7 @@ impl Settings {
             encoding: Encoding::Missing,
             hidden: 128,
             batch: 256,
-            updates_per_step: 8.0,
+            updates_per_step: 4.0,
             warmup_episodes: 16,
             warmup_tilt: 0.6,
             replay_capacity: 1_000_000,
