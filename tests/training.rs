@@ -61,11 +61,18 @@ fn mean_error_mg(controller: &Controller, settings: &Settings) -> f64 {
             let target_mg = 5.0 + (dose % 11) as f64;
             let mut steps = 0;
             let mut spoon = FORMULA.fill(set, seed);
-            let played = play(&mut spoon, &settings.rules, &balance::Settings::default(), target_mg, seed, |seen: &Observation| {
-                let action = controller.propose(steps, seen);
-                steps += 1;
-                [(action.incline_change_deg / 8.0) as f32, (action.shake_mm / 8.0 - 1.0) as f32]
-            });
+            let played = play(
+                &mut spoon,
+                &settings.rules,
+                &balance::Settings::default(),
+                target_mg,
+                seed,
+                |seen: &Observation| {
+                    let action = controller.propose(steps, seen);
+                    steps += 1;
+                    [(action.incline_change_deg / 8.0) as f32, (action.shake_mm / 8.0 - 1.0) as f32]
+                },
+            );
             errors.push((played.dispensed_mg - target_mg).abs());
         }
     }
@@ -130,11 +137,11 @@ fn the_number_of_threads_changes_nothing() {
 fn a_checkpoint_of_another_training_or_damaged_is_refused() {
     let settings = small(Order::Curriculum);
     let (.., checkpoints) = run(&settings, None);
-    let refusal = |settings: &Settings, bytes: &[u8]| {
-        match train_on(&FORMULA, &levels(), settings, Some(bytes), |_| ControlFlow::Continue(())) {
-            Err(TrainError::Checkpoint(text)) => text,
-            other => panic!("{other:?}"),
-        }
+    let refusal = |settings: &Settings, bytes: &[u8]| match train_on(&FORMULA, &levels(), settings, Some(bytes), |_| {
+        ControlFlow::Continue(())
+    }) {
+        Err(TrainError::Checkpoint(text)) => text,
+        other => panic!("{other:?}"),
     };
     assert!(refusal(&Settings { seed: 4, ..settings.clone() }, &checkpoints[0]).contains("another training"));
     assert!(!refusal(&settings, &checkpoints[0][..checkpoints[0].len() / 2]).is_empty());
@@ -175,11 +182,11 @@ fn the_papers_preset_plays_ten_steps_and_never_ends_early() {
 
 #[test]
 fn impossible_inputs_are_refused_by_field() {
-    let refused = |levels: &[Level], settings: &Settings| {
-        match train_on(&FORMULA, levels, settings, None, |_| ControlFlow::Continue(())) {
-            Err(TrainError::Invalid(error)) => error.field,
-            other => panic!("{other:?}"),
-        }
+    let refused = |levels: &[Level], settings: &Settings| match train_on(&FORMULA, levels, settings, None, |_| {
+        ControlFlow::Continue(())
+    }) {
+        Err(TrainError::Invalid(error)) => error.field,
+        other => panic!("{other:?}"),
     };
     let settings = small(Order::Curriculum);
     assert_eq!(refused(&[], &settings), "levels");

@@ -61,10 +61,18 @@ impl Actor {
             return refuse(format!("widths {widths:?} must be 2 to 9 numbers from 1 to 4096"));
         }
         if widths[0] != encoding.width() {
-            return refuse(format!("the encoding gives {} inputs, the first layer takes {}", encoding.width(), widths[0]));
+            return refuse(format!(
+                "the encoding gives {} inputs, the first layer takes {}",
+                encoding.width(),
+                widths[0]
+            ));
         }
         if widths[widths.len() - 1] != 2 * OUTPUTS {
-            return refuse(format!("the last layer must have {} outputs, has {}", 2 * OUTPUTS, widths[widths.len() - 1]));
+            return refuse(format!(
+                "the last layer must have {} outputs, has {}",
+                2 * OUTPUTS,
+                widths[widths.len() - 1]
+            ));
         }
         if flat.len() != Self::flat_len(widths) {
             return refuse(format!("widths {widths:?} need {} weights, got {}", Self::flat_len(widths), flat.len()));
@@ -202,7 +210,8 @@ mod tests {
         let seen = Observation { reading_mg: 2.0, target_mg: 10.0, pitch_deg: 5.0 };
         let samples: Vec<f32> = (0..2000).map(|_| actor.sample(&seen, &mut rng)[1]).collect();
         assert!(samples.iter().all(|a| (-1.0..=1.0).contains(a)));
-        let below = samples.iter().filter(|&&a| a < actor.forward(&seen.encode(Encoding::Missing)).mean[1].tanh()).count();
+        let below =
+            samples.iter().filter(|&&a| a < actor.forward(&seen.encode(Encoding::Missing)).mean[1].tanh()).count();
         // tanh keeps the median: 1000 +- 4 sd of 22.
         assert!((911..=1089).contains(&below), "{below} of 2000 below the median");
     }

@@ -87,7 +87,8 @@ pub fn decode(bytes: &[u8]) -> Result<Policy, ArtifactError> {
     let controller = match &manifest.kind {
         Kind::Learned { encoding, widths } => {
             let flat = flatten(&tensors, widths)?;
-            let actor = Actor::from_flat(*encoding, widths, &flat).map_err(|e| ArtifactError::Tensors(e.to_string()))?;
+            let actor =
+                Actor::from_flat(*encoding, widths, &flat).map_err(|e| ArtifactError::Tensors(e.to_string()))?;
             Controller::Learned(actor)
         }
         Kind::Fixed { step } => Controller::Fixed(checked(step)?),

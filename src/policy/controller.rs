@@ -110,10 +110,7 @@ mod tests {
         let step = |pitch_deg, shake_mm| ScheduledStep { pitch_deg, shake_mm };
         let schedule = Schedule { steps: vec![step(12.0, 5.0), step(14.0, 4.0), step(30.0, 3.0)] };
         let done = carry_out(&Controller::Schedule(schedule), 7);
-        assert_eq!(
-            done,
-            [(8.0, 0.0), (12.0, 5.0), (14.0, 4.0), (22.0, 0.0), (30.0, 3.0), (30.0, 3.0), (30.0, 3.0)]
-        );
+        assert_eq!(done, [(8.0, 0.0), (12.0, 5.0), (14.0, 4.0), (22.0, 0.0), (30.0, 3.0), (30.0, 3.0), (30.0, 3.0)]);
     }
 
     #[test]

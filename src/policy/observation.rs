@@ -94,7 +94,8 @@ mod tests {
 
     #[test]
     fn a_target_beyond_training_looks_like_the_largest_trained_one() {
-        let at = |reading_mg, target_mg| Observation { reading_mg, target_mg, pitch_deg: 10.0 }.encode(Encoding::Missing);
+        let at =
+            |reading_mg, target_mg| Observation { reading_mg, target_mg, pitch_deg: 10.0 }.encode(Encoding::Missing);
         assert_eq!(at(0.0, 20.0), at(0.0, 15.0));
         assert_eq!(at(18.0, 20.0), at(15.5, 17.5), "near the end only what is missing counts");
         for encoding in [Encoding::Paper, Encoding::Missing] {

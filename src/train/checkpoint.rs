@@ -77,7 +77,8 @@ pub(super) fn encode(state: &State, levels: &[Level], settings: &Settings) -> Ve
         .iter()
         .map(|(name, b)| (*name, TensorView::new(Dtype::F32, vec![b.len() / 4], b).expect("the shape is the block's")));
     let text = serde_json::to_string(&header).expect("plain data");
-    safetensors::serialize(views, Some(HashMap::from([(KEY.to_owned(), text)]))).expect("names differ, the header is small")
+    safetensors::serialize(views, Some(HashMap::from([(KEY.to_owned(), text)])))
+        .expect("names differ, the header is small")
 }
 
 /// The state in a checkpoint of this training.
@@ -98,7 +99,9 @@ pub(super) fn decode(bytes: &[u8], levels: &[Level], settings: &Settings) -> Res
     let read = |name: &str| -> Result<Vec<f32>, String> {
         let tensor = tensors.tensor(name).map_err(|_| format!("`{name}` is missing"))?;
         match tensor.dtype() {
-            Dtype::F32 => Ok(tensor.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()),
+            Dtype::F32 => {
+                Ok(tensor.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+            }
             other => Err(format!("`{name}` is {other:?}, not F32")),
         }
     };

@@ -71,10 +71,11 @@ pub fn play_round<F: Filling>(
             };
             let rng = &mut plan.rng;
             let tilt = settings.warmup_tilt as f32 * rng.random::<f32>();
-            let played = play(&mut spoon, &settings.rules, &settings.balance, plan.target_mg, plan.seed, |seen| match actor {
-                Some(actor) => actor.sample(seen, rng),
-                None => random_action(tilt, rng),
-            });
+            let played =
+                play(&mut spoon, &settings.rules, &settings.balance, plan.target_mg, plan.seed, |seen| match actor {
+                    Some(actor) => actor.sample(seen, rng),
+                    None => random_action(tilt, rng),
+                });
             (plan, played)
         })
         .collect()

@@ -159,6 +159,9 @@ mod tests {
         curriculum.record(0, 0.1);
         assert!(curriculum.record(0, 0.1).is_some());
         curriculum.record(0, 0.1);
-        assert_eq!((curriculum.level(), curriculum.on_level, curriculum.queue.len(), curriculum.episodes), (1, 0, 0, 3));
+        assert_eq!(
+            (curriculum.level(), curriculum.on_level, curriculum.queue.len(), curriculum.episodes),
+            (1, 0, 0, 3)
+        );
     }
 }

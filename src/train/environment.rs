@@ -4,7 +4,7 @@ use super::settings::Settings;
 use crate::domain::bench::Action;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
-use crate::policy::{Episode, Observation, ON_TARGET_MG, Rules};
+use crate::policy::{Episode, ON_TARGET_MG, Observation, Rules};
 use crate::sim::balance;
 use crate::sim::dispense::{self, Dispenser};
 
@@ -118,7 +118,8 @@ pub fn play(
     mut propose: impl FnMut(&Observation) -> [f32; 2],
 ) -> Played {
     let noise = derive(seed, &[BALANCE]);
-    let read = |before_mg: f64, after_mg: f64, index: u32| balance.read(before_mg, after_mg, noise, index.into()).mass_mg;
+    let read =
+        |before_mg: f64, after_mg: f64, index: u32| balance.read(before_mg, after_mg, noise, index.into()).mass_mg;
     let tare_mg = spoon.vial_mg();
     let mut true_mg = 0.0;
     let mut seen = Observation { reading_mg: read(0.0, 0.0, 0), target_mg, pitch_deg: spoon.pitch_deg() };
@@ -163,7 +164,8 @@ mod tests {
 
     #[test]
     fn the_reward_is_the_published_one() {
-        for (target, true_mg, expected) in [(10.0, 10.0, 1.0), (10.0, 9.5, 0.5), (10.0, 9.0, -1.0), (10.0, 13.0, -3.0)] {
+        for (target, true_mg, expected) in [(10.0, 10.0, 1.0), (10.0, 9.5, 0.5), (10.0, 9.0, -1.0), (10.0, 13.0, -3.0)]
+        {
             assert_eq!(reward(target, true_mg), expected);
         }
     }
@@ -172,14 +174,17 @@ mod tests {
     fn the_papers_episodes_have_ten_steps_and_ours_stop_on_target() {
         let filling = Simulated { settings: dispense::Settings { pitch: PitchLimits::WIDE, ..Default::default() } };
         let filled = filling.fill(&ParameterSet::default(), 1);
-        let pour = |rules: &Rules| {
-            play(&mut filled.clone(), rules, &balance::Settings::default(), 5.0, 2, |_| [1.0, 1.0])
-        };
+        let pour =
+            |rules: &Rules| play(&mut filled.clone(), rules, &balance::Settings::default(), 5.0, 2, |_| [1.0, 1.0]);
         assert_eq!((pour(&Rules::PAPER).steps.len(), pour(&Rules::PAPER).ending), (10, Episode::TimedOut));
         let ours = pour(&Rules::FLIP);
         assert_eq!(ours.ending, Episode::Terminated);
         assert!(ours.steps.len() < 10 && ours.reading_mg > 4.0);
         assert_eq!(ours.steps.last().unwrap().next_reading_mg, ours.reading_mg as f32);
-        assert!(ours.steps.windows(2).all(|w| w[0].next_reading_mg == w[1].reading_mg && w[0].next_pitch_deg == w[1].pitch_deg));
+        assert!(
+            ours.steps
+                .windows(2)
+                .all(|w| w[0].next_reading_mg == w[1].reading_mg && w[0].next_pitch_deg == w[1].pitch_deg)
+        );
     }
 }

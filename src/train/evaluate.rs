@@ -222,7 +222,8 @@ mod tests {
     use crate::policy::ScheduledStep;
 
     fn plan() -> Plan {
-        let contender = |name: &str| Contender { name: name.into(), controller: Controller::Fixed(ScheduledStep::FIXED) };
+        let contender =
+            |name: &str| Contender { name: name.into(), controller: Controller::Fixed(ScheduledStep::FIXED) };
         let sets = vec![ParameterSet::default(), ParameterSet::default().with("friction", 0.7).unwrap()];
         let subject = |powder: &str| Subject { powder: powder.into(), sets: sets.clone() };
         Plan {
@@ -247,7 +248,10 @@ mod tests {
         // Errors alternate between -0.5 and 1.5 mg.
         let row = &evaluation.rows[5];
         assert_eq!((row.controller.as_str(), row.powder.as_str(), row.target_mg, row.n), ("b", "sand", 20.0, 4));
-        assert_eq!((row.mae_mg, row.bias_mg, row.over_share, row.zero_share, row.shakes_mean), (1.0, 0.5, 0.5, 0.0, 5.0));
+        assert_eq!(
+            (row.mae_mg, row.bias_mg, row.over_share, row.zero_share, row.shakes_mean),
+            (1.0, 0.5, 0.5, 0.0, 5.0)
+        );
         assert!((row.sd_mg - (1.0f64 / 3.0).sqrt()).abs() < 1e-12);
         let summary = &evaluation.summary[0];
         assert!((summary.sd_within_cells_mg - (1.0f64 / 3.0).sqrt()).abs() < 1e-12);
@@ -261,7 +265,8 @@ mod tests {
         let run = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
-                evaluate(&plan(), |_, set, target, seed| Ok::<_, ()>(weigh(set, target, (seed % 1000) as f64 / 1000.0))).unwrap()
+                evaluate(&plan(), |_, set, target, seed| Ok::<_, ()>(weigh(set, target, (seed % 1000) as f64 / 1000.0)))
+                    .unwrap()
             })
         };
         let one = run(1);

@@ -68,7 +68,8 @@ mod tests {
         for (encoding, hidden) in [(Encoding::Missing, 128), (Encoding::Paper, 128), (Encoding::Missing, 7)] {
             let widths = [encoding.width(), hidden, hidden, 4];
             // Weights as large as a trained network's: uniform, not scaled down in the last layer.
-            let flat: Vec<f32> = (0..Actor::flat_len(&widths)).map(|_| 0.3 * (2.0 * rng.random::<f32>() - 1.0)).collect();
+            let flat: Vec<f32> =
+                (0..Actor::flat_len(&widths)).map(|_| 0.3 * (2.0 * rng.random::<f32>() - 1.0)).collect();
             let actor = Actor::from_flat(encoding, &widths, &flat).unwrap();
             for _ in 0..20 {
                 let x: Vec<f32> = (0..widths[0]).map(|_| 4.0 * rng.random::<f32>() - 2.0).collect();

@@ -45,7 +45,14 @@ pub fn squash(head: &Tensor, noise: &Tensor) -> (Tensor, Tensor) {
 ///
 /// `goes_on` is 0 only where the episode terminated. Where it was cut off by its step limit the future is still worth
 /// something, so the target bootstraps through a time-out (Pardo et al., ICML 2018).
-pub fn td_target(reward: &Tensor, goes_on: &Tensor, next_q: &Tensor, next_log_prob: &Tensor, alpha: f64, gamma: f64) -> Tensor {
+pub fn td_target(
+    reward: &Tensor,
+    goes_on: &Tensor,
+    next_q: &Tensor,
+    next_log_prob: &Tensor,
+    alpha: f64,
+    gamma: f64,
+) -> Tensor {
     let value = next_q.amin(0, false) - next_log_prob * alpha;
     reward + goes_on * value * gamma
 }
@@ -173,7 +180,12 @@ impl Learner {
         for (slow, fast) in self.targets.iter_mut().zip(&self.critics) {
             *slow += tau * (fast - *slow);
         }
-        Losses { critic: critic_loss.double_value(&[]), actor: actor_loss.double_value(&[]), entropy: -mean_log_prob, alpha }
+        Losses {
+            critic: critic_loss.double_value(&[]),
+            actor: actor_loss.double_value(&[]),
+            entropy: -mean_log_prob,
+            alpha,
+        }
     }
 
     fn target(&self, next: &Tensor, noise: &Tensor, batch: &Batch, alpha: f64, gamma: f64) -> Tensor {

@@ -89,8 +89,7 @@ fn gradients_equal_finite_differences_of_the_losses() {
     let noise = double(&r["noise"]).view([2, n, 2]).get(1);
     let y = double(&r["expected"]["y"]);
     let critics = double(&r["critics"]).view([2, -1]);
-    let of_critics =
-        |flat: &Tensor| critic_loss(&forward_twins(&flat.view([2, -1]), &learner.critic_widths, &now), &y);
+    let of_critics = |flat: &Tensor| critic_loss(&forward_twins(&flat.view([2, -1]), &learner.critic_widths, &now), &y);
     let of_actor = |flat: &Tensor| {
         let head = forward(flat, &learner.actor_widths, &now.narrow(1, 0, learner.actor_widths[0] as i64));
         let (action, log_prob) = squash(&head, &noise);
@@ -128,7 +127,8 @@ fn log_probabilities_stay_finite_and_right_where_tanh_saturates() {
     assert!((log_prob(0.0, 0.0, 0.0) + (2.0 * std::f64::consts::PI).ln()).abs() < 1e-5);
     // Far out ln(1 - tanh(u)^2) tends to 2 ln 2 - 2 |u|: the naive form is -inf beyond |u| = 9 in f32.
     for u in [50.0f32, -50.0, 1000.0] {
-        let expected = -(2.0 * std::f64::consts::PI).ln() - 2.0 * (2.0 * std::f64::consts::LN_2 - 2.0 * f64::from(u).abs());
+        let expected =
+            -(2.0 * std::f64::consts::PI).ln() - 2.0 * (2.0 * std::f64::consts::LN_2 - 2.0 * f64::from(u).abs());
         assert!((log_prob(u, 0.0, 0.0) / expected - 1.0).abs() < 1e-5);
     }
     for (mean, log_std, noise) in [(0.0, -100.0, 3.0), (0.0, 100.0, -5.0), (1e6, 2.0, 6.0), (-1e6, -20.0, -6.0)] {
@@ -171,7 +171,8 @@ fn the_temperature_rises_when_the_policy_is_too_sure() {
 #[test]
 fn a_bandit_with_a_known_answer_is_solved() {
     // One state, reward -(a - 0.5)^2 in both actions, every step ends: the centre of the policy goes to 0.5.
-    let settings = Settings { hidden: 32, batch: 64, learning_rate: 3e-3, ..Settings::of(Preset::Flip, Order::Curriculum, 1) };
+    let settings =
+        Settings { hidden: 32, batch: 64, learning_rate: 3e-3, ..Settings::of(Preset::Flip, Order::Curriculum, 1) };
     let mut rng = Pcg64Mcg::seed_from_u64(2);
     let mut learner = Learner::new(&settings, &mut rng);
     let inputs = settings.encoding.width();

@@ -95,8 +95,10 @@ pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning) -> Tuned
         .collect();
     let (mut doses, mut pours) = (tuning.spoons, 0);
     loop {
-        let mut scored: Vec<(f64, Schedule)> =
-            field.into_par_iter().map(|schedule| (score(&schedule, levels, tuning, &spoons, doses), schedule)).collect();
+        let mut scored: Vec<(f64, Schedule)> = field
+            .into_par_iter()
+            .map(|schedule| (score(&schedule, levels, tuning, &spoons, doses), schedule))
+            .collect();
         pours += scored.len() as u32 * doses * levels.len() as u32;
         // A stable sort: of equals the first drawn wins.
         scored.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -173,10 +175,8 @@ mod tests {
         let tuned = tune(&formula, &levels(), &tuning);
         let other = Spoons::new(&formula, 99);
         let fixed = Schedule { steps: vec![ScheduledStep::FIXED] };
-        let (ours, theirs) = (
-            score(&tuned.schedule, &levels(), &tuning, &other, 20),
-            score(&fixed, &levels(), &tuning, &other, 20),
-        );
+        let (ours, theirs) =
+            (score(&tuned.schedule, &levels(), &tuning, &other, 20), score(&fixed, &levels(), &tuning, &other, 20));
         assert!(ours < theirs, "tuned {ours}, fixed {theirs}");
         assert_eq!(tune(&formula, &levels(), &tuning), tuned, "the same seed finds the same schedule");
     }

@@ -228,7 +228,10 @@ mod tests {
     fn the_papers_preset_is_the_published_one() {
         let paper = Settings::of(Preset::Paper, Order::Curriculum, 1).checked().unwrap();
         assert_eq!(paper.rules, Rules::PAPER);
-        assert_eq!((paper.episodes, paper.batch, paper.learning_rate, paper.gamma, paper.tau), (4000, 16, 1e-4, 0.99, 0.005));
+        assert_eq!(
+            (paper.episodes, paper.batch, paper.learning_rate, paper.gamma, paper.tau),
+            (4000, 16, 1e-4, 0.99, 0.005)
+        );
         assert_eq!((paper.updates_per_step, paper.relabel_share, paper.overdose_factor), (1.0, 0.0, 1.0));
         assert_eq!(paper.level_episodes_max(3), 1330);
     }

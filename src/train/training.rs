@@ -95,7 +95,9 @@ pub enum TrainError {
     #[error("the checkpoint cannot be resumed: {0}")]
     Checkpoint(String),
     /// The weights are no longer finite.
-    #[error("the training diverged after {episodes} episodes: a weight is not a finite number; lower the learning rate")]
+    #[error(
+        "the training diverged after {episodes} episodes: a weight is not a finite number; lower the learning rate"
+    )]
     Diverged {
         /// Episodes played.
         episodes: u32,
@@ -230,7 +232,8 @@ impl State {
     ) -> Result<Vec<EpisodeRecord>, TrainError> {
         let first = self.progress.episodes;
         let count = settings.episodes_per_round.min(settings.episodes - first);
-        let planned = (first..first + count).map(|index| plan(index, self.curriculum.level(), levels, settings)).collect();
+        let planned =
+            (first..first + count).map(|index| plan(index, self.curriculum.level(), levels, settings)).collect();
         let diverged = TrainError::Diverged { episodes: first };
         let actor = match first < settings.warmup_episodes {
             true => None,
@@ -278,7 +281,8 @@ impl State {
             self.progress.updates += 1;
         }
         let n = count as f64;
-        let mean = Losses { critic: sum.critic / n, actor: sum.actor / n, entropy: sum.entropy / n, alpha: sum.alpha / n };
+        let mean =
+            Losses { critic: sum.critic / n, actor: sum.actor / n, entropy: sum.entropy / n, alpha: sum.alpha / n };
         (count > 0).then_some(mean)
     }
 
