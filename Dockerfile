@@ -32,7 +32,7 @@ RUN mkdir -p /image/lib && cp target/release/flip /image/ && cp .libtorch/lib/*.
 FROM debian:bookworm-slim
 COPY --from=program /image /opt/flip
 RUN ln -s /opt/flip/flip /usr/local/bin/flip \
-    && useradd --system --uid 10001 --no-create-home --shell /usr/sbin/nologin flip \
+    && useradd --uid 10001 --user-group --no-create-home --shell /usr/sbin/nologin flip \
     && install -d -o flip -g flip -m 0750 /data
 USER flip
 VOLUME /data

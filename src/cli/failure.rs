@@ -3,6 +3,7 @@
 use crate::app::{Error, OpenError};
 use crate::domain::FieldError;
 use serde_json::json;
+use std::io::Write;
 use std::process::ExitCode;
 
 /// Why a command did not do what was asked.
@@ -34,7 +35,7 @@ impl Failure {
             Self::Failed(error) => eprintln!("flip: {error:#}"),
         }
         if json {
-            println!("{document:#}");
+            print(&document);
         }
         ExitCode::from(status)
     }
@@ -46,9 +47,14 @@ pub(super) fn of_arguments(error: &clap::Error) -> ExitCode {
     let _ = error.print();
     if error.exit_code() != 0 && std::env::args().any(|argument| argument == "--json") {
         let message = error.render().to_string();
-        println!("{:#}", json!({ "error": { "kind": "bad_input", "message": message } }));
+        print(&json!({ "error": { "kind": "bad_input", "message": message } }));
     }
     ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(1))
+}
+
+/// Print the one document. A reader that has closed the pipe wants none; stderr and the exit status still speak.
+fn print(document: &serde_json::Value) {
+    let _ = writeln!(std::io::stdout(), "{document:#}");
 }
 
 impl From<FieldError> for Failure {
