@@ -118,8 +118,8 @@ pub async fn calibrate_salt(data_dir: &Path) {
     .await
     .unwrap();
     sqlx::query(
-        "INSERT INTO parameter_set (id, powder, calibration, parameters, repose_deg, runs, error_deg, created_at)
-         VALUES (?1, 'salt', 'toy', ?2, 36, 1, 0, 0)",
+        "INSERT INTO parameter_set (id, powder, calibration, position, parameters, repose_deg, runs, error_deg, created_at)
+         VALUES (?1, 'salt', 'toy', 0, ?2, 36, 1, 0, 0)",
     )
     .bind(set.id())
     .bind(serde_json::to_string(&set).unwrap())
