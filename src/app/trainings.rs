@@ -31,7 +31,7 @@ pub struct TrainingRequest {
     /// Collection of settings.
     #[serde(default)]
     pub preset: Preset,
-    /// Episodes, 1 to 20000; default the preset's: 160 for a demonstration, 4000 (the full budget) for the paper's.
+    /// Episodes, 1 to 20000; default the preset's: 240 for a demonstration, 4000 (the full budget) for the paper's.
     pub episodes: Option<u32>,
     /// Powders whose calibrated sets are the levels; default `sand`, `sugar`, `salt`. Not with the `paper` preset.
     pub powders: Option<Vec<String>>,
