@@ -23,7 +23,7 @@ fn main() -> anyhow::Result<()> {
 }
 
 fn search(powder: &Published, settings: &Settings) -> Result<Calibration, Error> {
-    let heap_settings = HeapSettings { particles: settings.particles, ..HeapSettings::default() };
+    let heap_settings = HeapSettings::with_particles(settings.particles);
     let simulate = |set: &_, seed| {
         let pile = repose(set, &heap_settings, seed)?;
         let (tip_deg, cone_deg, creep_deg_per_s) = (pile.tip_deg, pile.cone_deg, pile.creep_deg_per_s);

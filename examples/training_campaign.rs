@@ -44,7 +44,7 @@ fn settings(overrides: &Value) -> anyhow::Result<Settings> {
 /// Train on these levels, telling each episode; the policy's bytes.
 fn learn(levels: &[Level], settings: &Settings) -> anyhow::Result<Vec<u8>> {
     let started = Instant::now();
-    let trained = train(levels, settings, None, |event| {
+    let trained = train(levels, settings, None, &|| ControlFlow::Continue(()), |event| {
         if let Event::Episode(e) = event {
             let alpha = e.losses.map_or(f64::NAN, |l| l.alpha);
             let (s, error_mg) = (started.elapsed().as_secs_f64(), e.dispensed_mg - e.target_mg);

@@ -9,6 +9,7 @@ use flip::train::environment::{Filling, play};
 use flip::train::formula::Formula;
 use flip::train::{EpisodeRecord, Event, Level, Order, Preset, Settings, TrainError, Trained, train_on};
 use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 const FORMULA: Formula = Formula { pitch: PitchLimits::WIDE };
 
@@ -35,9 +36,12 @@ fn small(order: Order) -> Settings {
     }
 }
 
+/// Never stops.
+const GO_ON: fn() -> ControlFlow<()> = || ControlFlow::Continue(());
+
 fn run(settings: &Settings, resume: Option<&[u8]>) -> (Trained, Vec<EpisodeRecord>, Vec<Vec<u8>>) {
     let (mut episodes, mut checkpoints) = (Vec::new(), Vec::new());
-    let trained = train_on(&FORMULA, &levels(), settings, resume, |event| {
+    let trained = train_on(&FORMULA, &levels(), settings, resume, &GO_ON, |event| {
         match event {
             Event::Episode(record) => episodes.push(*record),
             Event::Checkpoint(bytes) => checkpoints.push(bytes),
@@ -110,7 +114,7 @@ fn a_stop_finishes_its_round_and_hands_over_a_checkpoint() {
     let settings = small(Order::Random);
     let (unbroken, episodes, _) = run(&settings, None);
     let mut seen = Vec::new();
-    let stopped = train_on(&FORMULA, &levels(), &settings, None, |event| match event {
+    let stopped = train_on(&FORMULA, &levels(), &settings, None, &GO_ON, |event| match event {
         Event::Episode(record) => {
             seen.push(*record);
             if seen.len() == 5 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -119,6 +123,29 @@ fn a_stop_finishes_its_round_and_hands_over_a_checkpoint() {
     });
     let Err(TrainError::Stopped { checkpoint }) = stopped else { panic!("{stopped:?}") };
     assert_eq!(seen, episodes[..8], "a round of four is reported whole");
+    let (resumed, rest, _) = run(&settings, Some(&checkpoint));
+    assert_eq!((resumed, rest), (unbroken, episodes[8..].to_vec()));
+}
+
+#[test]
+fn a_stop_within_a_round_drops_the_round_and_loses_nothing() {
+    let settings = small(Order::Random);
+    let (unbroken, episodes, _) = run(&settings, None);
+    // Rounds of four: asked before each episode, the tenth answer falls into the third round.
+    let asked = AtomicU32::new(0);
+    let flow = || match asked.fetch_add(1, Ordering::SeqCst) {
+        0..9 => ControlFlow::Continue(()),
+        _ => ControlFlow::Break(()),
+    };
+    let mut seen = Vec::new();
+    let stopped = train_on(&FORMULA, &levels(), &settings, None, &flow, |event| {
+        if let Event::Episode(record) = event {
+            seen.push(*record);
+        }
+        ControlFlow::Continue(())
+    });
+    let Err(TrainError::Stopped { checkpoint }) = stopped else { panic!("{stopped:?}") };
+    assert_eq!(seen, episodes[..8]);
     let (resumed, rest, _) = run(&settings, Some(&checkpoint));
     assert_eq!((resumed, rest), (unbroken, episodes[8..].to_vec()));
 }
@@ -137,12 +164,13 @@ fn the_number_of_threads_changes_nothing() {
 fn a_checkpoint_of_another_training_or_damaged_is_refused() {
     let settings = small(Order::Curriculum);
     let (.., checkpoints) = run(&settings, None);
-    let refusal = |settings: &Settings, bytes: &[u8]| match train_on(&FORMULA, &levels(), settings, Some(bytes), |_| {
-        ControlFlow::Continue(())
-    }) {
-        Err(TrainError::Checkpoint(text)) => text,
-        other => panic!("{other:?}"),
-    };
+    let refusal =
+        |settings: &Settings, bytes: &[u8]| match train_on(&FORMULA, &levels(), settings, Some(bytes), &GO_ON, |_| {
+            ControlFlow::Continue(())
+        }) {
+            Err(TrainError::Checkpoint(text)) => text,
+            other => panic!("{other:?}"),
+        };
     assert!(refusal(&Settings { seed: 4, ..settings.clone() }, &checkpoints[0]).contains("another training"));
     assert!(!refusal(&settings, &checkpoints[0][..checkpoints[0].len() / 2]).is_empty());
     assert!(!refusal(&settings, b"").is_empty());
@@ -182,12 +210,13 @@ fn the_papers_preset_plays_ten_steps_and_never_ends_early() {
 
 #[test]
 fn impossible_inputs_are_refused_by_field() {
-    let refused = |levels: &[Level], settings: &Settings| match train_on(&FORMULA, levels, settings, None, |_| {
-        ControlFlow::Continue(())
-    }) {
-        Err(TrainError::Invalid(error)) => error.field,
-        other => panic!("{other:?}"),
-    };
+    let refused =
+        |levels: &[Level], settings: &Settings| match train_on(&FORMULA, levels, settings, None, &GO_ON, |_| {
+            ControlFlow::Continue(())
+        }) {
+            Err(TrainError::Invalid(error)) => error.field,
+            other => panic!("{other:?}"),
+        };
     let settings = small(Order::Curriculum);
     assert_eq!(refused(&[], &settings), "levels");
     let empty = Level { powder: "sand".into(), repose_deg: 28.0, sets: vec![] };

@@ -63,7 +63,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             format!("must be from {} to {} grains, got {}", PARTICLES.start(), PARTICLES.end(), arguments.particles);
         return Err(FieldError::new("particles", message).into());
     }
-    let settings = Settings { particles: arguments.particles, ..Settings::default() };
+    let settings = Settings::with_particles(arguments.particles);
     let outcomes = pour(&set, &settings, common.seed, arguments.repeats);
     let document = summarise(set, settings, common.seed, outcomes)?;
     common.print(&document, || text(&document))

@@ -97,12 +97,14 @@ pub fn simulated() -> Pour {
     })
 }
 
+/// The weighing that moves, and its stop flag.
+type Moving = Arc<Mutex<Option<(String, Arc<AtomicBool>)>>>;
+
 /// The lane's outside: wake it, stop what it does, shut it down.
 pub struct Bench {
     store: Store,
     pour: Pour,
-    /// The weighing that moves, and its stop flag.
-    moving: Arc<Mutex<Option<(String, Arc<AtomicBool>)>>>,
+    moving: Moving,
     closing: Arc<AtomicBool>,
     lane: Mutex<Option<Lane>>,
 }
@@ -207,7 +209,7 @@ impl Drop for Bench {
 struct LaneThread {
     store: Store,
     pour: Pour,
-    moving: Arc<Mutex<Option<(String, Arc<AtomicBool>)>>>,
+    moving: Moving,
     closing: Arc<AtomicBool>,
     runtime: Handle,
 }

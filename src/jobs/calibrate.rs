@@ -47,7 +47,7 @@ pub struct CalibrationSet {
 pub(super) fn perform(context: &JobContext, spec: &CalibrationSpec) -> Result<(), JobError> {
     let history = context.read(context.store.all_trials(context.id()))?;
     let history: Vec<calibrate::Trial> = history.into_iter().map(from_row).collect();
-    let heap = repose::Settings { particles: spec.settings.particles, ..repose::Settings::default() };
+    let heap = repose::Settings::with_particles(spec.settings.particles);
     let simulate = |set: &ParameterSet, seed: u64| {
         let repose = (context.functions.simulate)(set, &heap, seed)?;
         let (tip_deg, cone_deg, creep_deg_per_s) = (repose.tip_deg, repose.cone_deg, repose.creep_deg_per_s);

@@ -14,6 +14,7 @@ pub const SIMULATOR: &str = sim::VERSION;
 /// What a job is to do. Two equal specifications have equal results, so the second one asked for is the first's job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[expect(clippy::large_enum_variant, reason = "a handful exist at a time")]
 pub enum JobSpec {
     /// Flowability to parameter sets.
     Calibration(CalibrationSpec),

@@ -9,7 +9,7 @@ use crate::domain::job::Progress;
 use crate::policy;
 use crate::store;
 use crate::store::trials::Episode;
-use crate::train::{EpisodeRecord, Event, TrainError, Trained};
+use crate::train::{EpisodeRecord, Event, Flow, TrainError, Trained};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
@@ -23,14 +23,17 @@ pub const SETS_PER_LEVEL: usize = 7;
 const RECENT: usize = 20;
 
 /// A training as jobs call it: [`crate::train::train`] in the product, a formula in tests.
-pub type Train =
-    Arc<dyn Fn(&[Level], &Settings, Option<&[u8]>, &mut Listener<'_>) -> Result<Trained, TrainError> + Send + Sync>;
-/// Who hears what a training does, and says whether it goes on.
+pub type Train = Arc<
+    dyn Fn(&[Level], &Settings, Option<&[u8]>, &Flow<'_>, &mut Listener<'_>) -> Result<Trained, TrainError>
+        + Send
+        + Sync,
+>;
+/// Who hears what a training does; `Break` when it could not be written down.
 pub type Listener<'a> = dyn FnMut(Event) -> ControlFlow<()> + 'a;
 
 /// The simulator's training.
 pub fn simulated() -> Train {
-    Arc::new(|levels, settings, resume, listener| crate::train::train(levels, settings, resume, listener))
+    Arc::new(|levels, settings, resume, flow, listener| crate::train::train(levels, settings, resume, flow, listener))
 }
 
 /// What a training produced.
@@ -51,7 +54,9 @@ pub(super) fn perform(context: &JobContext, spec: &TrainingSpec, checkpoint: Opt
     let resume = checkpoint.map(|sha256| context.store.artifacts().get(sha256)).transpose()?;
     let mut recorder = Recorder { context, spec, round: Vec::new(), recent: VecDeque::new(), unsaved: None };
     let trained =
-        (context.functions.train)(&spec.levels, &spec.settings, resume.as_deref(), &mut |event| recorder.hear(event));
+        (context.functions.train)(&spec.levels, &spec.settings, resume.as_deref(), &|| context.flow(), &mut |event| {
+            recorder.hear(event)
+        });
     recorder.flush();
     match (trained, recorder.unsaved) {
         (_, Some(error)) => Err(error.into()),
@@ -90,7 +95,7 @@ impl Recorder<'_> {
                 self.note(saved);
             }
         }
-        if self.unsaved.is_some() { ControlFlow::Break(()) } else { self.context.flow() }
+        if self.unsaved.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
     /// Whether the round has come to its end.

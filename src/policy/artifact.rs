@@ -111,7 +111,7 @@ fn flatten(tensors: &SafeTensors, widths: &[usize]) -> Result<Vec<f32>, Artifact
     }
     let mut flat = Vec::new();
     for (k, pair) in widths.windows(2).enumerate() {
-        for (name, shape) in [("weight", &pair[..]), ("bias", &pair[1..])] {
+        for (name, shape) in [("weight", pair), ("bias", &pair[1..])] {
             let name = format!("layer{k}.{name}");
             let tensor = tensors.tensor(&name).map_err(|_| ArtifactError::Tensors(format!("`{name}` is missing")))?;
             if tensor.dtype() != Dtype::F32 || tensor.shape() != shape {

@@ -88,8 +88,8 @@ mod tests {
         let seen = Observation { reading_mg: 4.0, target_mg: 12.0, pitch_deg: 36.0 };
         let inputs = seen.encode(Encoding::Paper);
         assert_eq!((inputs[0], inputs[2]), (2.0, 6.0));
-        // 36 deg are 0.628 rad.
-        assert!((inputs[1] + 3.1416).abs() < 1e-3);
+        // 36 deg are a fifth of pi, times five.
+        assert!((inputs[1] + std::f32::consts::PI).abs() < 1e-3);
     }
 
     #[test]

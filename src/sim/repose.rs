@@ -49,6 +49,23 @@ impl Default for Settings {
     }
 }
 
+impl Settings {
+    /// The default experiment with another number of grains: base, fall and opening scale with its cube root, so that the
+    /// grains overflow the base as far as the default's do. On a base of 2000 grains, 300 make a flat heap.
+    pub fn with_particles(particles: u32) -> Self {
+        let default = Self::default();
+        let scale = (f64::from(particles) / f64::from(default.particles)).cbrt();
+        Self {
+            particles,
+            base_radius_diameters: default.base_radius_diameters * scale,
+            funnel_height_diameters: default.funnel_height_diameters * scale,
+            // A narrower opening than this is one grain wide and blocks.
+            funnel_radius_diameters: (default.funnel_radius_diameters * scale).max(1.5),
+            ..default
+        }
+    }
+}
+
 /// One simulated heap.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Repose {

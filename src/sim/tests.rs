@@ -134,7 +134,7 @@ fn smaller_grains_stick_more() {
 
 #[test]
 fn mass_converts_counts_to_milligrams_and_does_nothing_else() {
-    let settings = repose::Settings { particles: 300, base_radius_diameters: 4.0, ..Default::default() };
+    let settings = repose::Settings::with_particles(300);
     let heap = |mass| repose(&set(&[("particle_mass_ug", mass)]), &settings, 5).unwrap();
     assert_eq!(heap(13.0), heap(16.5));
     let spoon = dispense::Settings { particles: 200, ..Default::default() };
@@ -144,7 +144,7 @@ fn mass_converts_counts_to_milligrams_and_does_nothing_else() {
 
 #[test]
 fn friction_makes_a_heap_steeper() {
-    let settings = repose::Settings { particles: 600, base_radius_diameters: 6.0, ..Default::default() };
+    let settings = repose::Settings::with_particles(600);
     let mean = |friction| {
         (1..=4).map(|seed| repose(&set(&[("friction", friction)]), &settings, seed).unwrap().tip_deg).sum::<f64>() / 4.0
     };

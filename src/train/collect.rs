@@ -4,7 +4,7 @@ use super::environment::{Filling, Played, play};
 use super::replay::Memory;
 use super::settings::{Order, Settings};
 use super::spoons::Spoons;
-use super::training::Level;
+use super::training::{Flow, Level};
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
 use crate::policy::{Actor, OUTPUTS};
@@ -55,16 +55,21 @@ pub fn plan(index: u32, level: u32, levels: &[Level], settings: &Settings) -> Pl
     Planned { index, level, set, heap, target_mg, rng, seed }
 }
 
-/// Play these episodes, one per task; results are in order. Without an actor the actions are random.
+/// Play these episodes, one per task; results are in order. Without an actor the actions are random. None when `flow` said to
+/// stop before all were played.
 pub fn play_round<F: Filling>(
     planned: Vec<Planned>,
     actor: Option<&Actor>,
     spoons: &Spoons<F>,
     settings: &Settings,
-) -> Vec<(Planned, Played)> {
+    flow: &Flow<'_>,
+) -> Option<Vec<(Planned, Played)>> {
     planned
         .into_par_iter()
         .map(|mut plan| {
+            if flow().is_break() {
+                return None;
+            }
             let mut spoon = match settings.order {
                 Order::DomainRandomisation => spoons.fill(&plan.set, plan.index),
                 _ => spoons.take(&plan.set, plan.heap),
@@ -76,7 +81,7 @@ pub fn play_round<F: Filling>(
                     Some(actor) => actor.sample(seen, rng),
                     None => random_action(tilt, rng),
                 });
-            (plan, played)
+            Some((plan, played))
         })
         .collect()
 }

@@ -27,4 +27,4 @@ mod training;
 
 pub use adam::Adam;
 pub use settings::{Order, PAPER_LEVELS_DEG, Preset, Settings};
-pub use training::{EpisodeRecord, Event, Level, RANDOMISED, TrainError, Trained, train, train_on};
+pub use training::{EpisodeRecord, Event, Flow, Level, RANDOMISED, TrainError, Trained, train, train_on};

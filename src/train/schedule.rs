@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 pub struct Tuning {
     /// Seed of the search.
     pub seed: u64,
-    /// Schedules tried at first. Default 64; each round keeps the better quarter and pours twice as often.
+    /// Schedules drawn at first; half as many are drawn around the best of them. Default 64.
     pub candidates: u32,
     /// Spoons per powder in the first round. Default 1.
     pub spoons: u32,
@@ -75,8 +75,8 @@ fn ramp(first: ScheduledStep, last: ScheduledStep) -> Schedule {
 
 /// Search the schedule with the smallest mean absolute error on these powders.
 ///
-/// Random ramps, then successive halving (Jamieson and Talwalkar 2016): each round pours every remaining schedule over more spoons and
-/// keeps the better quarter. What an open-loop schedule pours does not depend on the target, so one pour serves all targets.
+/// Random ramps and successive halving (Jamieson and Talwalkar 2016), then the same once more around the best of them. What an
+/// open-loop schedule pours does not depend on the target, so one pour serves all targets.
 ///
 /// # Panics
 /// Without powders, parameter sets, targets or candidates.
@@ -84,44 +84,82 @@ pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning) -> Tuned
     assert!(!levels.is_empty() && levels.iter().all(|l| !l.sets.is_empty()) && tuning.candidates > 0);
     let spoons = Spoons::new(filling, derive(tuning.seed, &[1]));
     let mut rng = Pcg64Mcg::seed_from_u64(derive(tuning.seed, &[2]));
-    let mut field: Vec<Schedule> = (0..tuning.candidates)
-        .map(|_| {
-            let mut step = || ScheduledStep {
-                pitch_deg: rng.random_range(0.0..tuning.rules.pitch.upper_deg),
-                shake_mm: rng.random_range(1.0..SHAKE_MM_MAX),
-            };
-            ramp(step(), step())
-        })
-        .collect();
+    let pitch_max_deg = tuning.rules.pitch.upper_deg;
+    let field = (0..tuning.candidates).map(|_| {
+        let mut step = || ScheduledStep {
+            pitch_deg: rng.random_range(0.0..pitch_max_deg),
+            shake_mm: rng.random_range(1.0..SHAKE_MM_MAX),
+        };
+        [step(), step()]
+    });
+    let (best, first_pours) = halve(field.collect(), levels, tuning, &spoons);
+    // The second field: the best of the first, and steps aside from them.
+    let mut aside = |from: ScheduledStep| ScheduledStep {
+        pitch_deg: (from.pitch_deg + rng.random_range(-6.0..6.0)).clamp(0.0, pitch_max_deg),
+        shake_mm: (from.shake_mm + rng.random_range(-2.5..2.5)).clamp(1.0, SHAKE_MM_MAX),
+    };
+    let around = (best.len()..tuning.candidates.div_ceil(2) as usize).map(|k| best[k % best.len()].1.map(&mut aside));
+    let field = best.iter().map(|(_, ends)| *ends).chain(around).collect();
+    let (best, second_pours) = halve(field, levels, tuning, &spoons);
+    let (mae_mg, [first, last]) = best[0];
+    Tuned { schedule: ramp(first, last), mae_mg, pours: first_pours + second_pours }
+}
+
+/// The two ends of a ramp.
+type Ends = [ScheduledStep; 2];
+/// Ramps that a search hands over.
+const KEPT: usize = 4;
+
+/// Successive halving: each round pours every remaining ramp over twice as many spoons and keeps the better quarter, until
+/// [`KEPT`] are left. Those with their errors, the best first, and how often a schedule was poured.
+fn halve<F: Filling>(
+    mut field: Vec<Ends>,
+    levels: &[Level],
+    tuning: &Tuning,
+    spoons: &Spoons<F>,
+) -> (Vec<(f64, Ends)>, u32) {
     let (mut doses, mut pours) = (tuning.spoons, 0);
     loop {
-        let mut scored: Vec<(f64, Schedule)> = field
+        let mut scored: Vec<(f64, Ends)> = field
             .into_par_iter()
-            .map(|schedule| (score(&schedule, levels, tuning, &spoons, doses), schedule))
+            .map(|[first, last]| (score(&ramp(first, last), levels, tuning, spoons, doses), [first, last]))
             .collect();
         pours += scored.len() as u32 * doses * levels.len() as u32;
         // A stable sort: of equals the first drawn wins.
         scored.sort_by(|a, b| a.0.total_cmp(&b.0));
-        if scored.len() == 1 {
-            let (mae_mg, schedule) = scored.remove(0);
-            return Tuned { schedule, mae_mg, pours };
+        if scored.len() <= KEPT {
+            return (scored, pours);
         }
-        scored.truncate(scored.len().div_ceil(4));
-        field = scored.into_iter().map(|(_, schedule)| schedule).collect();
+        scored.truncate(scored.len().div_ceil(4).max(KEPT));
+        field = scored.into_iter().map(|(_, ends)| ends).collect();
         doses *= 2;
     }
 }
 
+/// Mean absolute error of a schedule on `doses` spoons of each powder, filled with another seed than the search, mg.
+pub fn assess<F: Filling>(
+    filling: &F,
+    levels: &[Level],
+    tuning: &Tuning,
+    schedule: &Schedule,
+    doses: u32,
+    seed: u64,
+) -> f64 {
+    score(schedule, levels, tuning, &Spoons::new(filling, derive(seed, &[4])), doses)
+}
+
 /// Mean absolute error of a schedule over powders, spoons and targets, mg.
 fn score<F: Filling>(schedule: &Schedule, levels: &[Level], tuning: &Tuning, spoons: &Spoons<F>, doses: u32) -> f64 {
-    let mut errors = Vec::new();
-    for level in levels {
-        for dose in 0..doses {
+    let pours: Vec<(&Level, u32)> = levels.iter().flat_map(|level| (0..doses).map(move |dose| (level, dose))).collect();
+    // `collect` keeps the order, so the sum is the same at any thread count.
+    let errors: Vec<f64> = pours
+        .into_par_iter()
+        .flat_map_iter(|(level, dose)| {
             let set = &level.sets[dose as usize % level.sets.len()];
             let spoon = spoons.take(set, dose / level.sets.len() as u32);
-            errors.extend(errors_mg(schedule, spoon, tuning, derive(tuning.seed, &[3, dose.into()])));
-        }
-    }
+            errors_mg(schedule, spoon, tuning, derive(tuning.seed, &[3, dose.into()]))
+        })
+        .collect();
     errors.iter().sum::<f64>() / errors.len() as f64
 }
 
@@ -173,10 +211,9 @@ mod tests {
         let formula = Formula { pitch: PitchLimits::WIDE };
         let tuning = Tuning::new(1);
         let tuned = tune(&formula, &levels(), &tuning);
-        let other = Spoons::new(&formula, 99);
         let fixed = Schedule { steps: vec![ScheduledStep::FIXED] };
-        let (ours, theirs) =
-            (score(&tuned.schedule, &levels(), &tuning, &other, 20), score(&fixed, &levels(), &tuning, &other, 20));
+        let on_others = |schedule| assess(&formula, &levels(), &tuning, schedule, 20, 99);
+        let (ours, theirs) = (on_others(&tuned.schedule), on_others(&fixed));
         assert!(ours < theirs, "tuned {ours}, fixed {theirs}");
         assert_eq!(tune(&formula, &levels(), &tuning), tuned, "the same seed finds the same schedule");
     }

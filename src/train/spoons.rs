@@ -6,13 +6,14 @@ use crate::domain::seed::derive;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock};
 
-type Slot<S> = Arc<OnceLock<S>>;
+/// Filled spoons, each filled by the first who asks.
+type Shelf<S> = HashMap<(String, u32), Arc<OnceLock<S>>>;
 
 /// Filled spoons by parameter set and heap number. A clone of one is a new dose from the same heap.
 pub struct Spoons<'a, F: Filling> {
     filling: &'a F,
     seed: u64,
-    kept: Mutex<HashMap<(String, u32), Slot<F::Spoon>>>,
+    kept: Mutex<Shelf<F::Spoon>>,
 }
 
 impl<'a, F: Filling> Spoons<'a, F> {

@@ -85,6 +85,9 @@ pub struct Trained {
     pub levels: Vec<LevelManifest>,
 }
 
+/// Says whether a training goes on; asked before every episode, from any thread.
+pub type Flow<'a> = dyn Fn() -> ControlFlow<()> + Sync + 'a;
+
 /// Why there is no policy.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TrainError {
@@ -112,8 +115,9 @@ pub enum TrainError {
 
 /// Train a policy in the simulator.
 ///
-/// `on_event` hears of every episode and checkpoint; when it answers `Break`, the round is finished and the training stops
-/// with a checkpoint. `resume` is such a checkpoint: the result is the same, bit for bit, as without the interruption.
+/// `on_event` hears of every episode and checkpoint; when it answers `Break`, the training stops with a checkpoint. When `flow`
+/// does, it stops sooner: episodes under way are played to their end, and their round is dropped to be played again. `resume` is
+/// such a checkpoint: the result is the same, bit for bit, as without the interruption.
 ///
 /// # Errors
 /// [`TrainError`].
@@ -121,9 +125,10 @@ pub fn train(
     levels: &[Level],
     settings: &Settings,
     resume: Option<&[u8]>,
+    flow: &Flow<'_>,
     on_event: impl FnMut(Event) -> ControlFlow<()>,
 ) -> Result<Trained, TrainError> {
-    train_on(&simulated(settings), levels, settings, resume, on_event)
+    train_on(&simulated(settings), levels, settings, resume, flow, on_event)
 }
 
 /// Everything that changes during a training; what a checkpoint holds.
@@ -161,6 +166,7 @@ pub fn train_on<F: Filling>(
     levels: &[Level],
     settings: &Settings,
     resume: Option<&[u8]>,
+    flow: &Flow<'_>,
     mut on_event: impl FnMut(Event) -> ControlFlow<()>,
 ) -> Result<Trained, TrainError> {
     let settings = &settings.clone().checked()?;
@@ -171,7 +177,9 @@ pub fn train_on<F: Filling>(
     };
     let spoons = Spoons::new(filling, derive(settings.seed, &[stream::SPOONS]));
     while state.progress.episodes < settings.episodes {
-        let records = state.round(levels, settings, &spoons)?;
+        let Some(records) = state.round(levels, settings, &spoons, flow)? else {
+            return Err(TrainError::Stopped { checkpoint: checkpoint::encode(&state, levels, settings) });
+        };
         let mut stop = false;
         for record in records {
             stop |= on_event(Event::Episode(Box::new(record))).is_break();
@@ -223,13 +231,14 @@ impl State {
         }
     }
 
-    /// Play a round, learn from it, and report its episodes.
+    /// Play a round, learn from it, and report its episodes; None, and nothing is changed, when `flow` said to stop.
     fn round<F: Filling>(
         &mut self,
         levels: &[Level],
         settings: &Settings,
         spoons: &Spoons<F>,
-    ) -> Result<Vec<EpisodeRecord>, TrainError> {
+        flow: &Flow<'_>,
+    ) -> Result<Option<Vec<EpisodeRecord>>, TrainError> {
         let first = self.progress.episodes;
         let count = settings.episodes_per_round.min(settings.episodes - first);
         let planned =
@@ -239,14 +248,14 @@ impl State {
             true => None,
             false => Some(self.learner.snapshot(settings).ok_or(diverged)?),
         };
-        let played = play_round(planned, actor.as_ref(), spoons, settings);
+        let Some(played) = play_round(planned, actor.as_ref(), spoons, settings, flow) else { return Ok(None) };
         for (plan, played) in &played {
             self.remember(plan, played);
             self.progress.learning_steps += if actor.is_some() { played.steps.len() as u64 } else { 0 };
         }
         self.progress.rounds += 1;
         let losses = self.learn(settings);
-        Ok(played.iter().map(|(plan, played)| record(plan, played, levels, losses)).collect())
+        Ok(Some(played.iter().map(|(plan, played)| record(plan, played, levels, losses)).collect()))
     }
 
     fn remember(&mut self, plan: &Planned, played: &Played) {

@@ -84,8 +84,8 @@ pub fn weigh(
     if let Err(fault) = bench.level() {
         end = End::Aborted(format!("the spoon could not be levelled, look at the bench: {fault}"));
     }
-    let readings = ticks.iter().map(|tick| tick.reading.mass_mg);
-    let reading_mg = readings.filter(|mass| mass.is_finite()).next_back().unwrap_or(0.0);
+    let mut readings = ticks.iter().map(|tick| tick.reading.mass_mg);
+    let reading_mg = readings.rfind(|mass| mass.is_finite()).unwrap_or(0.0);
     let (outcome, cause) = match end {
         End::Course => (judge(order, reading_mg), None),
         End::Stopped => (Outcome::Stopped, None),

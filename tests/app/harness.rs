@@ -30,8 +30,8 @@ pub fn heap(set: &ParameterSet, settings: &repose::Settings, seed: u64) -> Resul
 
 /// A training on spoons that follow a formula.
 fn train() -> Train {
-    Arc::new(|levels, settings, resume, listener| {
-        train_on(&Formula { pitch: settings.rules.pitch }, levels, settings, resume, listener)
+    Arc::new(|levels, settings, resume, flow, listener| {
+        train_on(&Formula { pitch: settings.rules.pitch }, levels, settings, resume, flow, listener)
     })
 }
 

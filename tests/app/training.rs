@@ -40,8 +40,8 @@ async fn a_shut_down_training_resumes_and_ends_with_the_same_policy() {
     let quick = functions();
     let slow_train = quick.train.clone();
     let slow = Functions {
-        train: Arc::new(move |levels, settings, resume, listener| {
-            slow_train(levels, settings, resume, &mut |event| {
+        train: Arc::new(move |levels, settings, resume, flow, listener| {
+            slow_train(levels, settings, resume, flow, &mut |event| {
                 std::thread::sleep(Duration::from_millis(20));
                 listener(event)
             })

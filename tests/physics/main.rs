@@ -35,7 +35,7 @@ fn the_angle_of_repose_rises_with_friction_and_with_cohesion() {
 
 #[test]
 fn the_same_seed_gives_the_same_bytes_on_any_thread() {
-    let settings = Settings { particles: 300, base_radius_diameters: 4.0, ..Default::default() };
+    let settings = Settings::with_particles(300);
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let heap = |seed: u64| format!("{:?}", repose(&ParameterSet::default(), &settings, seed));
