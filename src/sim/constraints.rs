@@ -1,9 +1,12 @@
-//! One pure function per constraint. Lengths in grain diameters, time in substeps, so a velocity is a displacement.
-//!
-//! A vector is four lanes with the last one zero: the compiler then keeps it in one register.
+//! One pure function per constraint, for sixteen contacts at once. Lengths in grain diameters, time in substeps, so a velocity is a
+//! displacement.
 
-/// A vector; the fourth lane is zero.
+use super::lanes::{Lanes, Mask};
+
+/// A vector in memory; what the fourth number means is said where it is kept.
 pub(super) type Vector = [f32; 4];
+/// Sixteen vectors by their components.
+pub(super) type V3<L> = [L; 3];
 
 /// A vector from its three components.
 #[inline(always)]
@@ -11,142 +14,271 @@ pub(super) fn vector(x: f32, y: f32, z: f32) -> Vector {
     [x, y, z, 0.0]
 }
 
+/// The same vector for sixteen grains.
 #[inline(always)]
-pub(super) fn add(a: Vector, b: Vector) -> Vector {
-    [a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]]
+pub(super) fn splat<L: Lanes>(a: Vector) -> V3<L> {
+    [L::splat(a[0]), L::splat(a[1]), L::splat(a[2])]
 }
 
-#[inline(always)]
-pub(super) fn sub(a: Vector, b: Vector) -> Vector {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]]
-}
-
-#[inline(always)]
-pub(super) fn scale(a: Vector, k: f32) -> Vector {
-    [a[0] * k, a[1] * k, a[2] * k, a[3] * k]
-}
-
+/// Dot product of two vectors in memory.
 #[inline(always)]
 pub(super) fn dot(a: Vector, b: Vector) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Strengths of one kind of contact (grain-grain or grain-wall), in the kernel's units.
+#[inline(always)]
+pub(super) fn add<L: Lanes>(a: V3<L>, b: V3<L>) -> V3<L> {
+    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
+}
+
+#[inline(always)]
+pub(super) fn sub<L: Lanes>(a: V3<L>, b: V3<L>) -> V3<L> {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+#[inline(always)]
+pub(super) fn scale<L: Lanes>(a: V3<L>, k: L) -> V3<L> {
+    [a[0] * k, a[1] * k, a[2] * k]
+}
+
+#[inline(always)]
+pub(super) fn inner<L: Lanes>(a: V3<L>, b: V3<L>) -> L {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[inline(always)]
+pub(super) fn choose<L: Lanes>(mask: Mask, yes: V3<L>, no: V3<L>) -> V3<L> {
+    [L::select(mask, yes[0], no[0]), L::select(mask, yes[1], no[1]), L::select(mask, yes[2], no[2])]
+}
+
+/// Strengths of one kind of contact (grain-grain or grain-wall), in the kernel's units. A share is what one substep takes from one
+/// side.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Contact {
-    /// Share of an overlap that one substep removes from one side, 0..0.5.
+    /// Share of an overlap.
     pub normal: f32,
-    /// Share of a tangential stretch that one substep removes from one side, 0..0.5.
+    /// Share of a tangential stretch.
     pub tangential: f32,
+    /// Share of the approach velocity, for a grain with one contact.
+    pub normal_damping: f32,
+    /// Share of the slip velocity, for a grain with one contact.
+    pub tangential_damping: f32,
     /// Coulomb friction coefficient.
     pub friction: f32,
     /// Attraction of touching bodies, diameters per substep squared.
     pub attraction: f32,
+    /// Gap at which bodies begin to touch, diameters: above zero by what the attraction pulls them together, so that a pair at rest
+    /// has no overlap.
+    pub onset: f32,
     /// Gap at which the attraction has fallen to zero, diameters.
     pub reach: f32,
 }
 
-/// Push along the normal that undoes an overlap; zero when there is a gap.
+impl Contact {
+    /// A contact whose attraction rises linearly from zero at `reach` and rests at gap zero.
+    ///
+    /// ```text
+    /// onset = b / (k + b / reach)      attraction = k onset        b: the attraction that the ramp has at gap zero
+    /// ```
+    ///
+    /// so that the ramp `b (1 - gap / reach)` meets the tension `k gap` of a stretched contact at `onset`.
+    pub(super) fn attracted(self, b: f32) -> Self {
+        let onset = b / (self.normal + b / self.reach);
+        Self { attraction: self.normal * onset, onset, ..self }
+    }
+}
+
+/// Push along the normal of bodies that touch: an overlap is undone and an approach is slowed down.
 ///
 /// ```text
-/// C = gap >= 0          push = -k C   if C < 0, else 0
+/// C = gap - onset >= 0          push = max(0, -k C - c u)   if C < 0, else 0
 /// ```
 ///
-/// | symbol | argument | unit | range |
+/// | symbol | argument | unit | |
 /// |---|---|---|---|
-/// | C | `gap` | grain diameters | surface to surface, negative when overlapping |
-/// | k | `stiffness` | 1 | 0 < k < 0.5; a share of the overlap per substep and side |
+/// | C | `gap` | diameters | gap beyond the onset, at the predicted positions |
+/// | u | `opening` | diameters per substep | speed at which the bodies part, predicted |
+/// | k | `stiffness` | 1 | share of the overlap per substep and side |
+/// | c | `damping` | 1 | share of the speed per substep and side |
 ///
-/// One relaxed Jacobi iteration per substep ("small steps", Macklin et al. 2019): the gap is taken at the predicted
-/// positions, so the push also takes out approach speed: the restitution is about 0.4 between grains and 0.5 at a wall.
+/// One relaxed Jacobi iteration per substep ("small steps", Macklin et al. 2019). A push never becomes a pull: what damping would
+/// take beyond that is left.
 #[inline(always)]
-pub(super) fn separate(gap: f32, stiffness: f32) -> f32 {
-    stiffness * (-gap).max(0.0)
+pub(super) fn separate<L: Lanes>(gap: L, opening: L, stiffness: L, damping: L) -> L {
+    let zero = L::splat(0.0);
+    zero.max(stiffness * (zero - gap) - damping * opening)
 }
 
 /// Pull along the normal between bodies that touch or nearly touch.
 ///
 /// ```text
-/// pull(gap) = b                      gap <= 0
-///           = b (1 - gap / reach)    0 < gap < reach
-///           = 0                      gap >= reach
+/// pull = b                                   gap <= onset
+///      = b (reach - gap) / (reach - onset)   onset < gap < reach
+///      = 0                                   gap >= reach
 /// ```
 ///
-/// A bounded force, the same in loading and unloading: the simplest law with a pull-off force and a rupture distance.
+/// A bounded force, the same in loading and unloading: the simplest law with a pull-off force and a rupture distance. `inverse_ramp` is
+/// 1 / (reach - onset), `gap` is the gap beyond the onset.
 #[inline(always)]
-pub(super) fn attract(gap: f32, contact: &Contact) -> f32 {
-    contact.attraction * (1.0 - gap.max(0.0) / contact.reach).max(0.0)
+pub(super) fn attract<L: Lanes>(gap: L, attraction: L, inverse_ramp: L) -> L {
+    let zero = L::splat(0.0);
+    attraction * zero.max(L::splat(1.0) - zero.max(gap) * inverse_ramp)
 }
 
-/// Tangential correction from the stretch of a contact since it stuck, and where it is anchored afterwards.
+/// What friction does to a contact.
+#[derive(Clone, Copy)]
+pub(super) struct Held<L> {
+    /// Correction of the first body, tangential.
+    pub correction: V3<L>,
+    /// Where the contact is anchored afterwards.
+    pub anchor: V3<L>,
+}
+
+/// Shares of a tangential stretch and of a slip velocity, and the Coulomb limit.
+#[derive(Clone, Copy)]
+pub(super) struct Grip<L> {
+    /// Share of the stretch per substep and side.
+    pub stiffness: L,
+    /// Share of the slip velocity per substep and side.
+    pub damping: L,
+    /// Largest correction: friction coefficient times push.
+    pub limit: L,
+}
+
+/// Tangential correction from the stretch of a contact since it stuck.
 ///
 /// ```text
-/// s  = (I - n n^T) (r - a)             stretch
-/// s' = s min(1, mu push / (k_t |s|))   Coulomb: k_t |s'| <= mu push
-/// correction = -k_t s'                 a' = r - s' on slip, a on stick
+/// s = (I - n n^T) (r - a)              stretch
+/// w = (I - n n^T) u                    slip velocity
+/// t = k_t s + c_t w
+/// t' = t min(1, mu push / |t|)         Coulomb
+/// correction = -t'                     a' = a on stick, r - t' / k_t on slip
 /// ```
 ///
 /// | symbol | argument | unit | |
 /// |---|---|---|---|
-/// | r | `offset` | diameters | relative position of the two bodies now |
+/// | r | `offset` | diameters | relative position of the two bodies, predicted |
 /// | a | `anchor` | diameters | relative position where the contact last stuck |
+/// | u | `velocity` | diameters per substep | relative velocity, predicted |
 /// | n | `normal` | 1 | unit normal |
-/// | push | `push` | diameters | from [`separate`]: without the attraction, so the cone rests on load plus attraction |
+/// | mu push | `grip.limit` | diameters | push from [`separate`], without the attraction: the cone rests on load plus attraction |
 ///
-/// The memory of the anchor is what holds a heap at rest (Cundall and Strack 1979, in position form): friction on the
-/// displacement of one substep alone lets a heap creep.
+/// The memory of the anchor is what holds a heap at rest (Cundall and Strack 1979, in position form): friction on the displacement of
+/// one substep alone lets a heap creep.
 #[inline(always)]
-pub(super) fn stick(offset: Vector, anchor: Vector, normal: Vector, push: f32, contact: &Contact) -> (Vector, Vector) {
+pub(super) fn stick<L: Lanes>(
+    offset: V3<L>,
+    anchor: V3<L>,
+    velocity: V3<L>,
+    normal: V3<L>,
+    opening: L,
+    grip: Grip<L>,
+) -> Held<L> {
     let stretch = sub(offset, anchor);
-    let s = sub(stretch, scale(normal, dot(stretch, normal)));
-    let limit = contact.friction * push;
-    let held = contact.tangential * contact.tangential * dot(s, s);
-    if held <= limit * limit {
-        return (scale(s, -contact.tangential), anchor);
+    let s = sub(stretch, scale(normal, inner(stretch, normal)));
+    let w = sub(velocity, scale(normal, opening));
+    let t = add(scale(s, grip.stiffness), scale(w, grip.damping));
+    let t2 = inner(t, t);
+    let slips = (grip.limit * grip.limit).below(t2);
+    if slips == 0 {
+        return Held { correction: t, anchor };
     }
-    let s = scale(s, limit / held.sqrt());
-    (scale(s, -contact.tangential), sub(offset, s))
+    let one = L::splat(1.0);
+    let t = scale(t, L::select(slips, grip.limit / t2.sqrt(), one));
+    let moved = sub(offset, scale(t, one / grip.stiffness));
+    Held { correction: t, anchor: choose(slips, moved, anchor) }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::super::lanes::{Portable, WIDTH};
+    use super::{Contact, Grip, Lanes, V3, attract, separate, stick};
 
-    const CONTACT: Contact = Contact { normal: 0.15, tangential: 0.1, friction: 0.4, attraction: 0.01, reach: 0.05 };
+    fn splat(x: f32) -> Portable {
+        Portable::splat(x)
+    }
+
+    fn first(x: Portable) -> f32 {
+        let mut lanes = [0.0; WIDTH];
+        x.store(&mut lanes);
+        lanes[0]
+    }
+
+    fn firsts(x: V3<Portable>) -> [f32; 3] {
+        x.map(first)
+    }
 
     #[test]
     fn an_overlap_is_pushed_apart_in_proportion_and_a_gap_is_left_alone() {
-        assert_eq!(separate(0.01, 0.15), 0.0);
-        assert!((separate(-0.02, 0.15) - 0.003).abs() < 1e-9);
+        let push = |gap, opening| first(separate(splat(gap), splat(opening), splat(0.15), splat(0.25)));
+        assert_eq!(push(0.01, 0.0), 0.0);
+        assert!((push(-0.02, 0.0) - 0.003).abs() < 1e-9);
+        assert!((push(-0.02, -0.01) - 0.0055).abs() < 1e-9, "an approach is slowed down");
+        assert_eq!(push(-0.02, 0.5), 0.0, "a push never becomes a pull");
     }
 
     #[test]
     fn attraction_is_full_in_contact_half_way_in_the_middle_and_gone_at_its_reach() {
-        assert_eq!(attract(-0.1, &CONTACT), 0.01);
-        assert!((attract(0.025, &CONTACT) - 0.005).abs() < 1e-8);
-        assert_eq!(attract(0.05, &CONTACT), 0.0);
-        assert_eq!(attract(1.0, &CONTACT), 0.0);
+        let pull = |gap| first(attract(splat(gap), splat(0.01), splat(1.0 / 0.05)));
+        assert_eq!(pull(-0.1), 0.01);
+        assert!((pull(0.025) - 0.005).abs() < 1e-8);
+        assert_eq!((pull(0.05), pull(1.0)), (0.0, 0.0));
+    }
+
+    #[test]
+    fn an_attracted_pair_rests_without_overlap_and_its_ramp_has_no_step() {
+        let bare = Contact {
+            normal: 0.15,
+            tangential: 0.05,
+            normal_damping: 0.25,
+            tangential_damping: 0.1,
+            friction: 0.4,
+            attraction: 0.0,
+            onset: 0.0,
+            reach: 0.05,
+        };
+        assert_eq!(bare.attracted(0.0), bare);
+        let b = 0.001;
+        let contact = bare.attracted(b);
+        let at = |gap: f32| {
+            let beyond = splat(gap - contact.onset);
+            let ramp = splat(1.0 / (contact.reach - contact.onset));
+            let push = separate(beyond, splat(0.0), splat(contact.normal), splat(0.0));
+            first(push - attract(beyond, splat(contact.attraction), ramp))
+        };
+        assert!(at(0.0).abs() < 1e-9, "no force at gap zero: {}", at(0.0));
+        for gap in [contact.onset, 0.02, 0.04, 0.0499] {
+            assert!((at(gap) + b * (1.0 - gap / 0.05)).abs() < 1e-8, "the ramp at {gap}: {}", at(gap));
+        }
+    }
+
+    const GRIP: Grip<f32> = Grip { stiffness: 0.1, damping: 0.0, limit: 1.0 };
+
+    fn hold(offset: [f32; 3], anchor: [f32; 3], normal: [f32; 3], grip: Grip<f32>) -> ([f32; 3], [f32; 3]) {
+        let grip = Grip { stiffness: splat(grip.stiffness), damping: splat(grip.damping), limit: splat(grip.limit) };
+        let still = [0.0; 3].map(splat);
+        let held = stick(offset.map(splat), anchor.map(splat), still, normal.map(splat), splat(0.0), grip);
+        (firsts(held.correction), firsts(held.anchor))
     }
 
     #[test]
     fn friction_sticks_below_the_coulomb_limit_and_slips_at_it() {
-        let normal = vector(0.0, 0.0, 1.0);
-        let offset = vector(0.01, 0.0, 0.99);
-        let (held, anchor) = stick(offset, vector(0.0, 0.0, 1.0), normal, 1.0, &CONTACT);
-        assert_eq!(anchor, vector(0.0, 0.0, 1.0));
-        assert!((held[0] + 0.001).abs() < 1e-9 && held[2] == 0.0);
-        let push = 0.001;
-        let (slipped, moved) = stick(offset, vector(0.0, 0.0, 1.0), normal, push, &CONTACT);
-        assert!((dot(slipped, slipped).sqrt() - CONTACT.friction * push).abs() < 1e-9);
+        let (offset, anchor, normal) = ([0.01, 0.0, 0.99], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]);
+        let (held, stays) = hold(offset, anchor, normal, GRIP);
+        assert_eq!(stays, anchor);
+        assert!((held[0] - 0.001).abs() < 1e-9 && held[2] == 0.0);
+        let limit = 0.0004;
+        let (slipped, moved) = hold(offset, anchor, normal, Grip { limit, ..GRIP });
+        assert!((slipped[0] - limit).abs() < 1e-9);
         // The anchor follows so that the next substep starts exactly at the limit.
-        let (again, _) = stick(offset, moved, normal, push, &CONTACT);
+        let (again, _) = hold(offset, moved, normal, Grip { limit, ..GRIP });
         assert!((again[0] - slipped[0]).abs() < 1e-8);
     }
 
     #[test]
     fn friction_never_acts_along_the_normal() {
-        let normal = vector(0.6, 0.0, 0.8);
-        let (held, _) = stick(vector(0.3, -0.2, 0.9), vector(0.1, 0.1, 0.7), normal, 10.0, &CONTACT);
-        assert!(dot(held, normal).abs() < 1e-7);
+        let normal = [0.6, 0.0, 0.8];
+        let (held, _) = hold([0.3, -0.2, 0.9], [0.1, 0.1, 0.7], normal, Grip { limit: 10.0, ..GRIP });
+        assert!((held[0] * normal[0] + held[2] * normal[2]).abs() < 1e-7);
     }
 }

@@ -282,7 +282,7 @@ impl Dispenser {
 
     /// Powder left in the spoon, mg.
     pub fn spoon_mg(&self) -> f64 {
-        self.grains.x.len() as f64 * self.grain_mg
+        self.grains.centres().len() as f64 * self.grain_mg
     }
 
     /// Why the simulation means nothing any more, if it does.

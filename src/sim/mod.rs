@@ -39,6 +39,7 @@ pub mod balance;
 mod constraints;
 pub mod dispense;
 mod grains;
+mod lanes;
 pub mod law;
 pub mod motion;
 mod neighbours;
@@ -49,4 +50,4 @@ mod walls;
 mod tests;
 
 /// Version of the simulator's physics: results of different versions are never mixed.
-pub const VERSION: &str = "pbd-1";
+pub const VERSION: &str = "pbd-2";

@@ -1,132 +1,313 @@
-//! Pairs of grains that may touch before the list is built again. Lengths in grain diameters, time in substeps.
+//! Grains that may touch before the list is built again. Lengths in grain diameters, time in substeps.
 
-use super::constraints::{Vector, dot, sub};
+use super::constraints::{V3, Vector, dot, inner, splat, sub};
+use super::lanes::{Lanes, Mask, WIDTH, block};
 
-/// Side of a cell of the search grid: a slow pair lies in the same or in touching cells.
-const CELL: f32 = 1.4;
-/// Half of the distance that a grain at rest may move before the list is built again.
-const SKIN: f32 = 0.12;
-/// Substeps for which a moving grain's path is covered.
-const HORIZON: f32 = 12.0;
-/// Largest distance covered for one grain; a faster one brings the next build forward.
-const ALLOWANCE_MAX: f32 = 3.0;
+/// Side of a cell of the search grid.
+const CELL: f32 = 1.3;
+/// How far any grain may stray from its path before the list is built again.
+const SKIN: f32 = 0.14;
+/// How much further a moving grain may stray, as a share of its path.
+const SKIN_PER_PATH: f32 = 0.7;
+/// Longest stray allowed.
+const SKIN_MAX: f32 = 0.6;
+/// Substeps for which paths are covered.
+const HORIZON: f32 = 6.0;
+/// A grain faster than this searches by itself and wide, so that the others need not look out for it.
+const FAST: f32 = 0.05;
+/// Squared distance within which a pair is listed among the first: it touches now or soon.
+const HOT2: f32 = 1.1;
+/// Most neighbours of a grain; more than fit around it many times over.
+const ROWS_MAX: usize = 112;
+/// Where nothing is.
+pub(super) const FAR: f32 = 1e6;
+/// A grain that was not in the last list.
+pub(super) const NEW: u32 = u32::MAX;
 
-/// Candidate pairs `i < j`, grouped by `i` in rising order, with one anchor for each.
+/// The grains near each grain, with a memory for each pair.
 ///
-/// Every pair closer than the reach of a contact is in the list as long as no grain has moved further than its own
-/// allowance, `SKIN + |v| HORIZON`, from where it was when the list was built.
+/// Sixteen consecutive grains are a block; a row holds one neighbour for each of them, so that sixteen contacts are solved at once. Every
+/// pair is listed twice, once for each grain, and both copies see exactly opposite numbers.
+///
+/// A grain's path goes from where it was, at the velocity it had, when the list was built. Every pair that can come closer than the reach
+/// of a contact is listed as long as no grain has strayed from its path by more than its allowance, `SKIN + SKIN_PER_PATH * path`.
+/// Grains that move together, as in a falling stream, have parallel paths and are not listed with each other for being fast.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Pairs {
-    /// `first[i]..first[i + 1]` are the pairs of grain `i`.
+pub(super) struct Neighbours {
+    /// `first[b]..first[b + 1]` are the rows of block `b`.
     pub first: Vec<u32>,
-    /// The other grain of each pair.
-    pub other: Vec<u32>,
-    /// Relative position where the contact stuck; the first lane is NaN while the pair does not touch.
-    pub anchor: Vec<Vector>,
-    /// Position of each grain when the list was built, and in the fourth lane the square of its allowance.
-    pub built_at: Vec<Vector>,
-    grid: Grid,
-    found: Vec<(u32, u32)>,
+    /// The neighbours of a row; the place after the last grain where there is none.
+    pub other: Vec<[u32; WIDTH]>,
+    /// By component: relative position where a contact stuck. Means something only where `touching` says so.
+    pub anchor: Vec<[[f32; WIDTH]; 3]>,
+    /// Lanes of a row that touch.
+    pub touching: Vec<Mask>,
+    /// Where each grain's path begins; the fourth number is the square of its allowance.
+    start: Vec<Vector>,
+    /// The velocity along it.
+    pace: Vec<Vector>,
+    /// Substeps since the list was built.
+    age: f32,
     old: Old,
+    grid: Grid,
+    sorted: Sorted,
+    fast: Vec<u32>,
+    /// Pairs of fast grains, in both orders.
+    wide: Vec<(u32, u32)>,
+    renamed: Vec<u32>,
 }
 
 /// The list before a build, for carrying anchors over.
 #[derive(Debug, Clone, Default)]
 struct Old {
+    grains: usize,
     first: Vec<u32>,
-    other: Vec<u32>,
-    anchor: Vec<Vector>,
+    other: Vec<[u32; WIDTH]>,
+    anchor: Vec<[[f32; WIDTH]; 3]>,
+    touching: Vec<Mask>,
 }
 
-/// The anchor of a pair that does not touch.
-pub(super) const OPEN: Vector = [f32::NAN, 0.0, 0.0, 0.0];
+/// Positions, velocities and allowances by component, with a block of nowhere behind the last; fast grains are nowhere.
+#[derive(Debug, Clone, Default)]
+struct Sorted {
+    x: [Vec<f32>; 3],
+    v: [Vec<f32>; 3],
+    allowance: Vec<f32>,
+}
 
-impl Pairs {
-    /// Whether the list still covers grain `i` at `p`.
-    #[inline(always)]
-    pub(super) fn covers(&self, i: usize, p: Vector) -> bool {
-        let built = self.built_at[i];
-        let moved = [p[0] - built[0], p[1] - built[1], p[2] - built[2], 0.0];
-        dot(moved, moved) <= built[3]
+impl Neighbours {
+    /// The order in which grains at `x` lie in memory close to their neighbours; to be asked before [`Neighbours::build`].
+    pub(super) fn order(&mut self, x: &[Vector]) -> &[u32] {
+        self.grid.fill(x);
+        &self.grid.grain
     }
 
-    /// Build the list for positions `p` and velocities `v`; contacts closer than `1 + reach` matter.
-    ///
-    /// `survivors` gives for each grain its index in the list before, in rising order (grains that left are missing,
-    /// new grains carry `u32::MAX`); anchors follow their pair.
-    pub(super) fn build(&mut self, p: &[Vector], v: &[Vector], reach: f32, survivors: &[u32]) {
+    /// How far beyond its allowance any grain of block `b` at `p` has strayed from its path, squared: the list holds where this is below
+    /// zero.
+    #[inline(always)]
+    pub(super) fn strayed<L: Lanes>(&self, b: usize, p: V3<L>) -> L {
+        let [x, y, z, allowance2] = L::rows(block(&self.start, b));
+        let [u, v, w, _] = L::rows(block(&self.pace, b));
+        let t = L::splat((self.age + 1.0).min(HORIZON));
+        let off = sub(p, [x + u * t, y + v * t, z + w * t]);
+        inner(off, off) - allowance2
+    }
+
+    /// A substep has passed.
+    pub(super) fn grow_older(&mut self) {
+        self.age += 1.0;
+    }
+
+    /// Build the list for grains at `x` with velocities `v`, in the order that [`Neighbours::order`] gave; contacts closer than `reach`
+    /// from centre to centre matter. `was` gives for each grain its place in the list before, [`NEW`] if it had none; anchors follow
+    /// their pair.
+    #[inline(always)]
+    pub(super) fn build<L: Lanes>(&mut self, x: &[Vector], v: &[Vector], was: &[u32], reach: f32) {
+        let n = x.len();
+        self.keep_old(n, was);
+        self.set_out(x, v);
+        self.search_wide(x, v, reach);
+        self.first.clear();
+        self.first.push(0);
+        self.other.clear();
+        self.touching.clear();
+        let mut lists = [[0u32; ROWS_MAX + WIDTH]; WIDTH];
+        let mut next_wide = 0;
+        for b in 0..n.div_ceil(WIDTH) {
+            let mut counts = [0; WIDTH];
+            for i in b * WIDTH..n.min((b + 1) * WIDTH) {
+                let list = &mut lists[i % WIDTH];
+                let mut count = if self.sorted.x[0][i] < FAR { self.search::<L>(i, x, v, reach, list) } else { 0 };
+                while let Some((_, j)) = self.wide.get(next_wide).filter(|pair| pair.0 as usize == i) {
+                    if count < ROWS_MAX {
+                        list[count] = *j;
+                        count += 1;
+                    }
+                    next_wide += 1;
+                }
+                counts[i % WIDTH] = count;
+            }
+            self.write_rows(b, n, &lists, &counts, was);
+        }
+        self.age = 0.0;
+    }
+
+    fn keep_old(&mut self, n: usize, was: &[u32]) {
+        self.renamed.clear();
+        self.renamed.resize(self.old.grains, NEW);
+        for (now, &was) in was.iter().enumerate().filter(|(_, was)| **was != NEW) {
+            self.renamed[was as usize] = now as u32;
+        }
+        self.old.grains = n;
         std::mem::swap(&mut self.old.first, &mut self.first);
         std::mem::swap(&mut self.old.other, &mut self.other);
         std::mem::swap(&mut self.old.anchor, &mut self.anchor);
-        self.built_at.clear();
-        self.built_at.extend(p.iter().zip(v).map(|(p, v)| {
-            let allowance = (SKIN + dot(*v, *v).sqrt() * HORIZON).min(ALLOWANCE_MAX);
-            [p[0], p[1], p[2], allowance * allowance]
-        }));
-        self.grid.fill(p);
-        self.search(p, 1.0 + reach);
-        self.group(p.len());
-        self.carry_anchors(p.len(), survivors);
+        std::mem::swap(&mut self.old.touching, &mut self.touching);
     }
 
-    /// The pair is found by its faster grain, so that slow grains search only their own surroundings.
-    fn search(&mut self, p: &[Vector], contact: f32) {
-        self.found.clear();
-        for i in 0..p.len() {
-            let allowance = self.built_at[i][3].sqrt();
-            let range = contact + 2.0 * allowance;
-            let pi = p[i];
-            let (built_at, found) = (&self.built_at, &mut self.found);
-            self.grid.visit(pi, range, |j| {
-                let theirs = built_at[j as usize][3].sqrt();
-                if theirs > allowance || (theirs == allowance && j as usize <= i) {
-                    return;
-                }
-                let apart = sub(pi, p[j as usize]);
-                let near = contact + allowance + theirs;
-                if dot(apart, apart) < near * near {
-                    found.push(((i as u32).min(j), (i as u32).max(j)));
-                }
-            });
-        }
-    }
-
-    /// Counting sort by the first grain: the order depends on the positions alone.
-    fn group(&mut self, n: usize) {
-        self.first.clear();
-        self.first.resize(n + 1, 0);
-        for &(i, _) in &self.found {
-            self.first[i as usize + 1] += 1;
+    /// Begin every grain's path.
+    fn set_out(&mut self, x: &[Vector], v: &[Vector]) {
+        let n = x.len();
+        let padded = n.div_ceil(WIDTH) * WIDTH;
+        self.start.clear();
+        self.pace.clear();
+        self.fast.clear();
+        let Sorted { x: sx, v: sv, allowance } = &mut self.sorted;
+        for column in sx.iter_mut().chain(sv.iter_mut()).chain([&mut *allowance]) {
+            column.clear();
+            column.resize(n + WIDTH, 0.0);
         }
         for i in 0..n {
-            self.first[i + 1] += self.first[i];
+            let speed = dot(v[i], v[i]).sqrt();
+            let a = (SKIN + SKIN_PER_PATH * speed * HORIZON).min(SKIN_MAX);
+            self.start.push([x[i][0], x[i][1], x[i][2], a * a]);
+            self.pace.push([v[i][0], v[i][1], v[i][2], 0.0]);
+            allowance[i] = a;
+            let is_fast = speed > FAST;
+            if is_fast {
+                self.fast.push(i as u32);
+            }
+            for k in 0..3 {
+                sx[k][i] = if is_fast { FAR } else { x[i][k] };
+                sv[k][i] = v[i][k];
+            }
         }
-        self.other.clear();
-        self.other.resize(self.found.len(), 0);
-        let mut next = self.first.clone();
-        for &(i, j) in &self.found {
-            self.other[next[i as usize] as usize] = j;
-            next[i as usize] += 1;
+        for column in sx {
+            column[n..].fill(FAR);
         }
+        self.start.resize(padded, [FAR, FAR, FAR, 1.0]);
+        self.pace.resize(padded, [0.0; 4]);
     }
 
-    fn carry_anchors(&mut self, n: usize, survivors: &[u32]) {
-        self.anchor.clear();
-        self.anchor.resize(self.other.len(), OPEN);
-        for i in 0..n {
-            let was = survivors[i] as usize;
-            if was + 1 >= self.old.first.len() {
+    /// Pairs with a fast grain, found by the faster one.
+    fn search_wide(&mut self, x: &[Vector], v: &[Vector], reach: f32) {
+        self.wide.clear();
+        let (grid, allowance, wide) = (&self.grid, &self.sorted.allowance, &mut self.wide);
+        for &fast in &self.fast {
+            let i = fast as usize;
+            let speed2 = dot(v[i], v[i]);
+            let range = reach + allowance[i] + SKIN_MAX + 2.0 * speed2.sqrt() * HORIZON;
+            let mut lines = grid.near(x[i], range);
+            while let Some(places) = lines.next(grid) {
+                for j in places {
+                    let theirs = dot(v[j], v[j]);
+                    if theirs > speed2 || (theirs == speed2 && j <= i) {
+                        continue;
+                    }
+                    let near = reach + allowance[i] + allowance[j];
+                    if closest2(x[i], v[i], x[j], v[j]) < near * near {
+                        wide.push((i as u32, j as u32));
+                        wide.push((j as u32, i as u32));
+                    }
+                }
+            }
+        }
+        wide.sort_unstable();
+    }
+
+    /// The neighbours of grain `i` among those that are not fast, the near ones first; how many there are.
+    #[inline(always)]
+    fn search<L: Lanes>(
+        &self,
+        i: usize,
+        x: &[Vector],
+        v: &[Vector],
+        reach: f32,
+        list: &mut [u32; ROWS_MAX + WIDTH],
+    ) -> usize {
+        let Sorted { x: sx, v: sv, allowance } = &self.sorted;
+        let others = SKIN + SKIN_PER_PATH * FAST * HORIZON;
+        let range = reach + allowance[i] + others + (dot(v[i], v[i]).sqrt() + FAST) * HORIZON;
+        let (at, pace): (V3<L>, V3<L>) = (splat(x[i]), splat(v[i]));
+        let (zero, horizon, hot2) = (L::splat(0.0), L::splat(HORIZON), L::splat(HOT2));
+        let near = L::splat(reach + allowance[i]);
+        let mut later = [0u32; ROWS_MAX + WIDTH];
+        let (mut count, mut late) = (0, 0);
+        let mut lines = self.grid.near(x[i], range);
+        while let Some(places) = lines.next(&self.grid) {
+            let mut j = places.start;
+            while j < places.end {
+                let r = sub(at, [sixteen(&sx[0], j), sixteen(&sx[1], j), sixteen(&sx[2], j)]);
+                let u = sub(pace, [sixteen(&sv[0], j), sixteen(&sv[1], j), sixteen(&sv[2], j)]);
+                let near: L = near + sixteen(allowance, j);
+                let (near2, rr, ru, uu) = (near * near, inner(r, r), inner(r, u), inner(u, u));
+                // Closest at the start, at the end, or in between, where the distance is (rr uu - ru^2) / uu.
+                let end = rr + horizon * (ru + ru + horizon * uu);
+                let approach = zero - ru;
+                let between = zero.below(approach) & approach.below(uu * horizon);
+                let mut hits = rr.min(end).below(near2) | (between & (rr * uu - ru * ru).below(near2 * uu));
+                let left = places.end - j;
+                if left < WIDTH {
+                    hits &= (1 << left) - 1;
+                }
+                if i.wrapping_sub(j) < WIDTH {
+                    hits &= !(1 << (i - j));
+                }
+                let hot = rr.below(hot2);
+                count = L::append(hits & hot, j as u32, list, count).min(ROWS_MAX);
+                late = L::append(hits & !hot, j as u32, &mut later, late).min(ROWS_MAX);
+                j += WIDTH;
+            }
+        }
+        let late = late.min(ROWS_MAX - count);
+        list[count..count + late].copy_from_slice(&later[..late]);
+        count + late
+    }
+
+    /// Turn the lists of a block into rows and bring the anchors over.
+    fn write_rows(
+        &mut self,
+        b: usize,
+        n: usize,
+        lists: &[[u32; ROWS_MAX + WIDTH]; WIDTH],
+        counts: &[usize; WIDTH],
+        was: &[u32],
+    ) {
+        let nobody = (n.div_ceil(WIDTH) * WIDTH) as u32;
+        let at = self.other.len();
+        let end = at + counts.iter().max().copied().unwrap_or(0);
+        self.other.resize(end, [nobody; WIDTH]);
+        self.touching.resize(end, 0);
+        if self.anchor.len() < end {
+            self.anchor.resize(end, [[0.0; WIDTH]; 3]);
+        }
+        for (lane, i) in (b * WIDTH..n.min((b + 1) * WIDTH)).enumerate() {
+            let list = &lists[lane][..counts[lane]];
+            for (row, &j) in self.other[at..].iter_mut().zip(list) {
+                row[lane] = j;
+            }
+            if was[i] == NEW {
                 continue;
             }
-            let row = self.old.first[was] as usize..self.old.first[was + 1] as usize;
-            for k in self.first[i] as usize..self.first[i + 1] as usize {
-                let partner = survivors[self.other[k] as usize];
-                if let Some(at) = self.old.other[row.clone()].iter().position(|&j| j == partner) {
-                    self.anchor[k] = self.old.anchor[row.start + at];
+            let (block, old_lane) = (was[i] as usize / WIDTH, was[i] as usize % WIDTH);
+            for row in self.old.first[block] as usize..self.old.first[block + 1] as usize {
+                if self.old.touching[row] >> old_lane & 1 == 0 {
+                    continue;
+                }
+                let partner = self.renamed[self.old.other[row][old_lane] as usize];
+                if let Some(place) = list.iter().position(|&j| j == partner) {
+                    for k in 0..3 {
+                        self.anchor[at + place][k][lane] = self.old.anchor[row][k][old_lane];
+                    }
+                    self.touching[at + place] |= 1 << lane;
                 }
             }
         }
+        self.first.push(end as u32);
     }
+}
+
+/// Smallest squared distance of two grains on their paths.
+fn closest2(x: Vector, v: Vector, y: Vector, w: Vector) -> f32 {
+    let r = std::array::from_fn(|k| x[k] - y[k]);
+    let u = std::array::from_fn(|k| v[k] - w[k]);
+    let t = if dot3(u, u) > 0.0 { (-dot3(r, u) / dot3(u, u)).clamp(0.0, HORIZON) } else { 0.0 };
+    let m: [f32; 3] = std::array::from_fn(|k| r[k] + u[k] * t);
+    dot3(m, m)
+}
+
+fn dot3(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 /// A uniform grid over the grains' bounding box.
@@ -134,7 +315,9 @@ impl Pairs {
 struct Grid {
     origin: [f32; 3],
     size: [i32; 3],
+    /// `first[c]..first[c + 1]` are the places of the grains of cell `c`.
     first: Vec<u32>,
+    /// The grains by place: cell after cell.
     grain: Vec<u32>,
     cell_of: Vec<u32>,
 }
@@ -143,125 +326,177 @@ struct Grid {
 const CELLS_MAX: i32 = 128;
 
 impl Grid {
-    fn coordinate(&self, p: Vector, axis: usize) -> i32 {
-        (((p[axis] - self.origin[axis]) / CELL) as i32).clamp(0, self.size[axis] - 1)
+    #[inline(always)]
+    fn coordinate(&self, x: f32, axis: usize) -> i32 {
+        (((x - self.origin[axis]) * (1.0 / CELL)) as i32).clamp(0, self.size[axis] - 1)
     }
 
-    fn fill(&mut self, p: &[Vector]) {
+    fn fill(&mut self, x: &[Vector]) {
         let mut low = [f32::MAX; 3];
         let mut high = [f32::MIN; 3];
-        for p in p {
+        for x in x {
             for axis in 0..3 {
-                low[axis] = low[axis].min(p[axis]);
-                high[axis] = high[axis].max(p[axis]);
+                low[axis] = low[axis].min(x[axis]);
+                high[axis] = high[axis].max(x[axis]);
             }
         }
         self.origin = low;
-        self.size = std::array::from_fn(|axis| (((high[axis] - low[axis]) / CELL) as i32 + 1).clamp(1, CELLS_MAX));
+        self.size = std::array::from_fn(|k| (((high[k] - low[k]) * (1.0 / CELL)) as i32).clamp(0, CELLS_MAX - 1) + 1);
         let cells = (self.size[0] * self.size[1] * self.size[2]) as usize;
         self.first.clear();
-        self.first.resize(cells + 1, 0);
+        self.first.resize(cells + 2, 0);
         self.cell_of.clear();
-        for p in p {
-            let [x, y, z] = std::array::from_fn(|axis| self.coordinate(*p, axis));
-            let cell = (z * self.size[1] + y) * self.size[0] + x;
-            self.cell_of.push(cell as u32);
-            self.first[cell as usize + 1] += 1;
+        for x in x {
+            let [i, j, k] = std::array::from_fn(|axis| self.coordinate(x[axis], axis));
+            let cell = ((k * self.size[1] + j) * self.size[0] + i) as u32;
+            self.cell_of.push(cell);
+            self.first[cell as usize + 2] += 1;
         }
         for cell in 0..cells {
-            self.first[cell + 1] += self.first[cell];
+            self.first[cell + 2] += self.first[cell + 1];
         }
         self.grain.clear();
-        self.grain.resize(p.len(), 0);
-        // Filled from the back so that the counts become the starts again, and grains stand in rising order.
-        let mut next = self.first.clone();
+        self.grain.resize(x.len(), 0);
+        // Filling moves every start up by one cell, to where it belongs.
         for (grain, &cell) in self.cell_of.iter().enumerate() {
-            self.grain[next[cell as usize] as usize] = grain as u32;
-            next[cell as usize] += 1;
+            let place = &mut self.first[cell as usize + 1];
+            self.grain[*place as usize] = grain as u32;
+            *place += 1;
         }
     }
 
-    /// Call `found` for every grain in the cells within `range` of `p`.
+    /// The lines of cells within `range` of `x`.
     #[inline(always)]
-    fn visit(&self, p: Vector, range: f32, mut found: impl FnMut(u32)) {
-        let low: [i32; 3] = std::array::from_fn(|axis| {
-            let mut q = p;
-            q[axis] -= range;
-            self.coordinate(q, axis)
-        });
-        let high: [i32; 3] = std::array::from_fn(|axis| {
-            let mut q = p;
-            q[axis] += range;
-            self.coordinate(q, axis)
-        });
-        for z in low[2]..=high[2] {
-            for y in low[1]..=high[1] {
-                let row = (z * self.size[1] + y) * self.size[0];
-                let cells = (row + low[0]) as usize..=(row + high[0]) as usize;
-                let grains = self.first[*cells.start()] as usize..self.first[*cells.end() + 1] as usize;
-                for &grain in &self.grain[grains] {
-                    found(grain);
-                }
-            }
-        }
+    fn near(&self, x: Vector, range: f32) -> Lines {
+        let at = |k: usize, by: f32| self.coordinate(x[k] + by, k);
+        let (low, high) = ([at(0, -range), at(1, -range), at(2, -range)], [at(0, range), at(1, range), at(2, range)]);
+        Lines { low, high, y: low[1], z: low[2] }
     }
+}
+
+/// Walks over the lines of cells in a box. No closure and no iterator adapter: what runs within must be compiled for the processor at
+/// hand.
+struct Lines {
+    low: [i32; 3],
+    high: [i32; 3],
+    y: i32,
+    z: i32,
+}
+
+impl Lines {
+    /// The places of the grains of the next line.
+    #[inline(always)]
+    fn next(&mut self, grid: &Grid) -> Option<std::ops::Range<usize>> {
+        if self.y > self.high[1] {
+            self.y = self.low[1];
+            self.z += 1;
+        }
+        if self.z > self.high[2] {
+            return None;
+        }
+        let line = (self.z * grid.size[1] + self.y) * grid.size[0];
+        self.y += 1;
+        Some(
+            grid.first[(line + self.low[0]) as usize] as usize..grid.first[(line + self.high[0]) as usize + 1] as usize,
+        )
+    }
+}
+
+/// Sixteen numbers of a column from place `j`; sixteen follow every grain.
+#[inline(always)]
+fn sixteen<L: Lanes>(column: &[f32], j: usize) -> L {
+    L::load(column[j..j + WIDTH].try_into().expect("sixteen places follow every grain"))
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::constraints::vector;
+    use super::super::lanes::Portable;
     use super::*;
     use crate::domain::seed::derive;
 
-    fn cloud(n: usize, side: f32, speed: f32, seed: u64) -> (Vec<Vector>, Vec<Vector>) {
+    /// A cloud in which every seventh grain moves, some of them fast, sorted as the list wants it.
+    fn cloud(n: usize, side: f32, seed: u64) -> (Neighbours, Vec<Vector>, Vec<Vector>) {
         let u = |i: usize, k: u64| (derive(seed, &[i as u64, k]) >> 40) as f32 / (1u64 << 24) as f32;
-        let p = (0..n).map(|i| vector(side * u(i, 0), side * u(i, 1), side * u(i, 2))).collect();
-        let v = (0..n)
-            .map(|i| if i % 7 == 0 { vector(speed * u(i, 3), 0.0, -speed * u(i, 4)) } else { [0.0; 4] })
-            .collect();
-        (p, v)
+        let x: Vec<Vector> = (0..n).map(|i| vector(side * u(i, 0), side * u(i, 1), side * u(i, 2))).collect();
+        let speed = |i: usize| if i.is_multiple_of(7) { 0.15 } else { 0.01 };
+        let v: Vec<Vector> = (0..n).map(|i| vector(speed(i) * u(i, 3), 0.0, -speed(i) * u(i, 4))).collect();
+        let mut list = Neighbours::default();
+        let order = list.order(&x).to_vec();
+        let sort = |of: &[Vector]| order.iter().map(|&i| of[i as usize]).collect::<Vec<_>>();
+        let (x, v) = (sort(&x), sort(&v));
+        (list, x, v)
+    }
+
+    fn pairs(list: &Neighbours, n: usize) -> Vec<(u32, u32)> {
+        let mut pairs = Vec::new();
+        for i in 0..n {
+            for row in list.first[i / WIDTH]..list.first[i / WIDTH + 1] {
+                let j = list.other[row as usize][i % WIDTH];
+                if (j as usize) < n {
+                    pairs.push((i as u32, j));
+                }
+            }
+        }
+        pairs.sort_unstable();
+        pairs
     }
 
     #[test]
     fn the_list_holds_exactly_the_pairs_of_the_n_squared_search() {
         for seed in 0..5 {
-            let (p, v) = cloud(300, 9.0, 0.15, seed);
-            let mut pairs = Pairs::default();
-            pairs.build(&p, &v, 0.05, &vec![u32::MAX; p.len()]);
-            let mut listed = Vec::new();
-            for i in 0..p.len() {
-                for k in pairs.first[i]..pairs.first[i + 1] {
-                    listed.push((i as u32, pairs.other[k as usize]));
-                }
-            }
-            listed.sort_unstable();
-            let allowance = |i: usize| pairs.built_at[i][3].sqrt();
+            let (mut list, x, v) = cloud(300, 9.0, seed);
+            list.build::<Portable>(&x, &v, &[NEW; 300], 1.05);
             let mut expected = Vec::new();
-            for i in 0..p.len() {
-                for j in i + 1..p.len() {
-                    let r = sub(p[i], p[j]);
-                    let near = 1.05 + allowance(i) + allowance(j);
-                    if dot(r, r) < near * near {
+            for i in 0..x.len() {
+                for j in 0..x.len() {
+                    let near = 1.05 + list.start[i][3].sqrt() + list.start[j][3].sqrt();
+                    if i != j && closest2(x[i], v[i], x[j], v[j]) < near * near {
                         expected.push((i as u32, j as u32));
                     }
                 }
             }
-            assert_eq!(listed, expected);
+            assert_eq!(pairs(&list, 300), expected);
         }
     }
 
     #[test]
-    fn anchors_follow_their_pair_when_grains_leave() {
-        let p = vec![vector(0.0, 0.0, 0.0), vector(5.0, 0.0, 0.0), vector(0.9, 0.0, 0.0), vector(5.9, 0.0, 0.0)];
+    fn a_grain_has_strayed_when_it_leaves_its_path_and_not_along_it() {
+        let x = vec![vector(0.0, 0.0, 0.0), vector(5.0, 0.0, 0.0)];
+        let v = vec![vector(0.0, 0.0, 0.0), vector(0.0, 0.0, -0.04)];
+        let mut list = Neighbours::default();
+        list.order(&x);
+        list.build::<Portable>(&x, &v, &[NEW; 2], 1.05);
+        let strays = |list: &Neighbours, p: [Vector; 2]| {
+            let lane = |k: usize| Portable::load(&std::array::from_fn(|l| p.get(l).map_or(FAR, |p| p[k])));
+            Portable::splat(0.0).below(list.strayed::<Portable>(0, [lane(0), lane(1), lane(2)]))
+        };
+        let after = |t: f32, aside: f32| [x[0], vector(5.0 + aside, 0.0, -0.04 * t)];
+        assert_eq!(strays(&list, after(1.0, 0.0)), 0);
+        (0..3).for_each(|_| list.grow_older());
+        assert_eq!(strays(&list, after(4.0, 0.25)), 0, "0.14 + 0.7 * 0.04 * 6 = 0.308");
+        assert_eq!(strays(&list, after(4.0, 0.35)), 0b10);
+    }
+
+    #[test]
+    fn anchors_follow_their_pair_when_grains_leave_and_are_reordered() {
+        let x = vec![vector(0.0, 0.0, 0.0), vector(0.9, 0.0, 0.0), vector(5.0, 0.0, 0.0), vector(5.9, 0.0, 0.0)];
         let v = vec![[0.0; 4]; 4];
-        let mut pairs = Pairs::default();
-        pairs.build(&p, &v, 0.0, &[u32::MAX; 4]);
-        for k in 0..pairs.anchor.len() {
-            pairs.anchor[k] = vector(pairs.other[k] as f32, 7.0, 7.0);
-        }
-        // Grain 0 leaves; the pair (1, 3) becomes (0, 2).
-        pairs.build(&p[1..], &v[1..], 0.0, &[1, 2, 3]);
-        assert_eq!((pairs.first.clone(), pairs.other.clone()), (vec![0, 1, 1, 1], vec![2]));
-        assert_eq!(pairs.anchor, vec![vector(3.0, 7.0, 7.0)]);
+        let mut list = Neighbours::default();
+        assert_eq!(list.order(&x), [0, 1, 2, 3]);
+        list.build::<Portable>(&x, &v, &[NEW; 4], 1.05);
+        // Only the pair (2, 3) sticks; the anchors of the two copies are opposite.
+        list.touching[0] = 0b1100;
+        list.anchor[0][0][2] = -0.9;
+        list.anchor[0][0][3] = 0.9;
+        // Grain 0 leaves, and 2 and 3, which share a cell, come in the other order.
+        let (mut y, mut was) = (vec![x[3], x[2], x[1]], vec![3, 2, 1]);
+        let order = list.order(&y).to_vec();
+        assert_eq!(order, [2, 0, 1]);
+        y = order.iter().map(|&i| y[i as usize]).collect();
+        was = order.iter().map(|&i| was[i as usize]).collect();
+        list.build::<Portable>(&y, &v[1..], &was, 1.05);
+        assert_eq!(pairs(&list, 3), vec![(1, 2), (2, 1)]);
+        assert_eq!((list.touching[0], list.anchor[0][0][1], list.anchor[0][0][2]), (0b110, 0.9, -0.9));
     }
 }

@@ -25,9 +25,9 @@ pub struct Settings {
     pub base_radius_diameters: f64,
     /// Coulomb coefficient of the base. Default 0.8: a rough plate, so that the heap fails and not its footing.
     pub base_friction: f64,
-    /// Height of the opening above the base, grain diameters. Default 18.
-    pub funnel_height_diameters: f64,
-    /// Radius of the opening, grain diameters. Default 3.
+    /// Height of the opening above the apex, grain diameters; it rises with the heap. Default 3.
+    pub funnel_clearance_diameters: f64,
+    /// Radius of the opening, grain diameters. Default 1.8.
     pub funnel_radius_diameters: f64,
     /// Substep of the solver, s. Default 0.000125.
     pub substep_s: f64,
@@ -41,8 +41,8 @@ impl Default for Settings {
             particles: 2000,
             base_radius_diameters: 9.0,
             base_friction: 0.8,
-            funnel_height_diameters: 18.0,
-            funnel_radius_diameters: 3.0,
+            funnel_clearance_diameters: 3.0,
+            funnel_radius_diameters: 1.8,
             substep_s: SUBSTEP_S,
             settle_max_s: 1.0,
         }
@@ -50,19 +50,12 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// The default experiment with another number of grains: base, fall and opening scale with its cube root, so that the
-    /// grains overflow the base as far as the default's do. On a base of 2000 grains, 300 make a flat heap.
+    /// The default experiment with another number of grains: the base scales with its cube root, so that the grains overflow it as far
+    /// as the default's do. The stream stays as it is.
     pub fn with_particles(particles: u32) -> Self {
         let default = Self::default();
         let scale = (f64::from(particles) / f64::from(default.particles)).cbrt();
-        Self {
-            particles,
-            base_radius_diameters: default.base_radius_diameters * scale,
-            funnel_height_diameters: default.funnel_height_diameters * scale,
-            // A narrower opening than this is one grain wide and blocks.
-            funnel_radius_diameters: (default.funnel_radius_diameters * scale).max(1.5),
-            ..default
-        }
+        Self { particles, base_radius_diameters: default.base_radius_diameters * scale, ..default }
     }
 }
 
@@ -79,8 +72,10 @@ pub struct Repose {
     pub speed_rms_mm_s: f64,
     /// Grains that stayed on the base.
     pub particles_on_base: u32,
-    /// Mean overlap of touching grains, in diameters.
+    /// Mean overlap of overlapping grains, in diameters.
     pub overlap_mean: f64,
+    /// Largest overlap, in diameters.
+    pub overlap_max: f64,
     /// Simulated time, s.
     pub simulated_s: f64,
 }
@@ -113,8 +108,10 @@ const SECTORS: usize = 12;
 /// Time over which rest is judged and creep measured, s.
 const HOLD_S: f64 = 0.2;
 /// Grains slower than this (root mean square) count as resting, m/s.
-const REST_RMS_M_S: f64 = 0.002;
+const REST_RMS_M_S: f64 = 0.0005;
 
+/// Share of the grains that come through the wide opening.
+const QUICK: f64 = 0.6;
 /// Substeps between two looks for grains that fell off the base.
 const DEPARTURE_CHECK: u32 = 16;
 
@@ -124,8 +121,8 @@ const DEPARTURE_CHECK: u32 = 16;
 /// AoR = atan(2 h / d_base)      h = D - |p_apex - p_tip|
 /// ```
 ///
-/// with D the height of the opening over the base and p_tip on the axis at the opening. The publication prints
-/// `2 h / d_base` without the arctangent; its numbers are degrees, so the arctangent is taken.
+/// with D the height of the opening over the base and p_tip on the axis at the opening, wherever it stands: h is the height of the apex.
+/// The publication prints `2 h / d_base` without the arctangent; its numbers are degrees, so the arctangent is taken.
 ///
 /// # Errors
 /// [`Refusal`] when the heap has no angle: a base that is not covered, or a solver that diverged.
@@ -170,39 +167,38 @@ impl<'a> Heap<'a> {
         f64::from(self.substeps) * self.law.substep_s
     }
 
-    /// Layers leave the opening at the speed of a free-flowing orifice, sqrt(g D); a layer that finds the opening
-    /// blocked by the heap waits.
+    /// The first grains, which end up inside or below, come quickly through a wide opening; those that shape the heap through the narrow
+    /// one. Layers leave the opening at the speed of a free-flowing orifice, sqrt(g D). The opening rises with the apex: grains that fall
+    /// far would dig into a heap that is only tens of grains wide, which a heap of hundreds does not feel.
     fn pour(&mut self, seed: u64) -> Result<(), Refusal> {
         let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[0x0EAF]));
-        let radius = self.settings.funnel_radius_diameters as f32;
-        let height = self.settings.funnel_height_diameters as f32;
-        let speed = (self.law.gravity * 2.0 * radius).sqrt();
-        let per_layer = (1.15 / speed).ceil() as u32;
-        let (mut left, mut waited) = (self.settings.particles, 0);
-        // A heap that reaches the opening lets nothing through any more: the rest stays in the funnel.
-        while left > 0 && waited < self.law.substeps(0.1) {
-            if self.is_blocked(height, radius) {
-                waited += per_layer;
-            } else {
-                waited = 0;
-                for position in layer(&mut rng, radius, height).into_iter().take(left as usize) {
-                    self.grains.pour(position, vector(0.0, 0.0, -speed));
-                    left -= 1;
-                }
+        let narrow = self.settings.funnel_radius_diameters as f32;
+        let wide = narrow.max(self.settings.base_radius_diameters as f32 / 3.0);
+        let mut left = self.settings.particles as usize;
+        let fill = left - (QUICK * left as f64) as usize;
+        while left > 0 {
+            let radius = if left > fill { wide } else { narrow };
+            let speed = (self.law.gravity * 2.0 * radius).sqrt();
+            let per_layer = (1.15 / speed).ceil() as u32;
+            let height = self.apex() + self.settings.funnel_clearance_diameters as f32;
+            for position in layer(&mut rng, radius, height).into_iter().take(left) {
+                self.grains.pour(position, vector(0.0, 0.0, -speed));
+                left -= 1;
             }
             self.advance(per_layer)?;
         }
         Ok(())
     }
 
-    fn is_blocked(&self, height: f32, radius: f32) -> bool {
-        let reach = (radius + 0.5) * (radius + 0.5);
-        self.grains.x.iter().any(|x| (x[2] - height).abs() < 1.0 && x[0] * x[0] + x[1] * x[1] < reach)
+    /// Height of the highest grain that rests on others, or of the base.
+    fn apex(&self) -> f32 {
+        let lying = self.grains.centres().iter().zip(self.grains.velocities()).filter(|(_, v)| v[3] >= 2.0);
+        lying.fold(0.0, |top, (x, _)| top.max(x[2]))
     }
 
     fn settle(&mut self) -> Result<(), Refusal> {
         let slice = self.law.substeps(0.01);
-        let fall = (2.0 * self.settings.funnel_height_diameters * self.law.diameter_m / 9.81).sqrt();
+        let fall = (2.0 * self.settings.funnel_clearance_diameters * self.law.diameter_m / 9.81).sqrt();
         self.advance(self.law.substeps(fall))?;
         let limit = self.substeps + self.law.substeps(self.settings.settle_max_s);
         let mut calm = 0;
@@ -215,22 +211,22 @@ impl<'a> Heap<'a> {
     }
 
     fn measure(&mut self) -> Result<Repose, Refusal> {
-        let before = cone_deg(&self.grains.x, self.settings.base_radius_diameters);
+        let before = cone_deg(self.grains.centres(), self.settings.base_radius_diameters);
         self.advance(self.law.substeps(HOLD_S))?;
         self.check_cover()?;
         let base = self.settings.base_radius_diameters;
-        let cone = cone_deg(&self.grains.x, base);
-        let apex = self.grains.x.iter().fold(0.0f32, |top, x| top.max(x[2])) + 0.5;
-        let tip_to_apex = self.settings.funnel_height_diameters - f64::from(apex);
-        let height = self.settings.funnel_height_diameters - tip_to_apex;
+        let cone = cone_deg(self.grains.centres(), base);
+        let height = f64::from(self.grains.centres().iter().fold(0.0f32, |top, x| top.max(x[2]))) + 0.5;
+        let (overlap_mean, overlap_max) = self.grains.overlaps();
         let (_, rms) = self.grains.speeds();
         Ok(Repose {
             tip_deg: (2.0 * height / (2.0 * base)).atan().to_degrees(),
             cone_deg: cone,
             creep_deg_per_s: (cone - before) / HOLD_S,
             speed_rms_mm_s: self.law.speed_m_s(rms) * 1e3,
-            particles_on_base: self.grains.x.len() as u32,
-            overlap_mean: self.grains.overlaps().0,
+            particles_on_base: self.grains.centres().len() as u32,
+            overlap_mean,
+            overlap_max,
             simulated_s: self.elapsed_s(),
         })
     }
@@ -239,7 +235,7 @@ impl<'a> Heap<'a> {
     fn check_cover(&self) -> Result<(), Refusal> {
         let mut seen = [false; SECTORS];
         let inner = self.settings.base_radius_diameters as f32 - 2.0;
-        for x in self.grains.x.iter().filter(|x| x[0] * x[0] + x[1] * x[1] >= inner * inner) {
+        for x in self.grains.centres().iter().filter(|x| x[0] * x[0] + x[1] * x[1] >= inner * inner) {
             seen[sector([f64::from(x[0]), f64::from(x[1])])] = true;
         }
         match seen.iter().filter(|s| **s).count() {

@@ -1,8 +1,9 @@
 //! Each of the nine parameters has an effect that can be measured, and the kernel keeps what nature keeps.
 
-use super::constraints::{Vector, add, dot, sub, vector};
+use super::constraints::{V3, Vector, dot, inner, vector};
 use super::dispense::{self, Dispenser};
 use super::grains::Grains;
+use super::lanes::{Lanes, Path};
 use super::law::{self, Law, SUBSTEP_S};
 use super::repose::{self, repose};
 use super::walls::{Plate, Touch, Wall};
@@ -13,8 +14,8 @@ use crate::domain::parameters::ParameterSet;
 struct Nowhere;
 
 impl Wall for Nowhere {
-    fn touch(&self, _: Vector) -> Touch {
-        Touch { gap: f32::MAX, normal: vector(0.0, 0.0, 1.0) }
+    fn touch<L: Lanes>(&self, _: V3<L>) -> Touch<L> {
+        Touch { gap: L::splat(f32::MAX), normal: [L::splat(0.0), L::splat(0.0), L::splat(1.0)] }
     }
     fn has_left(&self, _: Vector) -> bool {
         false
@@ -23,16 +24,26 @@ impl Wall for Nowhere {
 
 /// A plane through the origin whose normal leans towards +x by an angle.
 struct Incline {
-    normal: Vector,
+    normal: [f32; 3],
 }
 
 impl Wall for Incline {
-    fn touch(&self, p: Vector) -> Touch {
-        Touch { gap: dot(p, self.normal) - 0.5, normal: self.normal }
+    fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
+        let normal = self.normal.map(L::splat);
+        Touch { gap: inner(p, normal) - L::splat(0.5), normal }
     }
     fn has_left(&self, _: Vector) -> bool {
         false
     }
+}
+
+fn sub(a: Vector, b: Vector) -> Vector {
+    std::array::from_fn(|k| a[k] - b[k])
+}
+
+/// Substeps in a time.
+fn substeps(seconds: f64) -> u32 {
+    (seconds / SUBSTEP_S).round() as u32
 }
 
 fn set(changes: &[(&str, f64)]) -> ParameterSet {
@@ -57,8 +68,8 @@ fn grains(centres: &[Vector]) -> Grains {
 fn fall_m(changes: &[(&str, f64)]) -> f64 {
     let law = law(changes);
     let mut one = grains(&[[0.0; 4]]);
-    (0..800).for_each(|_| one.substep(&law, down(&law), &Nowhere));
-    -f64::from(one.x[0][2]) * law.diameter_m
+    (0..substeps(0.1)).for_each(|_| one.substep(&law, down(&law), &Nowhere));
+    -f64::from(one.grain(0).0[2]) * law.diameter_m
 }
 
 #[test]
@@ -84,7 +95,7 @@ fn approach(changes: &[(&str, f64)], gap: f32) -> f32 {
     let law = law(changes);
     let mut pair = grains(&[[0.0; 4], vector(1.0 + gap, 0.0, 0.0)]);
     (0..8).for_each(|_| pair.substep(&law, [0.0; 4], &Nowhere));
-    1.0 + gap - sub(pair.x[1], pair.x[0])[0]
+    1.0 + gap - sub(pair.grain(1).0, pair.grain(0).0)[0]
 }
 
 #[test]
@@ -112,8 +123,8 @@ fn the_adhesion_offset_scale_sets_the_gap_over_which_attraction_acts() {
 fn hangs(changes: &[(&str, f64)]) -> bool {
     let law = law(changes);
     let mut one = grains(&[vector(0.0, 0.0, -0.5)]);
-    (0..4000).for_each(|_| one.substep(&law, down(&law), &Plate { radius: 5.0 }));
-    one.x[0][2] > -0.6
+    (0..substeps(0.5)).for_each(|_| one.substep(&law, down(&law), &Plate { radius: 5.0 }));
+    one.grain(0).0[2] > -0.6
 }
 
 #[test]
@@ -151,29 +162,29 @@ fn friction_makes_a_heap_steeper() {
     assert!(mean(1.3) > mean(0.0) + 10.0);
 }
 
-/// Speed down a wall inclined by `degrees` 0.05 s after the tilt of a resting grain, and that between 0.025 s and then
-/// it has slid, in diameters.
+/// Speed down a wall inclined by `degrees` 0.05 s after the tilt of a resting grain, and how far it has slid between 0.025 s and then,
+/// in diameters.
 fn slide(degrees: f64) -> [f32; 2] {
     let law = law(&[]);
     let (sin, cos) = degrees.to_radians().sin_cos();
-    let incline = Incline { normal: vector(0.0, 0.0, 1.0) };
+    let incline = Incline { normal: [0.0, 0.0, 1.0] };
     let mut one = grains(&[vector(0.0, 0.0, 0.5)]);
-    (0..80).for_each(|_| one.substep(&law, down(&law), &incline));
+    (0..substeps(0.01)).for_each(|_| one.substep(&law, down(&law), &incline));
     let tilted = vector(law.gravity * sin as f32, 0.0, -law.gravity * cos as f32);
-    (0..200).for_each(|_| one.substep(&law, tilted, &incline));
-    let half_way = one.x[0][0];
-    (0..200).for_each(|_| one.substep(&law, tilted, &incline));
-    [one.v[0][0], one.x[0][0] - half_way]
+    (0..substeps(0.025)).for_each(|_| one.substep(&law, tilted, &incline));
+    let half_way = one.grain(0).0[0];
+    (0..substeps(0.025)).for_each(|_| one.substep(&law, tilted, &incline));
+    [one.grain(0).1[0], one.grain(0).0[0] - half_way]
 }
 
 #[test]
 fn a_grain_slides_down_an_incline_above_atan_mu_and_with_coulombs_acceleration() {
     // mu = 0.4 at the wall: atan 0.4 = 21.80 deg. The tilt is sudden, so the first 0.025 s are left to the transient.
-    let ([_, held], [_, slid]) = (slide(21.6), slide(22.0));
-    assert!(held < 0.001 && slid > 0.05, "{held} {slid}");
+    let ([_, held], [_, slid]) = (slide(21.7), slide(21.9));
+    assert!(held < 0.001 && slid > 0.01, "{held} {slid}");
     let degrees = 30.0f64.to_radians();
     let acceleration = law::GRAVITY * (degrees.sin() - 0.4 * degrees.cos());
-    let expected = acceleration * 0.05 * SUBSTEP_S / 0.27e-3;
+    let expected = acceleration * f64::from(substeps(0.05)) * SUBSTEP_S * SUBSTEP_S / 0.27e-3;
     let [speed, _] = slide(30.0);
     assert!((f64::from(speed) / expected - 1.0).abs() < 0.02, "{speed} against {expected}");
 }
@@ -186,37 +197,77 @@ fn a_collision_keeps_momentum() {
     {
         cluster.pour(vector(x[0], x[1], x[2]), vector(v, -v, 0.5 * v));
     }
-    let momentum = |g: &Grains| g.v.iter().fold([0.0; 4], |sum, v| add(sum, *v));
-    let before = momentum(&cluster);
+    let momentum = |g: &Grains| -> Vector {
+        g.velocities().iter().fold([0.0; 4], |sum, v| [sum[0] + v[0], sum[1] + v[1], sum[2] + v[2], 0.0])
+    };
+    let before: Vector = [-0.0 + 0.02 - 0.05 + 0.01 + 0.03, 0.05 - 0.02 - 0.01 - 0.03, 0.005, 0.0];
     (0..400).for_each(|_| cluster.substep(&law, [0.0; 4], &Nowhere));
     let change = sub(momentum(&cluster), before);
     // Four grains at speeds near 0.05: single precision keeps the sum to 1e-6 of that.
     assert!(dot(change, change).sqrt() < 1e-6, "{change:?}");
 }
 
-#[test]
-fn a_dropped_grain_bounces_to_less_than_a_third_of_its_height() {
-    let law = law(&[]);
+/// Speed after over speed before the impact of a grain that falls five diameters onto a plate.
+fn wall_restitution(law: &Law) -> f32 {
     let mut one = grains(&[vector(0.0, 0.0, 5.5)]);
-    let (mut landed, mut rebound) = (false, 0.0f32);
-    for _ in 0..2000 {
-        one.substep(&law, down(&law), &Plate { radius: 5.0 });
-        landed |= one.x[0][2] < 0.5;
-        if landed {
-            rebound = rebound.max(one.x[0][2] - 0.5);
-        }
+    let (mut fastest, mut rebound) = (0.0f32, 0.0f32);
+    for _ in 0..substeps(0.2) {
+        one.substep(law, down(law), &Plate { radius: 5.0 });
+        let (x, v) = one.grain(0);
+        fastest = fastest.max(-v[2]);
+        rebound = if x[2] < 0.5 { rebound.max(v[2]) } else { rebound };
     }
-    // Relaxation 0.18 at the wall: per substep the contact keeps sqrt(1 - 0.18) of its motion and lasts 7 substeps, so
-    // the restitution is 0.905^7 = 0.5 and the rebound a quarter of the height of 5.
-    assert!(landed && rebound < 5.0 / 3.0, "rebound {rebound}");
-    assert!((one.x[0][2] - 0.5).abs() < 0.01);
+    assert!((one.grain(0).0[2] - 0.5).abs() < 0.01, "it rests on the plate");
+    rebound / fastest
+}
+
+/// Speed at which two grains part over the speed at which they met.
+fn pair_restitution(law: &Law) -> f32 {
+    let mut pair = Grains::default();
+    pair.pour(vector(0.0, 0.0, 0.0), vector(0.02, 0.0, 0.0));
+    pair.pour(vector(1.5, 0.0, 0.0), vector(-0.03, 0.0, 0.0));
+    (0..200).for_each(|_| pair.substep(law, [0.0; 4], &Nowhere));
+    (pair.grain(1).1[0] - pair.grain(0).1[0]) / 0.05
 }
 
 #[test]
-fn a_heap_rests_without_creep() {
-    let heap = repose(&set(&[("friction", 0.8)]), &repose::Settings::default(), 3).unwrap();
-    assert!(heap.creep_deg_per_s.abs() < 0.2, "{heap:?}");
-    assert!(heap.speed_rms_mm_s < 0.5 && heap.overlap_mean < 0.02, "{heap:?}");
+fn impacts_are_inelastic() {
+    // The published engine's collisions are perfectly inelastic. Below a tenth, an impact keeps less than 1 % of its energy.
+    let law = law(&[]);
+    assert!(wall_restitution(&law) < 0.1, "{}", wall_restitution(&law));
+    let pair = pair_restitution(&law);
+    assert!((0.0..0.1).contains(&pair), "{pair}");
+}
+
+#[test]
+fn a_heap_rests_with_and_without_cohesion() {
+    // The box of parameters ends near bond number 3; cohesion 1.2 at gravity_scale 0.3 is one of 1.6.
+    for (changes, creep_max, speed_max) in [
+        (vec![("friction", 0.8)], 0.02, 0.05),
+        (vec![("friction", 0.3), ("cohesion", 1.2), ("gravity_scale", 0.3)], 0.1, 0.3),
+    ] {
+        let heap = repose(&set(&changes), &repose::Settings::default(), 3).unwrap();
+        assert!(heap.creep_deg_per_s.abs() < creep_max && heap.speed_rms_mm_s < speed_max, "{heap:?}");
+        assert!(heap.overlap_mean < 0.005 && heap.overlap_max < 0.05, "{heap:?}");
+    }
+}
+
+#[test]
+fn every_path_gives_the_same_bytes() {
+    let law = law(&[("friction", 0.5), ("cohesion", 0.4)]);
+    let run = |path| {
+        let mut grains = Grains::on(path);
+        for k in 0..200u8 {
+            let [x, y, z] = [k % 5, k / 5 % 5, k / 25].map(f32::from);
+            grains.pour(vector(1.1 * x + 0.01 * z, 1.1 * y, 0.6 + 1.1 * z), [0.0; 4]);
+        }
+        for _ in 0..800 {
+            grains.substep(&law, down(&law), &Plate { radius: 4.0 });
+            grains.take_departed(&Plate { radius: 4.0 });
+        }
+        format!("{:?} {:?}", grains.centres(), grains.velocities())
+    };
+    assert_eq!(run(Path::best()), run(Path::Portable));
 }
 
 #[test]

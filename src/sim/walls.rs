@@ -1,26 +1,29 @@
 //! Walls: shapes that answer "how far is this grain's surface, and which way is out". Lengths in grain diameters.
 
-use super::constraints::{Vector, dot, scale, sub, vector};
+use super::constraints::{V3, Vector, choose, inner, scale, sub};
+use super::lanes::Lanes;
 
-/// The nearest point of a wall to a grain.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Touch {
+/// The nearest point of a wall to each of sixteen grains.
+#[derive(Clone, Copy)]
+pub(super) struct Touch<L> {
     /// Distance between the surfaces, negative when they overlap.
-    pub gap: f32,
+    pub gap: L,
     /// Unit vector from the wall to the grain.
-    pub normal: Vector,
+    pub normal: V3<L>,
 }
 
 /// A fixed wall in the frame of the simulation.
 pub(super) trait Wall {
-    /// The contact of a grain of diameter 1 centred at `p`.
-    fn touch(&self, p: Vector) -> Touch;
+    /// The contacts of grains of diameter 1 centred at `p`.
+    fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L>;
     /// Whether a grain centred at `p` has left the scene for good.
     fn has_left(&self, p: Vector) -> bool;
 }
 
 /// Radius of a grain in the kernel's unit of length.
 const RADIUS: f32 = 0.5;
+/// Nothing is nearer to a point than this: keeps divisions finite.
+const NEAREST: f32 = 1e-6;
 
 /// A horizontal round plate at z = 0 with a sharp rim; grains beyond it fall.
 #[derive(Debug, Clone, Copy)]
@@ -31,18 +34,22 @@ pub(super) struct Plate {
 
 impl Wall for Plate {
     #[inline(always)]
-    fn touch(&self, p: Vector) -> Touch {
+    fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
+        let (zero, one) = (L::splat(0.0), L::splat(1.0));
+        let radius = L::splat(self.radius);
         let r2 = p[0] * p[0] + p[1] * p[1];
-        if r2 <= self.radius * self.radius {
-            // A cohesive grain can crawl around the rim: below the plate it touches the underside.
-            let side = if p[2] < -0.25 { -1.0 } else { 1.0 };
-            return Touch { gap: side * p[2] - RADIUS, normal: vector(0.0, 0.0, side) };
+        let over = r2.below(radius * radius);
+        // A cohesive grain can crawl around the rim: below the plate it touches the underside.
+        let side = L::select(p[2].below(L::splat(-0.25)), L::splat(-1.0), one);
+        let flat = Touch { gap: side * p[2] - L::splat(RADIUS), normal: [zero, zero, side] };
+        if over == u16::MAX {
+            return flat;
         }
-        let to_rim = self.radius / r2.sqrt();
-        touch_point(p, vector(p[0] * to_rim, p[1] * to_rim, 0.0))
+        let to_rim = radius / r2.sqrt().max(L::splat(NEAREST));
+        let rim = touch_point(p, [p[0] * to_rim, p[1] * to_rim, zero]);
+        Touch { gap: L::select(over, flat.gap, rim.gap), normal: choose(over, flat.normal, rim.normal) }
     }
 
-    #[inline(always)]
     fn has_left(&self, p: Vector) -> bool {
         p[2] < -1.0
     }
@@ -61,12 +68,6 @@ impl Bowl {
     pub(super) fn new(semi_axes: [f32; 3]) -> Self {
         Self { semi_axes, inverse_squares: semi_axes.map(|a| 1.0 / (a * a)) }
     }
-
-    /// (x/a)^2 + (y/b)^2: below 1 inside the rim.
-    #[inline(always)]
-    fn rim_level(&self, p: Vector) -> f32 {
-        p[0] * p[0] * self.inverse_squares[0] + p[1] * p[1] * self.inverse_squares[1]
-    }
 }
 
 impl Wall for Bowl {
@@ -74,53 +75,70 @@ impl Wall for Bowl {
     /// `f^2 = (x/a)^2 + (y/b)^2 + (z/c)^2`: exact at the surface, where contacts are. Above the bowl only the rim, a
     /// sharp edge, can be touched.
     #[inline(always)]
-    fn touch(&self, p: Vector) -> Touch {
-        let level = self.rim_level(p);
+    fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
+        let (zero, one) = (L::splat(0.0), L::splat(1.0));
         let [ia, ib, ic] = self.inverse_squares;
-        let f2 = level + p[2] * p[2] * ic;
-        if p[2] < 0.0 && f2 < 1.0 {
-            let gradient = vector(p[0] * ia, p[1] * ib, p[2] * ic);
-            let steepness = dot(gradient, gradient).sqrt();
-            if steepness < 1e-6 {
-                return Touch { gap: self.semi_axes[2], normal: vector(0.0, 0.0, 1.0) };
-            }
-            let f = f2.sqrt();
-            return Touch { gap: f * (1.0 - f) / steepness - RADIUS, normal: scale(gradient, -1.0 / steepness) };
+        let inverse: V3<L> = [L::splat(ia), L::splat(ib), L::splat(ic)];
+        let level = p[0] * p[0] * inverse[0] + p[1] * p[1] * inverse[1];
+        let f2 = level + p[2] * p[2] * inverse[2];
+        let inside = p[2].below(zero) & f2.below(one);
+        let gradient = [p[0] * inverse[0], p[1] * inverse[1], p[2] * inverse[2]];
+        let steepness = inner(gradient, gradient).sqrt().max(L::splat(NEAREST));
+        let f = f2.sqrt();
+        let bowl = Touch {
+            gap: f * (one - f) / steepness - L::splat(RADIUS),
+            normal: scale(gradient, (zero - one) / steepness),
+        };
+        // In the very middle the distance is to first order nothing, but the bowl is deep.
+        let middle = f2.below(L::splat(0.01));
+        let bowl = Touch { gap: L::select(middle, L::splat(self.semi_axes[2]), bowl.gap), ..bowl };
+        if inside == u16::MAX {
+            return bowl;
         }
-        if level < 0.25 {
-            // Far above the middle: no contact, and the rim has no nearest point here.
-            return Touch { gap: f32::MAX, normal: vector(0.0, 0.0, 1.0) };
-        }
-        let to_rim = 1.0 / level.sqrt();
-        touch_point(p, vector(p[0] * to_rim, p[1] * to_rim, 0.0))
+        let to_rim = one / level.sqrt().max(L::splat(NEAREST));
+        let rim = touch_point(p, [p[0] * to_rim, p[1] * to_rim, zero]);
+        // Far above the middle: no contact, and the rim has no nearest point there.
+        let rim_gap = L::select(level.below(L::splat(0.25)), L::splat(f32::MAX), rim.gap);
+        Touch { gap: L::select(inside, bowl.gap, rim_gap), normal: choose(inside, bowl.normal, rim.normal) }
     }
 
-    #[inline(always)]
     fn has_left(&self, p: Vector) -> bool {
-        p[2] < -1.5 && self.rim_level(p) + p[2] * p[2] * self.inverse_squares[2] > 1.0
+        let f2: f32 = (0..3).map(|k| p[k] * p[k] * self.inverse_squares[k]).sum();
+        p[2] < -1.5 && f2 > 1.0
     }
 }
 
-/// Contact of a grain with a point.
+/// Contact of grains with points.
 #[inline(always)]
-fn touch_point(p: Vector, point: Vector) -> Touch {
+fn touch_point<L: Lanes>(p: V3<L>, point: V3<L>) -> Touch<L> {
     let away = sub(p, point);
-    let distance = dot(away, away).sqrt().max(1e-6);
-    Touch { gap: distance - RADIUS, normal: scale(away, 1.0 / distance) }
+    let distance = inner(away, away).sqrt().max(L::splat(NEAREST));
+    Touch { gap: distance - L::splat(RADIUS), normal: scale(away, L::splat(1.0) / distance) }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::lanes::{Portable, WIDTH};
     use super::*;
+
+    /// The contact of one grain.
+    fn touch(wall: &impl Wall, p: [f32; 3]) -> (f32, [f32; 3]) {
+        let first = |x: Portable| {
+            let mut lanes = [0.0; WIDTH];
+            x.store(&mut lanes);
+            lanes[0]
+        };
+        let touch = wall.touch(p.map(Portable::splat));
+        (first(touch.gap), touch.normal.map(first))
+    }
 
     #[test]
     fn a_plate_is_touched_from_above_and_around_its_rim() {
         let plate = Plate { radius: 10.0 };
-        let above = plate.touch(vector(3.0, 4.0, 0.6));
-        assert!((above.gap - 0.1).abs() < 1e-6);
-        let beside = plate.touch(vector(10.3, 0.0, 0.4));
-        assert!((beside.gap - 0.0).abs() < 1e-6);
-        assert!((beside.normal[0] - 0.6).abs() < 1e-6 && (beside.normal[2] - 0.8).abs() < 1e-6);
+        assert!((touch(&plate, [3.0, 4.0, 0.6]).0 - 0.1).abs() < 1e-6);
+        let (gap, normal) = touch(&plate, [10.3, 0.0, 0.4]);
+        assert!(gap.abs() < 1e-6);
+        assert!((normal[0] - 0.6).abs() < 1e-6 && (normal[2] - 0.8).abs() < 1e-6);
     }
 
     #[test]
@@ -128,9 +146,9 @@ mod tests {
         let bowl = Bowl::new([10.0, 10.0, 10.0]);
         for z in [-9.5f32, -6.0, -0.1] {
             let x = (9.5f32 * 9.5 - z * z).max(0.0).sqrt();
-            let touch = bowl.touch(vector(x, 0.0, z));
-            assert!(touch.gap.abs() < 1e-4, "gap {} at z {z}", touch.gap);
-            assert!((touch.normal[0] + x / 9.5).abs() < 1e-5);
+            let (gap, normal) = touch(&bowl, [x, 0.0, z]);
+            assert!(gap.abs() < 1e-4, "gap {gap} at z {z}");
+            assert!((normal[0] + x / 9.5).abs() < 1e-5);
         }
     }
 
@@ -142,9 +160,15 @@ mod tests {
             let n = [s[0] / (18.5f32 * 18.5), s[1] / (13.0 * 13.0), s[2] / (7.4 * 7.4)];
             let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
             // A centre half a diameter inside the surface point: its true gap is zero.
-            let p = vector(s[0] - 0.5 * n[0] / length, s[1] - 0.5 * n[1] / length, s[2] - 0.5 * n[2] / length);
+            let (gap, _) = touch(&bowl, std::array::from_fn(|k| s[k] - 0.5 * n[k] / length));
             // First order: off by half of distance^2 times curvature, at most 0.5^2 / 2 * 18.5 / 7.4^2 = 0.04.
-            assert!(bowl.touch(p).gap.abs() < 0.04, "gap {}", bowl.touch(p).gap);
+            assert!(gap.abs() < 0.04, "gap {gap}");
         }
+    }
+
+    #[test]
+    fn above_the_middle_of_a_bowl_nothing_is_near() {
+        let bowl = Bowl::new([18.5, 13.0, 7.4]);
+        assert!(touch(&bowl, [0.0, 0.0, 2.0]).0 > 1.0 && touch(&bowl, [0.01, 0.0, -0.01]).0 > 1.0);
     }
 }

@@ -92,6 +92,7 @@ fn heap(set: &ParameterSet, _settings: &Settings, _seed: u64) -> Result<Repose, 
         speed_rms_mm_s: 0.0,
         particles_on_base: 1000,
         overlap_mean: 0.0,
+        overlap_max: 0.0,
         simulated_s: 1.0,
     })
 }

@@ -23,9 +23,19 @@ pub const PATIENCE: Duration = Duration::from_secs(20);
 pub fn heap(set: &ParameterSet, settings: &repose::Settings, seed: u64) -> Result<Repose, Refusal> {
     let noise = (seed % 1000) as f64 / 1000.0 - 0.5;
     let tip_deg = 22.0 + 15.0 * set.friction() + 6.0 * set.cohesion() + 0.2 * noise;
-    let (speed_rms_mm_s, particles_on_base, overlap_mean, simulated_s) = (0.0, settings.particles, 0.0, 1.0);
+    let (speed_rms_mm_s, particles_on_base, simulated_s) = (0.0, settings.particles, 1.0);
+    let (overlap_mean, overlap_max) = (0.0, 0.0);
     let (cone_deg, creep_deg_per_s) = (tip_deg - 2.0, 0.0);
-    Ok(Repose { tip_deg, cone_deg, creep_deg_per_s, speed_rms_mm_s, particles_on_base, overlap_mean, simulated_s })
+    Ok(Repose {
+        tip_deg,
+        cone_deg,
+        creep_deg_per_s,
+        speed_rms_mm_s,
+        particles_on_base,
+        overlap_mean,
+        overlap_max,
+        simulated_s,
+    })
 }
 
 /// A training on spoons that follow a formula.
