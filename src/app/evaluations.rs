@@ -7,7 +7,7 @@ use crate::domain::job::JobKind;
 use crate::domain::powder::PUBLISHED;
 use crate::domain::{FieldError, bounded};
 use crate::jobs::bench::spoon_holds_mg;
-use crate::jobs::evaluate::{CONTROLLERS, EvaluationResult};
+use crate::jobs::evaluate::{CONTROLLERS, EvaluationResult, tuned_schedule};
 use crate::jobs::{EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR};
 use crate::store::jobs::{Job, JobRow};
 use crate::store::page::{Page, PageQuery};
@@ -90,6 +90,7 @@ impl App {
         let spec = EvaluationSpec {
             policy: policy.id,
             controllers: request.controllers.unwrap_or_else(|| CONTROLLERS.map(str::to_owned).to_vec()),
+            schedule: tuned_schedule(),
             powders: subjects,
             targets_mg,
             repeats: request.repeats.unwrap_or(5),

@@ -83,7 +83,7 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
             POLICY => policy.controller.clone(),
             "untrained" => Controller::untrained(spec.seed),
             "fixed" => Controller::Fixed(ScheduledStep::FIXED),
-            "schedule" => Controller::Schedule(schedule()),
+            "schedule" => Controller::Schedule(spec.schedule.clone()),
             other => return Err(JobError::Fail(format!("there is no controller `{other}`"))),
         };
         Ok(Contender { name: name.clone(), controller })
@@ -107,19 +107,19 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
 }
 
 /// The open-loop rival: what `examples/tune_schedule.rs` found with its defaults, on all five powders and for 15 and 20 mg (1840
-/// pours). Pitches and shakes in degrees and mm; the incline changes by 8 deg a step at most, so it gets to 45 deg on the way.
-fn schedule() -> Schedule {
+/// pours). Pitches and shakes in degrees and mm.
+pub fn tuned_schedule() -> Schedule {
     const STEPS: [(f64, f64); 10] = [
-        (46.9, 1.8),
-        (45.2, 2.5),
-        (43.6, 3.3),
-        (41.9, 4.0),
-        (40.3, 4.7),
-        (38.6, 5.5),
-        (37.0, 6.2),
-        (35.3, 6.9),
-        (33.7, 7.6),
-        (32.0, 8.4),
+        (6.5, 3.7),
+        (11.1, 3.9),
+        (15.7, 4.2),
+        (20.3, 4.4),
+        (24.9, 4.6),
+        (29.5, 4.9),
+        (34.1, 5.1),
+        (38.7, 5.4),
+        (43.3, 5.6),
+        (47.9, 5.8),
     ];
     Schedule { steps: STEPS.map(|(pitch_deg, shake_mm)| ScheduledStep { pitch_deg, shake_mm }).to_vec() }
 }

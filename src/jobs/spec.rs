@@ -3,6 +3,7 @@
 use crate::calibrate;
 use crate::domain::job::JobKind;
 use crate::domain::powder::Flowability;
+use crate::policy::Schedule;
 use crate::sim;
 use crate::train;
 use serde::{Deserialize, Serialize};
@@ -55,6 +56,8 @@ pub struct EvaluationSpec {
     pub policy: String,
     /// Controllers to compare.
     pub controllers: Vec<String>,
+    /// What the controller `schedule` does.
+    pub schedule: Schedule,
     /// Powders, and the sets that stand for them.
     pub powders: Vec<EvaluationPowder>,
     /// Targets, mg.

@@ -39,7 +39,7 @@ pub struct Settings {
     pub vial_offset_mm: f64,
     /// Height of the rim of the level spoon over the mouth, mm. Default 10.
     pub drop_height_mm: f64,
-    /// Substep of the solver, s. Default 0.000125.
+    /// Substep of the solver, s. Default 0.00008.
     pub substep_s: f64,
     /// Longest wait for the powder to rest after a motion, s. Default 0.5.
     pub settle_max_s: f64,

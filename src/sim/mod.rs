@@ -6,29 +6,38 @@
 //! position-based dynamics ("small steps": many substeps with one iteration each, Macklin et al. 2019):
 //!
 //! ```text
-//! v <- (v + g h) (1 - c h)                    gravity, drag
-//! p  = x + v h                                predicted positions
-//! for every pair and every wall contact, at p:
-//!     push  = k_n max(-gap, 0)                contact: an overlap is pushed apart
-//!     pull  = Bo g0 h^2 ramp(gap)             cohesion and adhesion: a bounded attraction near contact
-//!     slip  = -k_t s,  k_t |s| <= mu push     friction: the contact's anchor is held up to Coulomb's limit
-//! v <- v + sum(corrections) / h
+//! u = (v + g h) (1 - c h)                     gravity, drag: predicted velocity
+//! p = x + u h                                 predicted positions
+//! for every pair and every wall contact, at p, with C = gap - onset:
+//!     push  = max(0, -k C - c_n u_n h)  if C < 0    contact: an overlap is undone, an approach slowed down
+//!     pull  = Bo g0 h^2 ramp(gap)                   cohesion and adhesion: a bounded attraction near contact
+//!     slip  = -(k_t s + c_t u_t h),  at most mu push    friction: the contact's anchor is held up to Coulomb's limit
+//! v <- u + sum(corrections) / h
 //! x <- x + v h
 //! ```
 //!
-//! Contacts act like springs of stiffness k_n m / h^2 with the damping that the prediction brings; an overlap at rest
-//! shrinks as h^2. Anchors (Cundall and Strack 1979) give friction a memory, which is what lets a heap stand still.
+//! Contacts act like springs of stiffness k m / h^2, so an overlap at rest shrinks as h^2. Anchors (Cundall and Strack 1979) give
+//! friction a memory, which is what lets a heap stand still. The damping makes impacts inelastic; a contact between grains with
+//! m and n contacts gets the share 1 / sqrt(m n) of it, so that the one iteration stays stable in a dense packing. `onset` is where
+//! attraction and elastic push balance out to zero force at gap zero: attracted grains rest touching, not overlapping.
 //!
 //! | symbol | meaning | unit | where |
 //! |---|---|---|---|
-//! | x, v, p | centre, velocity, predicted centre | d, d/substep, d | [`grains`](self) |
+//! | x, v, p, u | centre, velocity, and both predicted | d, d/substep | [`grains`](self) |
 //! | gap | distance between surfaces, negative in contact | d | `constraints`, `walls` |
-//! | k_n, k_t | relaxation: share of overlap or stretch removed per substep | 1 | [`law`] |
+//! | k, k_t | relaxation: share of overlap or stretch removed per substep | 1 | [`law`] |
+//! | c_n, c_t | damping: share of approach or slip velocity removed per substep | 1 | [`law`] |
+//! | s | tangential stretch since the contact stuck | d | `constraints` |
 //! | mu, Bo, c, g | friction, bond number, drag, gravity | 1, 1, 1/s, m/s^2 | [`law`] |
 //! | h | substep | s | [`law::SUBSTEP_S`] |
 //!
 //! Grains do not rotate, which equals infinite rolling resistance: heaps are steeper than those of rolling spheres with
 //! the same mu, and [`law`] maps the published `friction` range accordingly.
+//!
+//! # How it runs
+//!
+//! Sixteen grains of a block are solved at once, each from its own full list of neighbours (`neighbours`), so that no two write to the
+//! same place and every sum has a fixed order. `lanes` is the one file that knows the processor; its two paths give the same bits.
 //!
 //! # The nine parameters
 //!

@@ -1,6 +1,6 @@
 //! The heap experiment: parameter set and seed in, angle of repose out.
 //!
-//! Grains pour through a round opening above a fixed round base; what does not find room falls off the rim. When the
+//! Grains pour through a round opening that rises above a fixed round base; what does not find room falls off the rim. When the
 //! heap rests, its angle is read twice: from the apex, as the published camera does, and from a cone fitted to its
 //! flank. Everything is scaled in grain diameters, so the number of grains does not change with their size.
 
@@ -29,7 +29,7 @@ pub struct Settings {
     pub funnel_clearance_diameters: f64,
     /// Radius of the opening, grain diameters. Default 1.8.
     pub funnel_radius_diameters: f64,
-    /// Substep of the solver, s. Default 0.000125.
+    /// Substep of the solver, s. Default 0.00008.
     pub substep_s: f64,
     /// Longest wait for rest after the last grain, s. Default 1.
     pub settle_max_s: f64,
