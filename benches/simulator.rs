@@ -12,9 +12,7 @@ fn heap(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("heap");
     group.sample_size(10);
     for particles in [500, 1000, 2000] {
-        // The base shrinks with the cube root, so that all three overflow alike.
-        let base_radius_diameters = 9.0 * (f64::from(particles) / 2000.0).cbrt();
-        let settings = repose::Settings { particles, base_radius_diameters, ..Default::default() };
+        let settings = repose::Settings::with_particles(particles);
         group.bench_function(format!("{particles} grains"), |bencher| {
             bencher.iter(|| repose(black_box(&ParameterSet::default()), &settings, 1));
         });

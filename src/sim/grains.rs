@@ -1,7 +1,7 @@
 //! The state of a powder and the order of one substep.
 
 use super::constraints::{Grip, V3, Vector, add, attract, choose, dot, inner, scale, separate, splat, stick, sub};
-use super::lanes::{Avx512, Lanes, Mask, Path, Portable, WIDTH, block, block_mut};
+use super::lanes::{Avx2, Avx512, Lanes, Mask, Path, Portable, WIDTH, block, block_mut};
 use super::law::Law;
 use super::neighbours::{FAR, NEW, Neighbours};
 use super::walls::Wall;
@@ -113,20 +113,23 @@ impl Grains {
     /// One relaxed Jacobi iteration: every correction is computed at the same `p` and summed by its own grain in list order, so the
     /// result does not depend on the processor or on threads. Both grains of a pair receive exactly opposite corrections.
     pub(super) fn substep(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
+        #[allow(unsafe_code)]
         match self.path {
             Path::Portable => self.advance::<Portable>(law, acceleration, wall),
-            Path::Avx512 => {
-                #[allow(unsafe_code)]
-                // SAFETY: this path is chosen only on a processor that has AVX-512F.
-                unsafe {
-                    self.advance_wide(law, acceleration, wall);
-                }
-            }
+            // SAFETY: a path is chosen only on a processor that has it.
+            Path::Avx2 => unsafe { self.advance_avx2(law, acceleration, wall) },
+            // SAFETY: as above.
+            Path::Avx512 => unsafe { self.advance_avx512(law, acceleration, wall) },
         }
     }
 
+    #[target_feature(enable = "avx2")]
+    fn advance_avx2(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
+        self.advance::<Avx2>(law, acceleration, wall);
+    }
+
     #[target_feature(enable = "avx512f")]
-    fn advance_wide(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
+    fn advance_avx512(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
         self.advance::<Avx512>(law, acceleration, wall);
     }
 

@@ -267,7 +267,9 @@ fn every_path_gives_the_same_bytes() {
         }
         format!("{:?} {:?}", grains.centres(), grains.velocities())
     };
-    assert_eq!(run(Path::best()), run(Path::Portable));
+    for path in Path::available().skip(1) {
+        assert!(run(path) == run(Path::Portable), "{path:?}");
+    }
 }
 
 #[test]
