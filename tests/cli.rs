@@ -49,17 +49,20 @@ fn help_lists_every_command_and_every_command_has_help() {
 }
 
 #[test]
-fn repose_gives_the_same_bytes_twice_and_on_any_number_of_threads() {
+fn repose_gives_the_same_bytes_twice_on_any_number_of_threads_and_on_every_path() {
     let folder = tempfile::tempdir().unwrap();
     let arguments = ["repose", "--friction", "0.3", "--cohesion", "0", "--repeats", "3", "--seed", "1", "--json"];
-    let on = |threads: &str| {
-        let output = command(folder.path(), &arguments).env("RAYON_NUM_THREADS", threads).output().unwrap();
+    let with = |name: &str, value: &str| {
+        let output = command(folder.path(), &arguments).env(name, value).output().unwrap();
         expect_status(&output, 0);
         output.stdout
     };
-    let one = on("1");
-    assert_eq!(one, on("1"));
-    assert_eq!(one, on("2"));
+    let one = with("RAYON_NUM_THREADS", "1");
+    assert_eq!(one, with("RAYON_NUM_THREADS", "1"));
+    assert_eq!(one, with("RAYON_NUM_THREADS", "2"));
+    // A processor without AVX2 runs the portable path three times.
+    assert_eq!(one, with("FLIP_SIMD", "portable"));
+    assert_eq!(one, with("FLIP_SIMD", "avx2"));
     let document: Value = serde_json::from_slice(&one).unwrap();
     for key in ["repose_deg", "cone_deg", "repose_sd_deg", "particles", "creep_deg_per_s"] {
         assert!(document[key].is_number(), "{key} is not a number in {document}");

@@ -375,6 +375,9 @@ impl Grains {
 
     /// What makes the state meaningless, if anything does.
     pub(super) fn fault(&self) -> Option<String> {
+        if self.neighbours.overfull {
+            return Some("grains have fallen into each other".to_owned());
+        }
         let mut grains = self.velocities().iter().zip(self.centres()).zip(&self.id);
         grains.find_map(|((v, x), id)| {
             if !dot(*x, *x).is_finite() || !dot(*v, *v).is_finite() {

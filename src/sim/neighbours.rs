@@ -17,7 +17,7 @@ const HORIZON: f32 = 6.0;
 const FAST: f32 = 0.05;
 /// Squared distance within which a pair is listed among the first: it touches now or soon.
 const HOT2: f32 = 1.1;
-/// Most neighbours of a grain; more than fit around it many times over.
+/// Most neighbours of a grain, twice what a dense powder at full allowance has; grains closer than that have fallen into each other.
 const ROWS_MAX: usize = 112;
 /// Where nothing is.
 pub(super) const FAR: f32 = 1e6;
@@ -42,6 +42,8 @@ pub(super) struct Neighbours {
     pub anchor: Vec<[[f32; WIDTH]; 3]>,
     /// Lanes of a row that touch.
     pub touching: Vec<Mask>,
+    /// Some grain once had more neighbours than the list takes: contacts were missing.
+    pub overfull: bool,
     /// Where each grain's path begins; the fourth number is the square of its allowance.
     start: Vec<Vector>,
     /// The velocity along it.
@@ -126,6 +128,7 @@ impl Neighbours {
                     next_wide += 1;
                 }
                 counts[i % WIDTH] = count;
+                self.overfull |= count == ROWS_MAX;
             }
             self.write_rows(b, n, &lists, &counts, was);
         }
@@ -457,6 +460,20 @@ mod tests {
                 }
             }
             assert_eq!(pairs(&list, 300), expected);
+        }
+    }
+
+    #[test]
+    fn grains_that_have_fallen_into_each_other_are_too_many_for_the_list_and_it_says_so() {
+        for (spacing, overfull) in [(0.01, true), (0.9, false)] {
+            let x: Vec<Vector> =
+                (0..216).map(|k| vector((k % 6) as f32, (k / 6 % 6) as f32, (k / 36) as f32)).collect();
+            let x: Vec<Vector> = x.into_iter().map(|x| x.map(|x| spacing * x)).collect();
+            let mut list = Neighbours::default();
+            let order = list.order(&x).to_vec();
+            let x: Vec<Vector> = order.iter().map(|&i| x[i as usize]).collect();
+            list.build::<Portable>(&x, &vec![[0.0; 4]; 216], &[NEW; 216], 1.1);
+            assert_eq!(list.overfull, overfull);
         }
     }
 
