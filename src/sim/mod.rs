@@ -48,6 +48,7 @@ pub mod balance;
 mod constraints;
 pub mod dispense;
 mod grains;
+mod grid;
 mod lanes;
 pub mod law;
 pub mod motion;

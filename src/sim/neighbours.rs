@@ -1,10 +1,9 @@
 //! Grains that may touch before the list is built again. Lengths in grain diameters, time in substeps.
 
 use super::constraints::{V3, Vector, dot, inner, splat, sub};
+use super::grid::Grid;
 use super::lanes::{Lanes, Mask, WIDTH, block};
 
-/// Side of a cell of the search grid.
-const CELL: f32 = 1.3;
 /// How far any grain may stray from its path before the list is built again.
 const SKIN: f32 = 0.14;
 /// How much further a moving grain may stray, as a share of its path.
@@ -311,98 +310,6 @@ fn closest2(x: Vector, v: Vector, y: Vector, w: Vector) -> f32 {
 
 fn dot3(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-/// A uniform grid over the grains' bounding box.
-#[derive(Debug, Clone, Default)]
-struct Grid {
-    origin: [f32; 3],
-    size: [i32; 3],
-    /// `first[c]..first[c + 1]` are the places of the grains of cell `c`.
-    first: Vec<u32>,
-    /// The grains by place: cell after cell.
-    grain: Vec<u32>,
-    cell_of: Vec<u32>,
-}
-
-/// Most cells along one side: a stray grain far away must not cost memory.
-const CELLS_MAX: i32 = 128;
-
-impl Grid {
-    #[inline(always)]
-    fn coordinate(&self, x: f32, axis: usize) -> i32 {
-        (((x - self.origin[axis]) * (1.0 / CELL)) as i32).clamp(0, self.size[axis] - 1)
-    }
-
-    fn fill(&mut self, x: &[Vector]) {
-        let mut low = [f32::MAX; 3];
-        let mut high = [f32::MIN; 3];
-        for x in x {
-            for axis in 0..3 {
-                low[axis] = low[axis].min(x[axis]);
-                high[axis] = high[axis].max(x[axis]);
-            }
-        }
-        self.origin = low;
-        self.size = std::array::from_fn(|k| (((high[k] - low[k]) * (1.0 / CELL)) as i32).clamp(0, CELLS_MAX - 1) + 1);
-        let cells = (self.size[0] * self.size[1] * self.size[2]) as usize;
-        self.first.clear();
-        self.first.resize(cells + 2, 0);
-        self.cell_of.clear();
-        for x in x {
-            let [i, j, k] = std::array::from_fn(|axis| self.coordinate(x[axis], axis));
-            let cell = ((k * self.size[1] + j) * self.size[0] + i) as u32;
-            self.cell_of.push(cell);
-            self.first[cell as usize + 2] += 1;
-        }
-        for cell in 0..cells {
-            self.first[cell + 2] += self.first[cell + 1];
-        }
-        self.grain.clear();
-        self.grain.resize(x.len(), 0);
-        // Filling moves every start up by one cell, to where it belongs.
-        for (grain, &cell) in self.cell_of.iter().enumerate() {
-            let place = &mut self.first[cell as usize + 1];
-            self.grain[*place as usize] = grain as u32;
-            *place += 1;
-        }
-    }
-
-    /// The lines of cells within `range` of `x`.
-    #[inline(always)]
-    fn near(&self, x: Vector, range: f32) -> Lines {
-        let at = |k: usize, by: f32| self.coordinate(x[k] + by, k);
-        let (low, high) = ([at(0, -range), at(1, -range), at(2, -range)], [at(0, range), at(1, range), at(2, range)]);
-        Lines { low, high, y: low[1], z: low[2] }
-    }
-}
-
-/// Walks over the lines of cells in a box. No closure and no iterator adapter: what runs within must be compiled for the processor at
-/// hand.
-struct Lines {
-    low: [i32; 3],
-    high: [i32; 3],
-    y: i32,
-    z: i32,
-}
-
-impl Lines {
-    /// The places of the grains of the next line.
-    #[inline(always)]
-    fn next(&mut self, grid: &Grid) -> Option<std::ops::Range<usize>> {
-        if self.y > self.high[1] {
-            self.y = self.low[1];
-            self.z += 1;
-        }
-        if self.z > self.high[2] {
-            return None;
-        }
-        let line = (self.z * grid.size[1] + self.y) * grid.size[0];
-        self.y += 1;
-        Some(
-            grid.first[(line + self.low[0]) as usize] as usize..grid.first[(line + self.high[0]) as usize + 1] as usize,
-        )
-    }
 }
 
 /// Sixteen numbers of a column from place `j`; sixteen follow every grain.
