@@ -2,10 +2,11 @@
 
 use super::failure::Failure;
 use super::{Common, parameters};
-use crate::domain::FieldError;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
+use crate::domain::{FieldError, bounded};
 use crate::sim;
+use crate::sim::mechanisms::Extensions;
 use crate::sim::repose::{Refusal, Repose, Settings};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -24,6 +25,15 @@ pub(super) struct Arguments {
     /// Heaps poured, each with a seed of its own.
     #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true)]
     repeats: u32,
+    /// A mechanism that the base simulator leaves out and its amplitude, as in `rotation=1`; may be repeated.
+    #[arg(long, value_name = "NAME=AMPLITUDE")]
+    extension: Vec<String>,
+    /// Cover the base with a layer of fixed grains.
+    #[arg(long)]
+    rough_base: bool,
+    /// Coulomb coefficient of the base, 0 to 2.
+    #[arg(long, value_name = "MU", default_value_t = 0.8, allow_negative_numbers = true)]
+    base_friction: f64,
     #[command(flatten)]
     parameters: parameters::Flags,
 }
@@ -63,10 +73,27 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             format!("must be from {} to {} grains, got {}", PARTICLES.start(), PARTICLES.end(), arguments.particles);
         return Err(FieldError::new("particles", message).into());
     }
-    let settings = Settings::with_particles(arguments.particles);
+    let settings = Settings {
+        base_friction: bounded("base_friction", arguments.base_friction, 0.0, 2.0, "")?,
+        rough_base: arguments.rough_base,
+        extensions: extensions(&arguments.extension)?,
+        ..Settings::with_particles(arguments.particles)
+    };
     let outcomes = pour(&set, &settings, common.seed, arguments.repeats);
     let document = summarise(set, settings, common.seed, outcomes)?;
     common.print(&document, || text(&document))
+}
+
+/// The mechanisms that flags name.
+fn extensions(flags: &[String]) -> Result<Extensions, FieldError> {
+    flags.iter().try_fold(Extensions::default(), |extensions, flag| {
+        let parts = flag.split_once('=').and_then(|(name, amplitude)| Some((name, amplitude.parse().ok()?)));
+        let Some((name, amplitude)) = parts else {
+            let message = format!("must be a name, an equals sign and a number, as in `rotation=1`, got `{flag}`");
+            return Err(FieldError::new("extension", message));
+        };
+        extensions.with(name, amplitude)
+    })
 }
 
 /// One heap per repeat; `collect` keeps their order, so the threads leave no mark on the result.

@@ -47,6 +47,11 @@ pub(super) fn inner<L: Lanes>(a: V3<L>, b: V3<L>) -> L {
 }
 
 #[inline(always)]
+pub(super) fn cross<L: Lanes>(a: V3<L>, b: V3<L>) -> V3<L> {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+#[inline(always)]
 pub(super) fn choose<L: Lanes>(mask: Mask, yes: V3<L>, no: V3<L>) -> V3<L> {
     [L::select(mask, yes[0], no[0]), L::select(mask, yes[1], no[1]), L::select(mask, yes[2], no[2])]
 }

@@ -6,6 +6,7 @@
 use super::constraints::{Vector, vector};
 use super::grains::{Departure, Grains};
 use super::law::{Law, SUBSTEP_S};
+use super::mechanisms::{Extensions, Site};
 use super::motion::{MotionLimits, Move};
 use super::walls::Bowl;
 use crate::domain::bench::{Action, PitchLimits};
@@ -43,6 +44,9 @@ pub struct Settings {
     pub substep_s: f64,
     /// Longest wait for the powder to rest after a motion, s. Default 0.5.
     pub settle_max_s: f64,
+    /// What the base simulator leaves out. Default nothing.
+    #[serde(skip_serializing_if = "Extensions::is_none")]
+    pub extensions: Extensions,
 }
 
 impl Default for Settings {
@@ -59,6 +63,7 @@ impl Default for Settings {
             drop_height_mm: 10.0,
             substep_s: SUBSTEP_S,
             settle_max_s: 0.5,
+            extensions: Extensions::default(),
         }
     }
 }
@@ -83,8 +88,9 @@ pub struct Dispenser {
     grains: Grains,
     grain_mg: f64,
     pitch_deg: f64,
-    vial_grains: u32,
-    spilled_grains: u32,
+    /// In masses of a mean grain.
+    vial: f64,
+    spilled: f64,
     fault: Option<String>,
 }
 
@@ -108,6 +114,7 @@ impl Dispenser {
     /// Fill the level spoon and let the powder rest (under a second of CPU; clone to reuse).
     pub fn new(set: &ParameterSet, settings: &Settings, seed: u64) -> Self {
         let law = Law::new(set, settings.friction, settings.substep_s);
+        let law = law.extended(&settings.extensions, set, Site::Spoon);
         let bowl = Bowl::new(settings.semi_axes_mm.map(|mm| (mm * 1e-3 / law.diameter_m) as f32));
         let mut filled = Self {
             settings: *settings,
@@ -116,8 +123,8 @@ impl Dispenser {
             grains: Grains::default(),
             grain_mg: set.particle_mass_ug() / 1000.0,
             pitch_deg: 0.0,
-            vial_grains: 0,
-            spilled_grains: 0,
+            vial: 0.0,
+            spilled: 0.0,
             fault: None,
         };
         filled.fill(seed);
@@ -136,7 +143,7 @@ impl Dispenser {
                 let (x, y) = (i as f32 * 1.15 + jitter[0], j as f32 * 1.15 + jitter[1]);
                 let inside = (x / (0.8 * a)).powi(2) + (y / (0.8 * b)).powi(2) < 1.0;
                 if inside && left > 0 {
-                    self.grains.pour(vector(x, y, height), [0.0; 4]);
+                    self.grains.pour(&self.law, vector(x, y, height), [0.0; 4]);
                     left -= 1;
                 }
             }
@@ -146,7 +153,7 @@ impl Dispenser {
             (2.0 * f64::from(height + self.bowl.semi_axes[2]) * self.law.diameter_m / super::law::GRAVITY).sqrt();
         self.run(fall_s, |_| (Pose::default(), 0.0));
         self.rest(2.0 * self.settings.settle_max_s);
-        (self.vial_grains, self.spilled_grains) = (0, 0);
+        (self.vial, self.spilled) = (0.0, 0.0);
     }
 
     /// Carry out one action, until the powder rests: first the pitch, clamped to its limits, then the shake.
@@ -162,7 +169,7 @@ impl Dispenser {
     }
 
     fn carry_out(&mut self, pitch_deg: f64, shake_mm: f64) -> Poured {
-        let before = (self.vial_grains, self.spilled_grains);
+        let before = (self.vial, self.spilled);
         let mut duration_s = 0.0;
         if pitch_deg != self.pitch_deg {
             duration_s += self.incline(pitch_deg);
@@ -174,8 +181,8 @@ impl Dispenser {
             duration_s += self.rest(self.settings.settle_max_s);
         }
         Poured {
-            vial_mg: f64::from(self.vial_grains - before.0) * self.grain_mg,
-            spilled_mg: f64::from(self.spilled_grains - before.1) * self.grain_mg,
+            vial_mg: (self.vial - before.0) * self.grain_mg,
+            spilled_mg: (self.spilled - before.1) * self.grain_mg,
             duration_s,
         }
     }
@@ -241,8 +248,8 @@ impl Dispenser {
     fn collect(&mut self, pose: Pose) {
         for departure in self.grains.take_departed(&self.bowl) {
             match self.meets_the_mouth(departure, pose) {
-                true => self.vial_grains += 1,
-                false => self.spilled_grains += 1,
+                true => self.vial += departure.mass(),
+                false => self.spilled += departure.mass(),
             }
         }
     }
@@ -272,17 +279,17 @@ impl Dispenser {
 
     /// Powder in the vial, mg: the truth, not the balance's reading.
     pub fn vial_mg(&self) -> f64 {
-        f64::from(self.vial_grains) * self.grain_mg
+        self.vial * self.grain_mg
     }
 
     /// Powder that missed the vial, mg.
     pub fn spilled_mg(&self) -> f64 {
-        f64::from(self.spilled_grains) * self.grain_mg
+        self.spilled * self.grain_mg
     }
 
     /// Powder left in the spoon, mg.
     pub fn spoon_mg(&self) -> f64 {
-        self.grains.centres().len() as f64 * self.grain_mg
+        self.grains.mass() * self.grain_mg
     }
 
     /// Why the simulation means nothing any more, if it does.

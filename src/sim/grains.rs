@@ -1,6 +1,7 @@
 //! The state of a powder and the order of one substep.
 
-use super::constraints::{Grip, V3, Vector, add, attract, choose, dot, inner, scale, separate, splat, stick, sub};
+use super::constraints::{Vector, add, choose, dot, scale, splat};
+use super::contacts::{self, Predicted, Sum, Turn};
 use super::lanes::{Avx2, Avx512, Lanes, Mask, Path, Portable, WIDTH, block, block_mut};
 use super::law::Law;
 use super::neighbours::{FAR, NEW, Neighbours};
@@ -13,23 +14,29 @@ use super::walls::Wall;
 #[derive(Debug, Clone)]
 pub(super) struct Grains {
     n: usize,
-    /// Centres.
+    /// Centres; the fourth number is the grain's radius.
     x: Vec<Vector>,
     /// Velocities; the fourth number counts the grain's contacts.
     v: Vec<Vector>,
     /// Where each grain's wall contact stuck; the fourth number is 1 while it touches a wall.
     wall_anchor: Vec<Vector>,
+    /// Spins, radians per substep; the fourth number is 1 for a grain that can move.
+    spin: Vec<Vector>,
+    /// Each grain's rolling stretch at the wall; the fourth number is 1 for a grain that clings to spoons.
+    wall_stretch: Vec<Vector>,
     /// In the order of pouring.
     id: Vec<u32>,
     /// Each grain's place in the neighbour list.
     listed: Vec<u32>,
-    /// Predicted centres and velocities, with one grain more that is nowhere: the neighbour of those who have none.
+    /// What [`Predicted`] says, with one grain more that is nowhere: the neighbour of those who have none.
     p: Vec<Vector>,
     u: Vec<Vector>,
+    turning: Vec<Vector>,
     neighbours: Neighbours,
     /// Grains came or went since the list was built.
     changed: bool,
     poured: u32,
+    elapsed: u32,
     path: Path,
     scratch: Vec<Vector>,
     numbers: Vec<u32>,
@@ -44,12 +51,24 @@ pub(super) struct Departure {
     pub v: Vector,
 }
 
+/// Mass of a grain centred at `x` over that of a mean grain.
+fn mass(x: &Vector) -> f64 {
+    (2.0 * f64::from(x[3])).powi(3)
+}
+
+impl Departure {
+    /// Mass over that of a mean grain.
+    pub(super) fn mass(&self) -> f64 {
+        mass(&self.x)
+    }
+}
+
 /// What the state means nothing beyond: more than this many diameters per substep is an explosion, not a powder.
 const SPEED_MAX: f32 = 1.0;
 /// A grain that fills a block up.
-const NOBODY: Vector = [FAR, FAR, FAR, 0.0];
+const NOBODY: Vector = [FAR, FAR, FAR, 0.5];
 /// Its neighbour: far from it too.
-const NOWHERE: Vector = [-FAR, -FAR, -FAR, 0.0];
+const NOWHERE: Vector = [-FAR, -FAR, -FAR, 0.5];
 
 impl Default for Grains {
     fn default() -> Self {
@@ -65,20 +84,24 @@ impl Grains {
             x: Vec::new(),
             v: Vec::new(),
             wall_anchor: Vec::new(),
+            spin: Vec::new(),
+            wall_stretch: Vec::new(),
             id: Vec::new(),
             listed: Vec::new(),
             p: Vec::new(),
             u: Vec::new(),
+            turning: Vec::new(),
             neighbours: Neighbours::default(),
             changed: true,
             poured: 0,
+            elapsed: 0,
             path,
             scratch: Vec::new(),
             numbers: Vec::new(),
         }
     }
 
-    /// Centres, in no lasting order.
+    /// Centres, in no lasting order; the fourth number is the radius.
     pub(super) fn centres(&self) -> &[Vector] {
         &self.x[..self.n]
     }
@@ -88,19 +111,38 @@ impl Grains {
         &self.v[..self.n]
     }
 
-    /// Add a grain.
-    pub(super) fn pour(&mut self, x: Vector, v: Vector) {
-        for column in [&mut self.x, &mut self.v, &mut self.wall_anchor] {
-            column.truncate(self.n);
+    /// Add a grain; its radius is the law's for its number.
+    pub(super) fn pour(&mut self, law: &Law, x: Vector, v: Vector) {
+        let radius = law.mechanisms.sizes.radius(self.poured);
+        let clings = law.mechanisms.film.clings(self.poured);
+        self.add([x[0], x[1], x[2], radius], v, [1.0, clings]);
+    }
+
+    /// Add a grain of the mean size that never moves. Only a law with mechanisms knows such grains.
+    pub(super) fn fix(&mut self, x: Vector) {
+        self.add([x[0], x[1], x[2], 0.5], [0.0; 4], [0.0, 0.0]);
+    }
+
+    fn add(&mut self, x: Vector, v: Vector, [mobile, clings]: [f32; 2]) {
+        let n = self.n;
+        for column in self.columns() {
+            column.truncate(n);
         }
         self.x.push(x);
         self.v.push([v[0], v[1], v[2], 0.0]);
         self.wall_anchor.push([0.0; 4]);
+        self.spin.push([0.0, 0.0, 0.0, mobile]);
+        self.wall_stretch.push([0.0, 0.0, 0.0, clings]);
         self.id.push(self.poured);
         self.listed.push(NEW);
         self.poured += 1;
         self.n += 1;
         self.changed = true;
+    }
+
+    /// What each grain takes with it when its place changes.
+    fn columns(&mut self) -> [&mut Vec<Vector>; 5] {
+        [&mut self.x, &mut self.v, &mut self.wall_anchor, &mut self.spin, &mut self.wall_stretch]
     }
 
     /// Advance one substep: predict, project every contact once at the predicted positions, move.
@@ -115,7 +157,7 @@ impl Grains {
     pub(super) fn substep(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
         #[allow(unsafe_code)]
         match self.path {
-            Path::Portable => self.advance::<Portable>(law, acceleration, wall),
+            Path::Portable => self.advance_any::<Portable>(law, acceleration, wall),
             // SAFETY: a path is chosen only on a processor that has it.
             Path::Avx2 => unsafe { self.advance_avx2(law, acceleration, wall) },
             // SAFETY: as above.
@@ -125,31 +167,42 @@ impl Grains {
 
     #[target_feature(enable = "avx2")]
     fn advance_avx2(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
-        self.advance::<Avx2>(law, acceleration, wall);
+        self.advance_any::<Avx2>(law, acceleration, wall);
     }
 
     #[target_feature(enable = "avx512f")]
     fn advance_avx512(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
-        self.advance::<Avx512>(law, acceleration, wall);
+        self.advance_any::<Avx512>(law, acceleration, wall);
     }
 
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
-    fn advance<L: Lanes>(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
+    fn advance_any<L: Lanes>(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
+        match law.extended {
+            false => self.advance::<L, false>(law, acceleration, wall),
+            true => self.advance::<L, true>(law, acceleration, wall),
+        }
+    }
+
+    #[allow(clippy::inline_always)] // See `lanes`.
+    #[inline(always)]
+    fn advance<L: Lanes, const EXTENDED: bool>(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
         if self.n == 0 {
             return;
         }
+        let acceleration = if EXTENDED { law.mechanisms.step(acceleration, self.elapsed) } else { acceleration };
         if self.changed {
-            self.list::<L>(law);
+            self.list::<L, EXTENDED>(law);
         }
-        if !self.predict::<L>(law, acceleration) {
-            self.list::<L>(law);
-            self.predict::<L>(law, acceleration);
+        if !self.predict::<L, EXTENDED>(law, acceleration) {
+            self.list::<L, EXTENDED>(law);
+            self.predict::<L, EXTENDED>(law, acceleration);
         }
         for b in 0..self.x.len() / WIDTH {
-            self.project::<L>(b, law, wall);
+            self.project::<L, EXTENDED>(b, law, wall);
         }
         self.neighbours.grow_older();
+        self.elapsed += 1;
     }
 
     /// The lanes of block `b` that hold a grain.
@@ -163,20 +216,26 @@ impl Grains {
     /// Where everything would be without contacts; whether the neighbour list still holds there.
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
-    fn predict<L: Lanes>(&mut self, law: &Law, acceleration: Vector) -> bool {
+    fn predict<L: Lanes, const EXTENDED: bool>(&mut self, law: &Law, acceleration: Vector) -> bool {
         let pull = splat(acceleration);
         let drag = L::splat(law.drag);
         let mut furthest = L::splat(-1.0);
         for b in 0..self.x.len() / WIDTH {
-            let [x, y, z, _] = L::rows(block(&self.x, b));
+            let [x, y, z, radius] = L::rows(block(&self.x, b));
             let [vx, vy, vz, contacts] = L::rows(block(&self.v, b));
-            let u = scale(add([vx, vy, vz], pull), drag);
-            let inhabited = self.inhabited(b);
+            let mut u = scale(add([vx, vy, vz], pull), drag);
+            let mut inhabited = self.inhabited(b);
+            if EXTENDED {
+                let [sx, sy, sz, mobile] = L::rows(block(&self.spin, b));
+                inhabited &= L::splat(0.0).below(mobile);
+                u = choose(inhabited, law.mechanisms.grain(u, radius), [L::splat(0.0); 3]);
+                L::write_rows([sx, sy, sz, mobile], block_mut(&mut self.turning, b));
+            }
             let p = choose(inhabited, add([x, y, z], u), [x, y, z]);
             let strayed = L::select(inhabited, self.neighbours.strayed(b, p), L::splat(-1.0));
             // A position that is no number has strayed too.
             furthest = L::select(strayed.below(furthest), furthest, strayed);
-            L::write_rows([p[0], p[1], p[2], contacts], block_mut(&mut self.p, b));
+            L::write_rows([p[0], p[1], p[2], radius], block_mut(&mut self.p, b));
             L::write_rows([u[0], u[1], u[2], contacts], block_mut(&mut self.u, b));
         }
         furthest.below(L::splat(0.0)) == Mask::MAX
@@ -185,155 +244,73 @@ impl Grains {
     /// Sort the grains into cells and list their neighbours.
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
-    fn list<L: Lanes>(&mut self, law: &Law) {
+    fn list<L: Lanes, const EXTENDED: bool>(&mut self, law: &Law) {
         let n = self.n;
-        let order = self.neighbours.order(&self.x[..n]);
-        for column in [&mut self.x, &mut self.v, &mut self.wall_anchor] {
-            self.scratch.clear();
-            self.scratch.extend(order.iter().map(|&i| column[i as usize]));
-            column[..n].copy_from_slice(&self.scratch);
+        let Self { x, v, wall_anchor, spin, wall_stretch, id, listed, neighbours, scratch, numbers, .. } = self;
+        let order = neighbours.order(&x[..n]);
+        for column in [x, v, wall_anchor, spin, wall_stretch] {
+            scratch.clear();
+            scratch.extend(order.iter().map(|&i| column[i as usize]));
+            column[..n].copy_from_slice(scratch);
         }
-        for column in [&mut self.id, &mut self.listed] {
-            self.numbers.clear();
-            self.numbers.extend(order.iter().map(|&i| column[i as usize]));
-            column.copy_from_slice(&self.numbers);
+        for column in [id, listed] {
+            numbers.clear();
+            numbers.extend(order.iter().map(|&i| column[i as usize]));
+            column.copy_from_slice(numbers);
         }
-        self.neighbours.build::<L>(&self.x[..n], &self.v[..n], &self.listed, 1.0 + law.grain.reach);
+        let reach = if EXTENDED { law.grain.reach.max(law.mechanisms.pair_reach()) } else { law.grain.reach };
+        self.neighbours.build::<L, EXTENDED>(&self.x[..n], &self.v[..n], &self.listed, 1.0 + reach);
         self.listed.clear();
         self.listed.extend(0..n as u32);
         let padded = n.div_ceil(WIDTH) * WIDTH;
-        self.x.truncate(n);
-        self.x.resize(padded, NOBODY);
-        for column in [&mut self.v, &mut self.wall_anchor] {
+        for column in self.columns() {
             column.truncate(n);
             column.resize(padded, [0.0; 4]);
         }
+        self.x[n..].fill(NOBODY);
         self.p.clear();
         self.p.resize(padded, NOBODY);
         self.p.push(NOWHERE);
-        self.u.clear();
-        self.u.resize(padded + 1, [0.0; 4]);
+        for column in [&mut self.u, &mut self.turning] {
+            column.clear();
+            column.resize(padded + 1, [0.0; 4]);
+        }
         self.changed = false;
     }
 
     /// Solve every contact of the grains of block `b`, and move them.
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
-    fn project<L: Lanes>(&mut self, b: usize, law: &Law, wall: &impl Wall) {
-        let [px, py, pz, contacts] = L::rows(block(&self.p, b));
-        let [ux, uy, uz, _] = L::rows(block(&self.u, b));
-        let (p, u) = ([px, py, pz], [ux, uy, uz]);
+    fn project<L: Lanes, const EXTENDED: bool>(&mut self, b: usize, law: &Law, wall: &impl Wall) {
+        let [px, py, pz, radius] = L::rows(block(&self.p, b));
+        let [ux, uy, uz, contacts] = L::rows(block(&self.u, b));
         let zero = L::splat(0.0);
-        let mut sum = Sum { correction: [zero; 3], contacts: zero };
-        self.project_pairs(b, law, p, u, contacts, &mut sum);
-        self.project_wall(b, law, wall, p, u, contacts, &mut sum);
-        let [x, y, z, _] = L::rows(block(&self.x, b));
-        let inhabited = self.inhabited(b);
-        let v = choose(inhabited, add(u, sum.correction), [zero; 3]);
+        let sum = Sum { correction: [zero; 3], torque: [zero; 3], contacts: zero };
+        let mut turn = Turn { p: [px, py, pz], u: [ux, uy, uz], radius, contacts, spin: [zero; 3], sum };
+        let mut free = self.inhabited(b);
+        let mut mobile = zero;
+        if EXTENDED {
+            let [sx, sy, sz, flag] = L::rows(block(&self.turning, b));
+            turn.spin = [sx, sy, sz];
+            mobile = flag;
+            free &= zero.below(flag);
+        }
+        let at = Predicted { p: &self.p, u: &self.u, spin: &self.turning };
+        contacts::pairs::<L, EXTENDED>(&mut self.neighbours, b, law, at, &mut turn);
+        let stretches = if EXTENDED { Some(block_mut(&mut self.wall_stretch, b)) } else { None };
+        contacts::wall::<L, EXTENDED>(law, wall, block_mut(&mut self.wall_anchor, b), stretches, &mut turn);
+        let [x, y, z, radius] = L::rows(block(&self.x, b));
+        let Sum { correction, torque, contacts } = turn.sum;
+        let v = choose(free, add(turn.u, correction), [zero; 3]);
         let x = add([x, y, z], v);
-        L::write_rows([v[0], v[1], v[2], sum.contacts], block_mut(&mut self.v, b));
-        L::write_rows([x[0], x[1], x[2], zero], block_mut(&mut self.x, b));
-    }
-
-    #[allow(clippy::inline_always)] // See `lanes`.
-    #[inline(always)]
-    fn project_pairs<L: Lanes>(&mut self, b: usize, law: &Law, p: V3<L>, u: V3<L>, contacts: L, sum: &mut Sum<L>) {
-        let c = &law.grain;
-        let (one, zero) = (L::splat(1.0), L::splat(0.0));
-        let near2 = L::splat((1.0 + c.reach) * (1.0 + c.reach));
-        let (onset, inverse_ramp) = (L::splat(1.0 + c.onset), L::splat(1.0 / (c.reach - c.onset)));
-        let Neighbours { first, other, anchor, touching, .. } = &mut self.neighbours;
-        for row in first[b] as usize..first[b + 1] as usize {
-            let others = &other[row];
-            #[allow(unsafe_code)]
-            // SAFETY: the list names grains and the one that is nowhere, and `p` has them all; `list` makes both together.
-            let [qx, qy, qz, theirs] = unsafe { L::gather(&self.p, others) };
-            let offset = sub(p, [qx, qy, qz]);
-            let distance2 = inner(offset, offset);
-            let near = distance2.below(near2);
-            if near == 0 {
-                touching[row] = 0;
-                continue;
-            }
-            let distance = distance2.sqrt();
-            let normal = scale(offset, one / distance);
-            let gap = distance - onset;
-            let mut along = zero - attract(gap, L::splat(c.attraction), inverse_ramp);
-            let touch = gap.below(zero) & near;
-            if touch != 0 {
-                #[allow(unsafe_code)]
-                // SAFETY: as above; `u` is as long as `p`.
-                let [wx, wy, wz, _] = unsafe { L::gather(&self.u, others) };
-                let velocity = sub(u, [wx, wy, wz]);
-                let opening = inner(velocity, normal);
-                // A grain's contacts share its damping: the sum stays stable however many there are.
-                let share = one / one.max(contacts * theirs).sqrt();
-                let push = separate(gap, opening, L::splat(c.normal), L::splat(c.normal_damping) * share);
-                let push = L::select(touch, push, zero);
-                along = along + push;
-                let memory = &mut anchor[row];
-                let stuck = [L::load(&memory[0]), L::load(&memory[1]), L::load(&memory[2])];
-                let stuck = choose(touching[row], stuck, offset);
-                let grip = Grip {
-                    stiffness: L::splat(c.tangential),
-                    damping: L::splat(c.tangential_damping) * share,
-                    limit: L::splat(c.friction) * push,
-                };
-                let held = stick(offset, stuck, velocity, normal, opening, grip);
-                held.anchor[0].store(&mut memory[0]);
-                held.anchor[1].store(&mut memory[1]);
-                held.anchor[2].store(&mut memory[2]);
-                sum.correction = sub(sum.correction, choose(touch, held.correction, [zero; 3]));
-                sum.contacts = sum.contacts + L::select(touch, one, zero);
-            }
-            touching[row] = touch;
-            sum.correction = add(sum.correction, choose(near, scale(normal, along), [zero; 3]));
+        L::write_rows([v[0], v[1], v[2], contacts], block_mut(&mut self.v, b));
+        L::write_rows([x[0], x[1], x[2], radius], block_mut(&mut self.x, b));
+        if EXTENDED {
+            // The moment of inertia of a solid sphere is 2/5 m r^2.
+            let ease = L::splat(2.5 * law.mechanisms.freedom) / (radius * radius);
+            let spin = choose(free, add(turn.spin, scale(torque, ease)), [zero; 3]);
+            L::write_rows([spin[0], spin[1], spin[2], mobile], block_mut(&mut self.spin, b));
         }
-    }
-
-    #[allow(clippy::inline_always, clippy::too_many_arguments)] // See `lanes`.
-    #[inline(always)]
-    fn project_wall<L: Lanes>(
-        &mut self,
-        b: usize,
-        law: &Law,
-        wall: &impl Wall,
-        p: V3<L>,
-        u: V3<L>,
-        contacts: L,
-        sum: &mut Sum<L>,
-    ) {
-        let c = &law.wall;
-        let (one, zero) = (L::splat(1.0), L::splat(0.0));
-        let touched = wall.touch(p);
-        let near = touched.gap.below(L::splat(c.reach));
-        let memory = block_mut(&mut self.wall_anchor, b);
-        if near == 0 {
-            for memory in memory {
-                memory[3] = 0.0;
-            }
-            return;
-        }
-        let (normal, gap) = (touched.normal, touched.gap - L::splat(c.onset));
-        let touch = gap.below(zero);
-        let pull = attract(gap, L::splat(c.attraction), L::splat(1.0 / (c.reach - c.onset)));
-        let opening = inner(u, normal);
-        let share = one / one.max(contacts).sqrt();
-        let push = separate(gap, opening, L::splat(c.normal), L::splat(c.normal_damping) * share);
-        let push = L::select(touch, push, zero);
-        let [ax, ay, az, was] = L::rows(memory);
-        let stuck = choose(zero.below(was), [ax, ay, az], p);
-        let grip = Grip {
-            stiffness: L::splat(c.tangential),
-            damping: L::splat(c.tangential_damping) * share,
-            limit: L::splat(c.friction) * push,
-        };
-        let held = stick(p, stuck, u, normal, opening, grip);
-        let touches = L::select(touch, one, zero);
-        L::write_rows([held.anchor[0], held.anchor[1], held.anchor[2], touches], memory);
-        let along = choose(near, scale(normal, push - pull), [zero; 3]);
-        sum.correction = add(sum.correction, sub(along, choose(touch, held.correction, [zero; 3])));
-        sum.contacts = sum.contacts + touches;
     }
 
     /// Take out the grains that have left for good, in the order of pouring.
@@ -345,7 +322,7 @@ impl Grains {
                 departed.push((self.id[i], Departure { x: self.x[i], v: self.v[i] }));
                 continue;
             }
-            for column in [&mut self.x, &mut self.v, &mut self.wall_anchor] {
+            for column in self.columns() {
                 column[kept] = column[i];
             }
             for column in [&mut self.id, &mut self.listed] {
@@ -359,6 +336,16 @@ impl Grains {
         self.listed.truncate(kept);
         departed.sort_unstable_by_key(|(id, _)| *id);
         departed.into_iter().map(|(_, departure)| departure).collect()
+    }
+
+    /// Mass of all grains over that of a mean grain.
+    pub(super) fn mass(&self) -> f64 {
+        self.centres().iter().map(mass).sum()
+    }
+
+    /// Centres of the grains that can move.
+    pub(super) fn free(&self) -> impl Iterator<Item = &Vector> {
+        self.centres().iter().zip(&self.spin).filter(|(_, spin)| spin[3] > 0.0).map(|(x, _)| x)
     }
 
     /// Largest and root-mean-square speed, diameters per substep.
@@ -391,12 +378,13 @@ impl Grains {
     /// Mean and largest overlap of overlapping grains, in diameters.
     pub(super) fn overlaps(&self) -> (f64, f64) {
         let mut along_x = self.centres().to_vec();
+        let widest = along_x.iter().fold(0.0, |widest: f32, x| widest.max(x[3]));
         along_x.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]));
         let (mut sum, mut largest, mut overlapping) = (0.0f64, 0.0f64, 0u32);
         for (i, a) in along_x.iter().enumerate() {
-            for b in along_x[i + 1..].iter().take_while(|b| b[0] - a[0] < 1.0) {
+            for b in along_x[i + 1..].iter().take_while(|b| b[0] - a[0] < a[3] + widest) {
                 let offset: Vector = std::array::from_fn(|k| a[k] - b[k]);
-                let overlap = 1.0 - f64::from(dot(offset, offset).sqrt());
+                let overlap = f64::from(a[3] + b[3] - dot(offset, offset).sqrt());
                 if overlap > 0.0 {
                     sum += overlap;
                     largest = largest.max(overlap);
@@ -407,16 +395,16 @@ impl Grains {
         (sum / f64::from(overlapping.max(1)), largest)
     }
 
+    /// Spin of a grain by its number in the order of pouring, radians per substep.
+    #[cfg(test)]
+    pub(super) fn spin(&self, id: u32) -> Vector {
+        self.spin[self.id.iter().position(|&other| other == id).expect("the grain is still there")]
+    }
+
     /// Centre and velocity of a grain by its number in the order of pouring.
     #[cfg(test)]
     pub(super) fn grain(&self, id: u32) -> (Vector, Vector) {
         let place = self.id.iter().position(|&other| other == id).expect("the grain is still there");
         (self.x[place], self.v[place])
     }
-}
-
-/// What the contacts of a block's grains add up to.
-struct Sum<L> {
-    correction: V3<L>,
-    contacts: L,
 }

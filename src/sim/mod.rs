@@ -46,11 +46,13 @@
 
 pub mod balance;
 mod constraints;
+mod contacts;
 pub mod dispense;
 mod grains;
 mod grid;
 mod lanes;
 pub mod law;
+pub mod mechanisms;
 pub mod motion;
 mod neighbours;
 pub mod repose;

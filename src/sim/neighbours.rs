@@ -3,6 +3,7 @@
 use super::constraints::{V3, Vector, dot, inner, splat, sub};
 use super::grid::Grid;
 use super::lanes::{Lanes, Mask, WIDTH, block};
+use super::mechanisms::{Memory, SLOTS};
 
 /// How far any grain may stray from its path before the list is built again.
 const SKIN: f32 = 0.14;
@@ -41,6 +42,9 @@ pub(super) struct Neighbours {
     pub anchor: Vec<[[f32; WIDTH]; 3]>,
     /// Lanes of a row that touch.
     pub touching: Vec<Mask>,
+    /// Lanes of a row that have a memory beside the anchor, and what they remember; of use to mechanisms only.
+    pub linked: Vec<Mask>,
+    pub memory: Vec<Memory>,
     /// Some grain once had more neighbours than the list takes: contacts were missing.
     pub overfull: bool,
     /// Where each grain's path begins; the fourth number is the square of its allowance.
@@ -49,6 +53,8 @@ pub(super) struct Neighbours {
     pace: Vec<Vector>,
     /// Substeps since the list was built.
     age: f32,
+    /// By how much the largest radius exceeds the mean.
+    widest: f32,
     old: Old,
     grid: Grid,
     sorted: Sorted,
@@ -66,6 +72,8 @@ struct Old {
     other: Vec<[u32; WIDTH]>,
     anchor: Vec<[[f32; WIDTH]; 3]>,
     touching: Vec<Mask>,
+    linked: Vec<Mask>,
+    memory: Vec<Memory>,
 }
 
 /// Positions, velocities and allowances by component, with a block of nowhere behind the last; fast grains are nowhere.
@@ -103,7 +111,13 @@ impl Neighbours {
     /// from centre to centre matter. `was` gives for each grain its place in the list before, [`NEW`] if it had none; anchors follow
     /// their pair.
     #[inline(always)]
-    pub(super) fn build<L: Lanes>(&mut self, x: &[Vector], v: &[Vector], was: &[u32], reach: f32) {
+    pub(super) fn build<L: Lanes, const EXTENDED: bool>(
+        &mut self,
+        x: &[Vector],
+        v: &[Vector],
+        was: &[u32],
+        reach: f32,
+    ) {
         let n = x.len();
         self.keep_old(n, was);
         self.set_out(x, v);
@@ -112,6 +126,7 @@ impl Neighbours {
         self.first.push(0);
         self.other.clear();
         self.touching.clear();
+        self.linked.clear();
         let mut lists = [[0u32; ROWS_MAX + WIDTH]; WIDTH];
         let mut next_wide = 0;
         for b in 0..n.div_ceil(WIDTH) {
@@ -129,7 +144,7 @@ impl Neighbours {
                 counts[i % WIDTH] = count;
                 self.overfull |= count == ROWS_MAX;
             }
-            self.write_rows(b, n, &lists, &counts, was);
+            self.write_rows::<EXTENDED>(b, n, &lists, &counts, was);
         }
         self.age = 0.0;
     }
@@ -145,12 +160,15 @@ impl Neighbours {
         std::mem::swap(&mut self.old.other, &mut self.other);
         std::mem::swap(&mut self.old.anchor, &mut self.anchor);
         std::mem::swap(&mut self.old.touching, &mut self.touching);
+        std::mem::swap(&mut self.old.linked, &mut self.linked);
+        std::mem::swap(&mut self.old.memory, &mut self.memory);
     }
 
     /// Begin every grain's path.
     fn set_out(&mut self, x: &[Vector], v: &[Vector]) {
         let n = x.len();
         let padded = n.div_ceil(WIDTH) * WIDTH;
+        self.widest = 0.0;
         self.start.clear();
         self.pace.clear();
         self.fast.clear();
@@ -164,7 +182,9 @@ impl Neighbours {
             let a = (SKIN + SKIN_PER_PATH * speed * HORIZON).min(SKIN_MAX);
             self.start.push([x[i][0], x[i][1], x[i][2], a * a]);
             self.pace.push([v[i][0], v[i][1], v[i][2], 0.0]);
-            allowance[i] = a;
+            // The search knows grains of the mean size: a larger one looks further by what it is larger.
+            allowance[i] = a + (x[i][3] - 0.5);
+            self.widest = self.widest.max(x[i][3] - 0.5);
             let is_fast = speed > FAST;
             if is_fast {
                 self.fast.push(i as u32);
@@ -184,11 +204,11 @@ impl Neighbours {
     /// Pairs with a fast grain, found by the faster one.
     fn search_wide(&mut self, x: &[Vector], v: &[Vector], reach: f32) {
         self.wide.clear();
-        let (grid, allowance, wide) = (&self.grid, &self.sorted.allowance, &mut self.wide);
+        let (grid, allowance, wide, widest) = (&self.grid, &self.sorted.allowance, &mut self.wide, self.widest);
         for &fast in &self.fast {
             let i = fast as usize;
             let speed2 = dot(v[i], v[i]);
-            let range = reach + allowance[i] + SKIN_MAX + 2.0 * speed2.sqrt() * HORIZON;
+            let range = reach + allowance[i] + widest + SKIN_MAX + 2.0 * speed2.sqrt() * HORIZON;
             let mut lines = grid.near(x[i], range);
             while let Some(places) = lines.next(grid) {
                 for j in places {
@@ -218,7 +238,7 @@ impl Neighbours {
         list: &mut [u32; ROWS_MAX + WIDTH],
     ) -> usize {
         let Sorted { x: sx, v: sv, allowance } = &self.sorted;
-        let others = SKIN + SKIN_PER_PATH * FAST * HORIZON;
+        let others = SKIN + SKIN_PER_PATH * FAST * HORIZON + self.widest;
         let range = reach + allowance[i] + others + (dot(v[i], v[i]).sqrt() + FAST) * HORIZON;
         let (at, pace): (V3<L>, V3<L>) = (splat(x[i]), splat(v[i]));
         let (zero, horizon, hot2) = (L::splat(0.0), L::splat(HORIZON), L::splat(HOT2));
@@ -257,7 +277,7 @@ impl Neighbours {
     }
 
     /// Turn the lists of a block into rows and bring the anchors over.
-    fn write_rows(
+    fn write_rows<const EXTENDED: bool>(
         &mut self,
         b: usize,
         n: usize,
@@ -273,6 +293,11 @@ impl Neighbours {
         if self.anchor.len() < end {
             self.anchor.resize(end, [[0.0; WIDTH]; 3]);
         }
+        if EXTENDED {
+            self.linked.resize(end, 0);
+            self.memory.truncate(at);
+            self.memory.resize(end, [[0.0; WIDTH]; SLOTS]);
+        }
         for (lane, i) in (b * WIDTH..n.min((b + 1) * WIDTH)).enumerate() {
             let list = &lists[lane][..counts[lane]];
             for (row, &j) in self.other[at..].iter_mut().zip(list) {
@@ -283,7 +308,9 @@ impl Neighbours {
             }
             let (block, old_lane) = (was[i] as usize / WIDTH, was[i] as usize % WIDTH);
             for row in self.old.first[block] as usize..self.old.first[block + 1] as usize {
-                if self.old.touching[row] >> old_lane & 1 == 0 {
+                let touched = self.old.touching[row] >> old_lane & 1;
+                let linked = if EXTENDED { self.old.linked[row] >> old_lane & 1 } else { 0 };
+                if touched | linked == 0 {
                     continue;
                 }
                 let partner = self.renamed[self.old.other[row][old_lane] as usize];
@@ -291,7 +318,13 @@ impl Neighbours {
                     for k in 0..3 {
                         self.anchor[at + place][k][lane] = self.old.anchor[row][k][old_lane];
                     }
-                    self.touching[at + place] |= 1 << lane;
+                    self.touching[at + place] |= touched << lane;
+                    if EXTENDED {
+                        self.linked[at + place] |= linked << lane;
+                        for k in 0..SLOTS {
+                            self.memory[at + place][k][lane] = self.old.memory[row][k][old_lane];
+                        }
+                    }
                 }
             }
         }
@@ -320,17 +353,21 @@ fn sixteen<L: Lanes>(column: &[f32], j: usize) -> L {
 
 #[cfg(test)]
 mod tests {
-    use super::super::constraints::vector;
     use super::super::lanes::Portable;
     use super::*;
     use crate::domain::seed::derive;
 
+    /// A grain of the mean size.
+    fn grain(x: f32, y: f32, z: f32) -> Vector {
+        [x, y, z, 0.5]
+    }
+
     /// A cloud in which every seventh grain moves, some of them fast, sorted as the list wants it.
     fn cloud(n: usize, side: f32, seed: u64) -> (Neighbours, Vec<Vector>, Vec<Vector>) {
         let u = |i: usize, k: u64| (derive(seed, &[i as u64, k]) >> 40) as f32 / (1u64 << 24) as f32;
-        let x: Vec<Vector> = (0..n).map(|i| vector(side * u(i, 0), side * u(i, 1), side * u(i, 2))).collect();
+        let x: Vec<Vector> = (0..n).map(|i| grain(side * u(i, 0), side * u(i, 1), side * u(i, 2))).collect();
         let speed = |i: usize| if i.is_multiple_of(7) { 0.15 } else { 0.01 };
-        let v: Vec<Vector> = (0..n).map(|i| vector(speed(i) * u(i, 3), 0.0, -speed(i) * u(i, 4))).collect();
+        let v: Vec<Vector> = (0..n).map(|i| [speed(i) * u(i, 3), 0.0, -speed(i) * u(i, 4), 0.0]).collect();
         let mut list = Neighbours::default();
         let order = list.order(&x).to_vec();
         let sort = |of: &[Vector]| order.iter().map(|&i| of[i as usize]).collect::<Vec<_>>();
@@ -356,7 +393,7 @@ mod tests {
     fn the_list_holds_exactly_the_pairs_of_the_n_squared_search() {
         for seed in 0..5 {
             let (mut list, x, v) = cloud(300, 9.0, seed);
-            list.build::<Portable>(&x, &v, &[NEW; 300], 1.05);
+            list.build::<Portable, false>(&x, &v, &[NEW; 300], 1.05);
             let mut expected = Vec::new();
             for i in 0..x.len() {
                 for j in 0..x.len() {
@@ -373,29 +410,28 @@ mod tests {
     #[test]
     fn grains_that_have_fallen_into_each_other_are_too_many_for_the_list_and_it_says_so() {
         for (spacing, overfull) in [(0.01, true), (0.9, false)] {
-            let x: Vec<Vector> =
-                (0..216).map(|k| vector((k % 6) as f32, (k / 6 % 6) as f32, (k / 36) as f32)).collect();
-            let x: Vec<Vector> = x.into_iter().map(|x| x.map(|x| spacing * x)).collect();
+            let at = |k: usize| spacing * (k % 6) as f32;
+            let x: Vec<Vector> = (0..216).map(|k| grain(at(k), at(k / 6), at(k / 36))).collect();
             let mut list = Neighbours::default();
             let order = list.order(&x).to_vec();
             let x: Vec<Vector> = order.iter().map(|&i| x[i as usize]).collect();
-            list.build::<Portable>(&x, &vec![[0.0; 4]; 216], &[NEW; 216], 1.1);
+            list.build::<Portable, false>(&x, &vec![[0.0; 4]; 216], &[NEW; 216], 1.1);
             assert_eq!(list.overfull, overfull);
         }
     }
 
     #[test]
     fn a_grain_has_strayed_when_it_leaves_its_path_and_not_along_it() {
-        let x = vec![vector(0.0, 0.0, 0.0), vector(5.0, 0.0, 0.0)];
-        let v = vec![vector(0.0, 0.0, 0.0), vector(0.0, 0.0, -0.04)];
+        let x = vec![grain(0.0, 0.0, 0.0), grain(5.0, 0.0, 0.0)];
+        let v = vec![[0.0; 4], [0.0, 0.0, -0.04, 0.0]];
         let mut list = Neighbours::default();
         list.order(&x);
-        list.build::<Portable>(&x, &v, &[NEW; 2], 1.05);
+        list.build::<Portable, false>(&x, &v, &[NEW; 2], 1.05);
         let strays = |list: &Neighbours, p: [Vector; 2]| {
             let lane = |k: usize| Portable::load(&std::array::from_fn(|l| p.get(l).map_or(FAR, |p| p[k])));
             Portable::splat(0.0).below(list.strayed::<Portable>(0, [lane(0), lane(1), lane(2)]))
         };
-        let after = |t: f32, aside: f32| [x[0], vector(5.0 + aside, 0.0, -0.04 * t)];
+        let after = |t: f32, aside: f32| [x[0], grain(5.0 + aside, 0.0, -0.04 * t)];
         assert_eq!(strays(&list, after(1.0, 0.0)), 0);
         (0..3).for_each(|_| list.grow_older());
         assert_eq!(strays(&list, after(4.0, 0.25)), 0, "0.14 + 0.7 * 0.04 * 6 = 0.308");
@@ -404,11 +440,11 @@ mod tests {
 
     #[test]
     fn anchors_follow_their_pair_when_grains_leave_and_are_reordered() {
-        let x = vec![vector(0.0, 0.0, 0.0), vector(0.9, 0.0, 0.0), vector(5.0, 0.0, 0.0), vector(5.9, 0.0, 0.0)];
+        let x = vec![grain(0.0, 0.0, 0.0), grain(0.9, 0.0, 0.0), grain(5.0, 0.0, 0.0), grain(5.9, 0.0, 0.0)];
         let v = vec![[0.0; 4]; 4];
         let mut list = Neighbours::default();
         assert_eq!(list.order(&x), [0, 1, 2, 3]);
-        list.build::<Portable>(&x, &v, &[NEW; 4], 1.05);
+        list.build::<Portable, false>(&x, &v, &[NEW; 4], 1.05);
         // Only the pair (2, 3) sticks; the anchors of the two copies are opposite.
         list.touching[0] = 0b1100;
         list.anchor[0][0][2] = -0.9;
@@ -419,7 +455,7 @@ mod tests {
         assert_eq!(order, [2, 0, 1]);
         y = order.iter().map(|&i| y[i as usize]).collect();
         was = order.iter().map(|&i| was[i as usize]).collect();
-        list.build::<Portable>(&y, &v[1..], &was, 1.05);
+        list.build::<Portable, false>(&y, &v[1..], &was, 1.05);
         assert_eq!(pairs(&list, 3), vec![(1, 2), (2, 1)]);
         assert_eq!((list.touching[0], list.anchor[0][0][1], list.anchor[0][0][2]), (0b110, 0.9, -0.9));
     }

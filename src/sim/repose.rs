@@ -7,6 +7,7 @@
 use super::constraints::{Vector, vector};
 use super::grains::Grains;
 use super::law::{Law, SUBSTEP_S};
+use super::mechanisms::{Extensions, Site};
 use super::walls::Plate;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
@@ -33,6 +34,12 @@ pub struct Settings {
     pub substep_s: f64,
     /// Longest wait for rest after the last grain, s. Default 1.
     pub settle_max_s: f64,
+    /// Whether a layer of fixed grains covers the base. Default no: a smooth plate.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub rough_base: bool,
+    /// What the base simulator leaves out. Default nothing.
+    #[serde(skip_serializing_if = "Extensions::is_none")]
+    pub extensions: Extensions,
 }
 
 impl Default for Settings {
@@ -45,6 +52,8 @@ impl Default for Settings {
             funnel_radius_diameters: 1.8,
             substep_s: SUBSTEP_S,
             settle_max_s: 1.0,
+            rough_base: false,
+            extensions: Extensions::default(),
         }
     }
 }
@@ -128,6 +137,8 @@ const DEPARTURE_CHECK: u32 = 16;
 /// [`Refusal`] when the heap has no angle: a base that is not covered, or a solver that diverged.
 pub fn repose(set: &ParameterSet, settings: &Settings, seed: u64) -> Result<Repose, Refusal> {
     let law = Law::new(set, settings.base_friction, settings.substep_s);
+    let law = law.extended(&settings.extensions, set, Site::Base);
+    let law = Law { extended: law.extended || settings.rough_base, ..law };
     let mut heap = Heap::new(law, settings);
     heap.pour(seed)?;
     heap.settle()?;
@@ -145,7 +156,22 @@ struct Heap<'a> {
 impl<'a> Heap<'a> {
     fn new(law: Law, settings: &'a Settings) -> Self {
         let plate = Plate { radius: settings.base_radius_diameters as f32 };
-        Self { law, settings, plate, grains: Grains::default(), substeps: 0 }
+        let mut grains = Grains::default();
+        if settings.rough_base {
+            close_packed(plate.radius).into_iter().for_each(|x| grains.fix(x));
+        }
+        Self { law, settings, plate, grains, substeps: 0 }
+    }
+
+    /// Height from which the heap is measured: the base, or where the lowest surface of a grain in a hollow of the fixed layer lies.
+    fn floor(&self) -> f64 {
+        if self.settings.rough_base { LAYER } else { 0.0 }
+    }
+
+    /// Centres from that height.
+    fn heap(&self) -> Vec<Vector> {
+        let floor = self.floor() as f32;
+        self.grains.free().map(|x| [x[0], x[1], x[2] - floor, x[3]]).collect()
     }
 
     fn advance(&mut self, substeps: u32) -> Result<(), Refusal> {
@@ -182,7 +208,7 @@ impl<'a> Heap<'a> {
             let per_layer = (1.15 / speed).ceil() as u32;
             let height = self.apex() + self.settings.funnel_clearance_diameters as f32;
             for position in layer(&mut rng, radius, height).into_iter().take(left) {
-                self.grains.pour(position, vector(0.0, 0.0, -speed));
+                self.grains.pour(&self.law, position, vector(0.0, 0.0, -speed));
                 left -= 1;
             }
             self.advance(per_layer)?;
@@ -211,12 +237,13 @@ impl<'a> Heap<'a> {
     }
 
     fn measure(&mut self) -> Result<Repose, Refusal> {
-        let before = cone_deg(self.grains.centres(), self.settings.base_radius_diameters);
+        let before = cone_deg(&self.heap(), self.settings.base_radius_diameters);
         self.advance(self.law.substeps(HOLD_S))?;
         self.check_cover()?;
         let base = self.settings.base_radius_diameters;
-        let cone = cone_deg(self.grains.centres(), base);
-        let height = f64::from(self.grains.centres().iter().fold(0.0f32, |top, x| top.max(x[2]))) + 0.5;
+        let heap = self.heap();
+        let cone = cone_deg(&heap, base);
+        let height = heap.iter().fold(0.0f64, |top, x| top.max(f64::from(x[2]) + f64::from(x[3])));
         let (overlap_mean, overlap_max) = self.grains.overlaps();
         let (_, rms) = self.grains.speeds();
         Ok(Repose {
@@ -224,7 +251,7 @@ impl<'a> Heap<'a> {
             cone_deg: cone,
             creep_deg_per_s: (cone - before) / HOLD_S,
             speed_rms_mm_s: self.law.speed_m_s(rms) * 1e3,
-            particles_on_base: self.grains.centres().len() as u32,
+            particles_on_base: heap.len() as u32,
             overlap_mean,
             overlap_max,
             simulated_s: self.elapsed_s(),
@@ -235,7 +262,7 @@ impl<'a> Heap<'a> {
     fn check_cover(&self) -> Result<(), Refusal> {
         let mut seen = [false; SECTORS];
         let inner = self.settings.base_radius_diameters as f32 - 2.0;
-        for x in self.grains.centres().iter().filter(|x| x[0] * x[0] + x[1] * x[1] >= inner * inner) {
+        for x in self.grains.free().filter(|x| x[0] * x[0] + x[1] * x[1] >= inner * inner) {
             seen[sector([f64::from(x[0]), f64::from(x[1])])] = true;
         }
         match seen.iter().filter(|s| **s).count() {
@@ -243,6 +270,17 @@ impl<'a> Heap<'a> {
             covered => Err(Refusal::BaseNotCovered { covered: covered as u32, sectors: SECTORS as u32 }),
         }
     }
+}
+
+/// Distance of close-packed layers, grain diameters: sqrt(2/3).
+const LAYER: f64 = 0.816_496_580_927_726;
+
+/// Centres of a close-packed layer that lies on a round base.
+fn close_packed(radius: f32) -> Vec<Vector> {
+    let rows = (radius / 0.75) as i32;
+    let at = |row: i32, column: i32| [column as f32 + 0.5 * (row & 1) as f32, row as f32 * 0.866_025_4];
+    let all = (-rows..=rows).flat_map(|row| (-rows..=rows).map(move |column| at(row, column)));
+    all.filter(|[x, y]| x * x + y * y <= radius * radius).map(|[x, y]| vector(x, y, 0.5)).collect()
 }
 
 /// Positions of one layer: a hexagonal lattice over the opening, turned and shifted at random.
@@ -313,13 +351,14 @@ fn surface(x: &[Vector], base_radius: f64) -> impl Iterator<Item = ([f64; 2], f6
     let side = (2 * half + 1) as usize;
     let mut top = vec![f64::NEG_INFINITY; side * side];
     for p in x {
-        let centre = [f64::from(p[0]), f64::from(p[1])];
+        let (centre, r2) = ([f64::from(p[0]), f64::from(p[1])], f64::from(p[3] * p[3]));
         let [column, row] = centre.map(|c| (c / PIXEL).round() as i64);
-        for (i, j) in (-2..=2).flat_map(|i| (-2..=2).map(move |j| (column + i, row + j))) {
+        let wide = (f64::from(p[3]) / PIXEL).ceil() as i64;
+        for (i, j) in (-wide..=wide).flat_map(|i| (-wide..=wide).map(move |j| (column + i, row + j))) {
             let apart = (i as f64 * PIXEL - centre[0]).powi(2) + (j as f64 * PIXEL - centre[1]).powi(2);
-            if apart < 0.25 && i.abs() <= half && j.abs() <= half {
+            if apart < r2 && i.abs() <= half && j.abs() <= half {
                 let pixel = &mut top[(j + half) as usize * side + (i + half) as usize];
-                *pixel = pixel.max(f64::from(p[2]) + (0.25 - apart).sqrt());
+                *pixel = pixel.max(f64::from(p[2]) + (r2 - apart).sqrt());
             }
         }
     }
@@ -353,7 +392,7 @@ mod tests {
                     let (px, py) = (f64::from(i) * 0.1, f64::from(j) * 0.1);
                     let r = (px * px + py * py).sqrt();
                     if r <= 10.0 {
-                        x.push(vector(px as f32, py as f32, (slope * (10.0 - r)) as f32 - 0.5));
+                        x.push([px as f32, py as f32, (slope * (10.0 - r)) as f32 - 0.5, 0.5]);
                     }
                 }
             }

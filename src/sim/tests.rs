@@ -60,7 +60,7 @@ fn down(law: &Law) -> Vector {
 
 fn grains(centres: &[Vector]) -> Grains {
     let mut grains = Grains::default();
-    centres.iter().for_each(|x| grains.pour(*x, [0.0; 4]));
+    centres.iter().for_each(|x| grains.pour(&law(&[]), *x, [0.0; 4]));
     grains
 }
 
@@ -195,7 +195,7 @@ fn a_collision_keeps_momentum() {
     let mut cluster = Grains::default();
     for (x, v) in [([0.0, 0.0, 0.0], 0.02), ([1.3, 0.3, 0.0], -0.05), ([0.4, 1.2, 0.2], 0.01), ([0.6, -1.1, 0.4], 0.03)]
     {
-        cluster.pour(vector(x[0], x[1], x[2]), vector(v, -v, 0.5 * v));
+        cluster.pour(&law, vector(x[0], x[1], x[2]), vector(v, -v, 0.5 * v));
     }
     let momentum = |g: &Grains| -> Vector {
         g.velocities().iter().fold([0.0; 4], |sum, v| [sum[0] + v[0], sum[1] + v[1], sum[2] + v[2], 0.0])
@@ -224,8 +224,8 @@ fn wall_restitution(law: &Law) -> f32 {
 /// Speed at which two grains part over the speed at which they met.
 fn pair_restitution(law: &Law) -> f32 {
     let mut pair = Grains::default();
-    pair.pour(vector(0.0, 0.0, 0.0), vector(0.02, 0.0, 0.0));
-    pair.pour(vector(1.5, 0.0, 0.0), vector(-0.03, 0.0, 0.0));
+    pair.pour(law, vector(0.0, 0.0, 0.0), vector(0.02, 0.0, 0.0));
+    pair.pour(law, vector(1.5, 0.0, 0.0), vector(-0.03, 0.0, 0.0));
     (0..200).for_each(|_| pair.substep(law, [0.0; 4], &Nowhere));
     (pair.grain(1).1[0] - pair.grain(0).1[0]) / 0.05
 }
@@ -259,7 +259,7 @@ fn every_path_gives_the_same_bytes() {
         let mut grains = Grains::on(path);
         for k in 0..200u8 {
             let [x, y, z] = [k % 5, k / 5 % 5, k / 25].map(f32::from);
-            grains.pour(vector(1.1 * x + 0.01 * z, 1.1 * y, 0.6 + 1.1 * z), [0.0; 4]);
+            grains.pour(&law, vector(1.1 * x + 0.01 * z, 1.1 * y, 0.6 + 1.1 * z), [0.0; 4]);
         }
         for _ in 0..800 {
             grains.substep(&law, down(&law), &Plate { radius: 4.0 });
