@@ -18,6 +18,7 @@ mod session;
 mod table;
 mod token;
 mod train;
+mod view;
 mod watch;
 mod weigh;
 

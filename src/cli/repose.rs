@@ -1,15 +1,18 @@
 //! `flip repose`: the heap experiment, repeated over seeds in parallel.
 
 use super::failure::Failure;
-use super::{Common, parameters};
+use super::{Common, parameters, view};
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
 use crate::domain::{FieldError, bounded};
 use crate::sim;
 use crate::sim::mechanisms::Extensions;
 use crate::sim::repose::{Refusal, Repose, Settings};
+use crate::sim::snapshot::Camera;
 use rayon::prelude::*;
 use serde::Serialize;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
 
 /// Repeats beyond this say nothing that fewer do not, and a typing mistake should not run for a day.
 const REPEATS_MAX: u32 = 1000;
@@ -34,6 +37,12 @@ pub(super) struct Arguments {
     /// Coulomb coefficient of the base, 0 to 2.
     #[arg(long, value_name = "MU", default_value_t = 0.8, allow_negative_numbers = true)]
     base_friction: f64,
+    /// Write a picture (SVG) of the first heap with the fitted cone and the triangle of the apex.
+    #[arg(long, value_name = "FILE")]
+    view: Option<PathBuf>,
+    /// Write the grains of the first heap, one snapshot every 1/50 s, in the format of `sim::snapshot`.
+    #[arg(long, value_name = "FILE")]
+    snapshots: Option<PathBuf>,
     #[command(flatten)]
     parameters: parameters::Flags,
 }
@@ -79,9 +88,34 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         extensions: extensions(&arguments.extension)?,
         ..Settings::with_particles(arguments.particles)
     };
+    if arguments.view.is_some() || arguments.snapshots.is_some() {
+        picture(&set, &settings, common.seed, arguments)?;
+    }
     let outcomes = pour(&set, &settings, common.seed, arguments.repeats);
     let document = summarise(set, settings, common.seed, outcomes)?;
     common.print(&document, || text(&document))
+}
+
+/// Pour the first heap and write what was asked of it.
+fn picture(set: &ParameterSet, settings: &Settings, seed: u64, arguments: &Arguments) -> Result<(), Failure> {
+    let frames = Arc::new(Mutex::new(Vec::new()));
+    let kept = Arc::clone(&frames);
+    let camera = arguments.snapshots.is_some().then(|| Camera {
+        every_s: 0.02,
+        see: Arc::new(move |snapshot| {
+            if let Ok(mut frames) = kept.lock() {
+                frames.extend(snapshot.to_bytes());
+            }
+        }),
+    });
+    let pile = sim::repose::pile(set, settings, derive(seed, &[0]), camera).map_err(|r| anyhow::anyhow!("{r}"))?;
+    if let Some(file) = &arguments.view {
+        std::fs::write(file, view::svg(&pile, settings, set.particle_diameter_mm()))?;
+    }
+    if let (Some(file), Ok(frames)) = (&arguments.snapshots, frames.lock()) {
+        std::fs::write(file, &*frames)?;
+    }
+    Ok(())
 }
 
 /// The mechanisms that flags name.

@@ -6,7 +6,7 @@ use super::lanes::{Lanes, Mask, WIDTH};
 use super::law::Law;
 use super::mechanisms::{AtWall, Pair};
 use super::neighbours::Neighbours;
-use super::walls::Wall;
+use super::walls::{Shape, Wall};
 
 /// Where everything would be without contacts: centre and radius, velocity and number of contacts, spin (radians per substep).
 #[derive(Clone, Copy)]
@@ -102,6 +102,8 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(
             lightness = effective / my_mass;
             along = along * lightness;
         }
+        // The levers of both add up to the distance, overlap or not, so that friction keeps angular momentum.
+        let lever = distance * turn.radius / radii;
         let mut push = zero;
         let mut turning = [zero; 3];
         if touch != 0 {
@@ -125,7 +127,7 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(
                 let [sx, sy, sz, _] = unsafe { L::gather(at.spin, others) };
                 let spin = [sx, sy, sz];
                 // Surfaces that turn carry the contact's two points along.
-                let spins = add(scale(turn.spin, turn.radius), scale(spin, their_radius));
+                let spins = add(scale(turn.spin, lever), scale(spin, distance - lever));
                 [velocity, stuck] = carry(velocity, stuck, spins, normal);
                 turning = sub(turn.spin, spin);
             }
@@ -142,7 +144,7 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(
             turn.sum.correction = sub(turn.sum.correction, held);
             turn.sum.contacts = turn.sum.contacts + L::select(touch, one, zero);
             if EXTENDED {
-                turn.sum.torque = add(turn.sum.torque, scale(cross(normal, held), turn.radius));
+                turn.sum.torque = add(turn.sum.torque, scale(cross(normal, held), lever));
             }
         }
         if EXTENDED {
@@ -182,7 +184,7 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(
 #[inline(always)]
 pub(super) fn wall<L: Lanes, const EXTENDED: bool>(
     law: &Law,
-    wall: &impl Wall,
+    wall: &Shape,
     anchors: &mut [Vector; WIDTH],
     stretches: Option<&mut [Vector; WIDTH]>,
     turn: &mut Turn<L>,
@@ -202,14 +204,16 @@ pub(super) fn wall<L: Lanes, const EXTENDED: bool>(
     let (normal, gap) = (touched.normal, surface - L::splat(c.onset));
     let touch = gap.below(zero);
     let mut pull = attract(gap, L::splat(c.attraction), L::splat(1.0 / (c.reach - c.onset)));
-    let opening = inner(turn.u, normal);
+    let mut velocity = sub(turn.u, touched.velocity);
+    let opening = inner(velocity, normal);
     let share = one / one.max(turn.contacts).sqrt();
     let push = separate(gap, opening, L::splat(c.normal), L::splat(c.normal_damping) * share);
     let push = L::select(touch, push, zero);
     let [ax, ay, az, was] = L::rows(anchors);
     let was = zero.below(was);
     let mut stuck = choose(was, [ax, ay, az], turn.p);
-    let mut velocity = turn.u;
+    // An anchor goes with its wall.
+    stuck = sub(stuck, sub([zero; 3], touched.velocity));
     if EXTENDED {
         [velocity, stuck] = carry(velocity, stuck, scale(turn.spin, turn.radius), normal);
     }

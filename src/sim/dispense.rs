@@ -8,7 +8,8 @@ use super::grains::{Departure, Grains};
 use super::law::{Law, SUBSTEP_S};
 use super::mechanisms::{Extensions, Site};
 use super::motion::{MotionLimits, Move};
-use super::walls::Bowl;
+use super::snapshot::Camera;
+use super::walls::{Bowl, Shape};
 use crate::domain::bench::{Action, PitchLimits};
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
@@ -92,6 +93,8 @@ pub struct Dispenser {
     vial: f64,
     spilled: f64,
     fault: Option<String>,
+    substeps: u32,
+    camera: Option<Camera>,
 }
 
 /// Where the spoon is at one moment, for grains that leave it.
@@ -113,10 +116,17 @@ const REST_S: f64 = 0.02;
 impl Dispenser {
     /// Fill the level spoon and let the powder rest (under a second of CPU; clone to reuse).
     pub fn new(set: &ParameterSet, settings: &Settings, seed: u64) -> Self {
+        let mut filled = Self::empty(set, settings);
+        filled.fill(seed);
+        filled
+    }
+
+    /// A spoon without powder.
+    pub(super) fn empty(set: &ParameterSet, settings: &Settings) -> Self {
         let law = Law::new(set, settings.friction, settings.substep_s);
         let law = law.extended(&settings.extensions, set, Site::Spoon);
         let bowl = Bowl::new(settings.semi_axes_mm.map(|mm| (mm * 1e-3 / law.diameter_m) as f32));
-        let mut filled = Self {
+        Self {
             settings: *settings,
             law,
             bowl,
@@ -126,9 +136,22 @@ impl Dispenser {
             vial: 0.0,
             spilled: 0.0,
             fault: None,
-        };
-        filled.fill(seed);
-        filled
+            substeps: 0,
+            camera: None,
+        }
+    }
+
+    /// The level spoon with these grains in it (centres and velocities in its frame), when they have come to rest.
+    pub(super) fn holding(mut self, grains: impl Iterator<Item = [Vector; 2]>) -> Self {
+        grains.for_each(|[x, v]| self.grains.pour(&self.law, x, v));
+        self.rest(2.0 * self.settings.settle_max_s);
+        (self.vial, self.spilled) = (0.0, 0.0);
+        self
+    }
+
+    /// Let a camera watch the grains in the spoon from now on, in the spoon's frame.
+    pub fn watch(&mut self, camera: Camera) {
+        self.camera = Some(camera);
     }
 
     /// Grains rain from a loose lattice over the middle of the bowl; what rolls off while filling is not counted.
@@ -235,10 +258,14 @@ impl Dispenser {
             let (sin, cos) = pose.pitch_rad.sin_cos();
             let gravity = f64::from(self.law.gravity);
             let body = vector((gravity * sin - inertia) as f32, 0.0, (-gravity * cos) as f32);
-            self.grains.substep(&self.law, body, &self.bowl);
+            self.grains.substep(&self.law, body, &Shape::Bowl(self.bowl));
             if substep % SLICE == SLICE - 1 {
                 self.collect(pose);
             }
+            if let Some(camera) = &self.camera {
+                camera.look(&self.grains, &self.law, self.substeps);
+            }
+            self.substeps += 1;
         }
         if self.fault.is_none() {
             self.fault = self.grains.fault();
@@ -246,7 +273,7 @@ impl Dispenser {
     }
 
     fn collect(&mut self, pose: Pose) {
-        for departure in self.grains.take_departed(&self.bowl) {
+        for departure in self.grains.take_departed(&Shape::Bowl(self.bowl)) {
             match self.meets_the_mouth(departure, pose) {
                 true => self.vial += departure.mass(),
                 false => self.spilled += departure.mass(),

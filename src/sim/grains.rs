@@ -5,7 +5,7 @@ use super::contacts::{self, Predicted, Sum, Turn};
 use super::lanes::{Avx2, Avx512, Lanes, Mask, Path, Portable, WIDTH, block, block_mut};
 use super::law::Law;
 use super::neighbours::{FAR, NEW, Neighbours};
-use super::walls::Wall;
+use super::walls::{Shape, Wall};
 
 /// Grains at one moment. Lengths in grain diameters, velocities in diameters per substep.
 ///
@@ -106,6 +106,11 @@ impl Grains {
         &self.x[..self.n]
     }
 
+    /// Numbers in the order of pouring, in the order of the centres.
+    pub(super) fn ids(&self) -> &[u32] {
+        &self.id
+    }
+
     /// Velocities, in the order of the centres; the fourth number counts contacts.
     pub(super) fn velocities(&self) -> &[Vector] {
         &self.v[..self.n]
@@ -154,7 +159,7 @@ impl Grains {
     ///
     /// One relaxed Jacobi iteration: every correction is computed at the same `p` and summed by its own grain in list order, so the
     /// result does not depend on the processor or on threads. Both grains of a pair receive exactly opposite corrections.
-    pub(super) fn substep(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
+    pub(super) fn substep(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
         #[allow(unsafe_code)]
         match self.path {
             Path::Portable => self.advance_any::<Portable>(law, acceleration, wall),
@@ -166,18 +171,18 @@ impl Grains {
     }
 
     #[target_feature(enable = "avx2")]
-    fn advance_avx2(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
+    fn advance_avx2(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
         self.advance_any::<Avx2>(law, acceleration, wall);
     }
 
     #[target_feature(enable = "avx512f")]
-    fn advance_avx512(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
+    fn advance_avx512(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
         self.advance_any::<Avx512>(law, acceleration, wall);
     }
 
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
-    fn advance_any<L: Lanes>(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
+    fn advance_any<L: Lanes>(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
         match law.extended {
             false => self.advance::<L, false>(law, acceleration, wall),
             true => self.advance::<L, true>(law, acceleration, wall),
@@ -186,7 +191,7 @@ impl Grains {
 
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
-    fn advance<L: Lanes, const EXTENDED: bool>(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
+    fn advance<L: Lanes, const EXTENDED: bool>(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
         if self.n == 0 {
             return;
         }
@@ -281,7 +286,7 @@ impl Grains {
     /// Solve every contact of the grains of block `b`, and move them.
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
-    fn project<L: Lanes, const EXTENDED: bool>(&mut self, b: usize, law: &Law, wall: &impl Wall) {
+    fn project<L: Lanes, const EXTENDED: bool>(&mut self, b: usize, law: &Law, wall: &Shape) {
         let [px, py, pz, radius] = L::rows(block(&self.p, b));
         let [ux, uy, uz, contacts] = L::rows(block(&self.u, b));
         let zero = L::splat(0.0);
@@ -314,7 +319,7 @@ impl Grains {
     }
 
     /// Take out the grains that have left for good, in the order of pouring.
-    pub(super) fn take_departed(&mut self, wall: &impl Wall) -> Vec<Departure> {
+    pub(super) fn take_departed(&mut self, wall: &Shape) -> Vec<Departure> {
         let mut departed = Vec::new();
         let mut kept = 0;
         for i in 0..self.n {

@@ -56,6 +56,8 @@ pub mod mechanisms;
 pub mod motion;
 mod neighbours;
 pub mod repose;
+pub mod scoop;
+pub mod snapshot;
 mod walls;
 
 #[cfg(test)]

@@ -8,7 +8,8 @@ use super::constraints::{Vector, vector};
 use super::grains::Grains;
 use super::law::{Law, SUBSTEP_S};
 use super::mechanisms::{Extensions, Site};
-use super::walls::Plate;
+use super::snapshot::{Camera, Snapshot};
+use super::walls::{Plate, Shape};
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
 use rand::{RngExt, SeedableRng};
@@ -136,31 +137,50 @@ const DEPARTURE_CHECK: u32 = 16;
 /// # Errors
 /// [`Refusal`] when the heap has no angle: a base that is not covered, or a solver that diverged.
 pub fn repose(set: &ParameterSet, settings: &Settings, seed: u64) -> Result<Repose, Refusal> {
+    pile(set, settings, seed, None).map(|pile| pile.repose)
+}
+
+/// A heap and where its grains lie.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pile {
+    /// What was measured.
+    pub repose: Repose,
+    /// The grains at the end.
+    pub snapshot: Snapshot,
+}
+
+/// As [`repose`], and where the grains lie; `camera` watches them on their way.
+///
+/// # Errors
+/// As [`repose`].
+pub fn pile(set: &ParameterSet, settings: &Settings, seed: u64, camera: Option<Camera>) -> Result<Pile, Refusal> {
     let law = Law::new(set, settings.base_friction, settings.substep_s);
     let law = law.extended(&settings.extensions, set, Site::Base);
     let law = Law { extended: law.extended || settings.rough_base, ..law };
-    let mut heap = Heap::new(law, settings);
+    let mut heap = Heap::new(law, settings, camera);
     heap.pour(seed)?;
     heap.settle()?;
-    heap.measure()
+    let repose = heap.measure()?;
+    Ok(Pile { repose, snapshot: Snapshot::of(&heap.grains, &heap.law, repose.simulated_s) })
 }
 
 struct Heap<'a> {
     law: Law,
     settings: &'a Settings,
-    plate: Plate,
+    plate: Shape,
     grains: Grains,
     substeps: u32,
+    camera: Option<Camera>,
 }
 
 impl<'a> Heap<'a> {
-    fn new(law: Law, settings: &'a Settings) -> Self {
-        let plate = Plate { radius: settings.base_radius_diameters as f32 };
+    fn new(law: Law, settings: &'a Settings, camera: Option<Camera>) -> Self {
+        let radius = settings.base_radius_diameters as f32;
         let mut grains = Grains::default();
         if settings.rough_base {
-            close_packed(plate.radius).into_iter().for_each(|x| grains.fix(x));
+            close_packed(radius).into_iter().for_each(|x| grains.fix(x));
         }
-        Self { law, settings, plate, grains, substeps: 0 }
+        Self { law, settings, plate: Shape::Plate(Plate { radius }), grains, substeps: 0, camera }
     }
 
     /// Height from which the heap is measured: the base, or where the lowest surface of a grain in a hollow of the fixed layer lies.
@@ -180,6 +200,9 @@ impl<'a> Heap<'a> {
             self.grains.substep(&self.law, gravity, &self.plate);
             if substep % DEPARTURE_CHECK == 0 {
                 self.grains.take_departed(&self.plate);
+            }
+            if let Some(camera) = &self.camera {
+                camera.look(&self.grains, &self.law, self.substeps + substep);
             }
         }
         self.substeps += substeps;

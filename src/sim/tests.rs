@@ -1,41 +1,14 @@
 //! Each of the nine parameters has an effect that can be measured, and the kernel keeps what nature keeps.
 
-use super::constraints::{V3, Vector, dot, inner, vector};
+use super::constraints::{Vector, dot, vector};
 use super::dispense::{self, Dispenser};
 use super::grains::Grains;
-use super::lanes::{Lanes, Path};
+use super::lanes::Path;
 use super::law::{self, Law, SUBSTEP_S};
 use super::repose::{self, repose};
-use super::walls::{Plate, Touch, Wall};
+use super::walls::{Plane, Plate, Shape};
 use crate::domain::bench::Action;
 use crate::domain::parameters::ParameterSet;
-
-/// No wall anywhere.
-struct Nowhere;
-
-impl Wall for Nowhere {
-    fn touch<L: Lanes>(&self, _: V3<L>) -> Touch<L> {
-        Touch { gap: L::splat(f32::MAX), normal: [L::splat(0.0), L::splat(0.0), L::splat(1.0)] }
-    }
-    fn has_left(&self, _: Vector) -> bool {
-        false
-    }
-}
-
-/// A plane through the origin whose normal leans towards +x by an angle.
-struct Incline {
-    normal: [f32; 3],
-}
-
-impl Wall for Incline {
-    fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
-        let normal = self.normal.map(L::splat);
-        Touch { gap: inner(p, normal) - L::splat(0.5), normal }
-    }
-    fn has_left(&self, _: Vector) -> bool {
-        false
-    }
-}
 
 fn sub(a: Vector, b: Vector) -> Vector {
     std::array::from_fn(|k| a[k] - b[k])
@@ -68,7 +41,7 @@ fn grains(centres: &[Vector]) -> Grains {
 fn fall_m(changes: &[(&str, f64)]) -> f64 {
     let law = law(changes);
     let mut one = grains(&[[0.0; 4]]);
-    (0..substeps(0.1)).for_each(|_| one.substep(&law, down(&law), &Nowhere));
+    (0..substeps(0.1)).for_each(|_| one.substep(&law, down(&law), &Shape::Nowhere));
     -f64::from(one.grain(0).0[2]) * law.diameter_m
 }
 
@@ -94,7 +67,7 @@ fn damping_slows_a_fall_as_an_exponential_does() {
 fn approach(changes: &[(&str, f64)], gap: f32) -> f32 {
     let law = law(changes);
     let mut pair = grains(&[[0.0; 4], vector(1.0 + gap, 0.0, 0.0)]);
-    (0..8).for_each(|_| pair.substep(&law, [0.0; 4], &Nowhere));
+    (0..8).for_each(|_| pair.substep(&law, [0.0; 4], &Shape::Nowhere));
     1.0 + gap - sub(pair.grain(1).0, pair.grain(0).0)[0]
 }
 
@@ -123,7 +96,7 @@ fn the_adhesion_offset_scale_sets_the_gap_over_which_attraction_acts() {
 fn hangs(changes: &[(&str, f64)]) -> bool {
     let law = law(changes);
     let mut one = grains(&[vector(0.0, 0.0, -0.5)]);
-    (0..substeps(0.5)).for_each(|_| one.substep(&law, down(&law), &Plate { radius: 5.0 }));
+    (0..substeps(0.5)).for_each(|_| one.substep(&law, down(&law), &Shape::Plate(Plate { radius: 5.0 })));
     one.grain(0).0[2] > -0.6
 }
 
@@ -167,7 +140,7 @@ fn friction_makes_a_heap_steeper() {
 fn slide(degrees: f64) -> [f32; 2] {
     let law = law(&[]);
     let (sin, cos) = degrees.to_radians().sin_cos();
-    let incline = Incline { normal: [0.0, 0.0, 1.0] };
+    let incline = Shape::Plane(Plane::LEVEL);
     let mut one = grains(&[vector(0.0, 0.0, 0.5)]);
     (0..substeps(0.01)).for_each(|_| one.substep(&law, down(&law), &incline));
     let tilted = vector(law.gravity * sin as f32, 0.0, -law.gravity * cos as f32);
@@ -201,7 +174,7 @@ fn a_collision_keeps_momentum() {
         g.velocities().iter().fold([0.0; 4], |sum, v| [sum[0] + v[0], sum[1] + v[1], sum[2] + v[2], 0.0])
     };
     let before = momentum(&cluster);
-    (0..400).for_each(|_| cluster.substep(&law, [0.0; 4], &Nowhere));
+    (0..400).for_each(|_| cluster.substep(&law, [0.0; 4], &Shape::Nowhere));
     let change = sub(momentum(&cluster), before);
     // Four grains at speeds near 0.05: single precision keeps the sum to 1e-6 of that.
     assert!(dot(change, change).sqrt() < 1e-6, "{change:?}");
@@ -212,7 +185,7 @@ fn wall_restitution(law: &Law) -> f32 {
     let mut one = grains(&[vector(0.0, 0.0, 5.5)]);
     let (mut fastest, mut rebound) = (0.0f32, 0.0f32);
     for _ in 0..substeps(0.2) {
-        one.substep(law, down(law), &Plate { radius: 5.0 });
+        one.substep(law, down(law), &Shape::Plate(Plate { radius: 5.0 }));
         let (x, v) = one.grain(0);
         fastest = fastest.max(-v[2]);
         rebound = if x[2] < 0.5 { rebound.max(v[2]) } else { rebound };
@@ -226,7 +199,7 @@ fn pair_restitution(law: &Law) -> f32 {
     let mut pair = Grains::default();
     pair.pour(law, vector(0.0, 0.0, 0.0), vector(0.02, 0.0, 0.0));
     pair.pour(law, vector(1.5, 0.0, 0.0), vector(-0.03, 0.0, 0.0));
-    (0..200).for_each(|_| pair.substep(law, [0.0; 4], &Nowhere));
+    (0..200).for_each(|_| pair.substep(law, [0.0; 4], &Shape::Nowhere));
     (pair.grain(1).1[0] - pair.grain(0).1[0]) / 0.05
 }
 
@@ -262,8 +235,8 @@ fn every_path_gives_the_same_bytes() {
             grains.pour(&law, vector(1.1 * x + 0.01 * z, 1.1 * y, 0.6 + 1.1 * z), [0.0; 4]);
         }
         for _ in 0..800 {
-            grains.substep(&law, down(&law), &Plate { radius: 4.0 });
-            grains.take_departed(&Plate { radius: 4.0 });
+            grains.substep(&law, down(&law), &Shape::Plate(Plate { radius: 4.0 }));
+            grains.take_departed(&Shape::Plate(Plate { radius: 4.0 }));
         }
         format!("{:?} {:?}", grains.centres(), grains.velocities())
     };

@@ -2,6 +2,7 @@
 
 use super::constraints::{V3, Vector, choose, inner, scale, sub};
 use super::lanes::Lanes;
+use super::scoop::Trough;
 
 /// The nearest point of a wall to each of sixteen grains.
 #[derive(Clone, Copy)]
@@ -10,6 +11,16 @@ pub(super) struct Touch<L> {
     pub gap: L,
     /// Unit vector from the wall to the grain.
     pub normal: V3<L>,
+    /// Velocity of the wall there, diameters per substep.
+    pub velocity: V3<L>,
+}
+
+impl<L: Lanes> Touch<L> {
+    /// A contact with a wall at rest.
+    #[inline(always)]
+    pub(super) fn still(gap: L, normal: V3<L>) -> Self {
+        Self { gap, normal, velocity: [L::splat(0.0); 3] }
+    }
 }
 
 /// A fixed wall in the frame of the simulation.
@@ -18,6 +29,67 @@ pub(super) trait Wall {
     fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L>;
     /// Whether a grain centred at `p` has left the scene for good.
     fn has_left(&self, p: Vector) -> bool;
+}
+
+/// The walls of a scene. One type for all of them, so that the kernel is compiled once and not once for each.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Shape {
+    /// No wall anywhere.
+    #[cfg(test)]
+    Nowhere,
+    Plate(Plate),
+    Bowl(Bowl),
+    Plane(Plane),
+    Trough(Trough),
+}
+
+impl Wall for Shape {
+    #[inline(always)]
+    fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
+        match self {
+            #[cfg(test)]
+            Self::Nowhere => Touch::still(L::splat(f32::MAX), [L::splat(0.0), L::splat(0.0), L::splat(1.0)]),
+            Self::Plate(plate) => plate.touch(p),
+            Self::Bowl(bowl) => bowl.touch(p),
+            Self::Plane(plane) => plane.touch(p),
+            Self::Trough(trough) => trough.touch(p),
+        }
+    }
+
+    fn has_left(&self, p: Vector) -> bool {
+        match self {
+            #[cfg(test)]
+            Self::Nowhere => false,
+            Self::Plate(plate) => plate.has_left(p),
+            Self::Bowl(bowl) => bowl.has_left(p),
+            Self::Plane(plane) => plane.has_left(p),
+            Self::Trough(trough) => trough.has_left(p),
+        }
+    }
+}
+
+/// A plane through the origin without end.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Plane {
+    /// Unit vector out of the wall.
+    pub normal: [f32; 3],
+}
+
+impl Plane {
+    /// z = 0.
+    pub(super) const LEVEL: Self = Self { normal: [0.0, 0.0, 1.0] };
+}
+
+impl Wall for Plane {
+    #[inline(always)]
+    fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
+        let normal = [L::splat(self.normal[0]), L::splat(self.normal[1]), L::splat(self.normal[2])];
+        Touch::still(inner(p, normal) - L::splat(RADIUS), normal)
+    }
+
+    fn has_left(&self, _: Vector) -> bool {
+        false
+    }
 }
 
 /// Radius of a grain in the kernel's unit of length.
@@ -41,13 +113,13 @@ impl Wall for Plate {
         let over = r2.below(radius * radius);
         // A cohesive grain can crawl around the rim: below the plate it touches the underside.
         let side = L::select(p[2].below(L::splat(-0.25)), L::splat(-1.0), one);
-        let flat = Touch { gap: side * p[2] - L::splat(RADIUS), normal: [zero, zero, side] };
+        let flat = Touch::still(side * p[2] - L::splat(RADIUS), [zero, zero, side]);
         if over == u16::MAX {
             return flat;
         }
         let to_rim = radius / r2.sqrt().max(L::splat(NEAREST));
         let rim = touch_point(p, [p[0] * to_rim, p[1] * to_rim, zero]);
-        Touch { gap: L::select(over, flat.gap, rim.gap), normal: choose(over, flat.normal, rim.normal) }
+        Touch::still(L::select(over, flat.gap, rim.gap), choose(over, flat.normal, rim.normal))
     }
 
     fn has_left(&self, p: Vector) -> bool {
@@ -85,10 +157,8 @@ impl Wall for Bowl {
         let gradient = [p[0] * inverse[0], p[1] * inverse[1], p[2] * inverse[2]];
         let steepness = inner(gradient, gradient).sqrt().max(L::splat(NEAREST));
         let f = f2.sqrt();
-        let bowl = Touch {
-            gap: f * (one - f) / steepness - L::splat(RADIUS),
-            normal: scale(gradient, (zero - one) / steepness),
-        };
+        let bowl =
+            Touch::still(f * (one - f) / steepness - L::splat(RADIUS), scale(gradient, (zero - one) / steepness));
         // In the very middle the distance is to first order nothing, but the bowl is deep.
         let middle = f2.below(L::splat(0.01));
         let bowl = Touch { gap: L::select(middle, L::splat(self.semi_axes[2]), bowl.gap), ..bowl };
@@ -99,7 +169,7 @@ impl Wall for Bowl {
         let rim = touch_point(p, [p[0] * to_rim, p[1] * to_rim, zero]);
         // Far above the middle: no contact, and the rim has no nearest point there.
         let rim_gap = L::select(level.below(L::splat(0.25)), L::splat(f32::MAX), rim.gap);
-        Touch { gap: L::select(inside, bowl.gap, rim_gap), normal: choose(inside, bowl.normal, rim.normal) }
+        Touch::still(L::select(inside, bowl.gap, rim_gap), choose(inside, bowl.normal, rim.normal))
     }
 
     fn has_left(&self, p: Vector) -> bool {
@@ -108,12 +178,36 @@ impl Wall for Bowl {
     }
 }
 
+impl Bowl {
+    /// As [`Wall::touch`], with an outside too: the bowl is a thin shell.
+    #[inline(always)]
+    pub(super) fn shell<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
+        let (zero, one) = (L::splat(0.0), L::splat(1.0));
+        let [ia, ib, ic] = self.inverse_squares;
+        let gradient = [p[0] * L::splat(ia), p[1] * L::splat(ib), p[2] * L::splat(ic)];
+        let f2 = inner(p, gradient);
+        let beneath = p[2].below(zero) & !f2.below(one);
+        let steepness = inner(gradient, gradient).sqrt().max(L::splat(NEAREST));
+        let f = f2.sqrt();
+        let inside = self.touch(p);
+        let gap = f * (f - one) / steepness - L::splat(RADIUS);
+        let normal = scale(gradient, one / steepness);
+        Touch::still(L::select(beneath, gap, inside.gap), choose(beneath, normal, inside.normal))
+    }
+
+    /// Whether a grain centred at `p` lies in the bowl or on what it holds.
+    pub(super) fn holds(&self, p: [f32; 3]) -> bool {
+        let level: f32 = (0..2).map(|k| p[k] * p[k] * self.inverse_squares[k]).sum();
+        level + p[2].min(0.0).powi(2) * self.inverse_squares[2] < 1.0
+    }
+}
+
 /// Contact of grains with points.
 #[inline(always)]
 fn touch_point<L: Lanes>(p: V3<L>, point: V3<L>) -> Touch<L> {
     let away = sub(p, point);
     let distance = inner(away, away).sqrt().max(L::splat(NEAREST));
-    Touch { gap: distance - L::splat(RADIUS), normal: scale(away, L::splat(1.0) / distance) }
+    Touch::still(distance - L::splat(RADIUS), scale(away, L::splat(1.0) / distance))
 }
 
 #[cfg(test)]

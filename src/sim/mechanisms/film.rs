@@ -2,12 +2,13 @@
 
 use super::{AtWall, Extensions, Mechanism, Scene, Site};
 use crate::domain::seed::derive;
+use crate::sim::constraints::attract;
 use crate::sim::lanes::Lanes;
 
 /// Grains are drawn to a spoon with a bond number of `spoon_adhesion`; a share `hold_up` of all grains, once in contact with it, with one
 /// of [`CLING`], which neither tilt nor shake undoes: a film of up to that share of a layer stays behind when the spoon is emptied.
 ///
-/// Both act in contact only: they are the residue of a surface, not a field.
+/// Both fall to zero over a gap of [`REACH`], as the base's adhesion does.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(in crate::sim) struct Film {
     pull: f32,
@@ -17,6 +18,8 @@ pub(in crate::sim) struct Film {
 
 /// Bond number of the film.
 const CLING: f32 = 30.0;
+/// Gap at which both end, diameters.
+const REACH: f32 = 0.05;
 
 impl Film {
     pub(super) fn new(extensions: &Extensions, scene: &Scene) -> Self {
@@ -40,7 +43,7 @@ impl Mechanism for Film {
         if self.pull == 0.0 && self.share == 0.0 {
             return;
         }
-        let pull = (L::splat(self.pull) + L::splat(self.cling) * contact.clings) * contact.lightness;
-        contact.pull = contact.pull + L::select(contact.touch, pull, L::splat(0.0));
+        let full = (L::splat(self.pull) + L::splat(self.cling) * contact.clings) * contact.lightness;
+        contact.pull = contact.pull + attract(contact.gap, full, L::splat(1.0 / REACH));
     }
 }

@@ -3,25 +3,13 @@
 use super::{Extensions, Site};
 use crate::domain::bench::Action;
 use crate::domain::parameters::ParameterSet;
-use crate::sim::constraints::{V3, Vector, dot, vector};
+use crate::sim::constraints::{Vector, dot, vector};
 use crate::sim::dispense::{self, Dispenser};
 use crate::sim::grains::Grains;
-use crate::sim::lanes::{Lanes, Path};
+use crate::sim::lanes::Path;
 use crate::sim::law::{GRAVITY, Law, SUBSTEP_S};
 use crate::sim::repose::{Settings, repose};
-use crate::sim::walls::{Plate, Touch, Wall};
-
-/// No wall anywhere.
-struct Nowhere;
-
-impl Wall for Nowhere {
-    fn touch<L: Lanes>(&self, _: V3<L>) -> Touch<L> {
-        Touch { gap: L::splat(f32::MAX), normal: [L::splat(0.0), L::splat(0.0), L::splat(1.0)] }
-    }
-    fn has_left(&self, _: Vector) -> bool {
-        false
-    }
-}
+use crate::sim::walls::{Plate, Shape};
 
 fn set() -> ParameterSet {
     ParameterSet::default().with("friction", 0.5).unwrap()
@@ -39,7 +27,7 @@ fn substeps(seconds: f64) -> u32 {
     (seconds / SUBSTEP_S).round() as u32
 }
 
-const LEVEL: Plate = Plate { radius: 50.0 };
+const LEVEL: Shape = Shape::Plate(Plate { radius: 50.0 });
 
 fn down(law: &Law) -> Vector {
     vector(0.0, 0.0, -law.gravity)
@@ -52,7 +40,7 @@ fn thrown(law: &Law, path: Path) -> String {
         let [x, y, z] = [k % 5, k / 5 % 5, k / 25].map(f32::from);
         grains.pour(law, vector(1.1 * x + 0.01 * z, 1.1 * y, 0.6 + 1.1 * z), vector(0.0, 0.0, -0.01));
     }
-    let plate = Plate { radius: 4.0 };
+    let plate = Shape::Plate(Plate { radius: 4.0 });
     for _ in 0..1500 {
         grains.substep(law, down(law), &plate);
         grains.take_departed(&plate);
@@ -145,8 +133,8 @@ fn rolling_friction_slows_a_rolling_sphere_with_its_own_acceleration() {
 fn two_spinning_grains_keep_momentum_and_angular_momentum_in_an_oblique_collision() {
     let law = law(&[("rotation", 1.0)], Site::Base);
     let mut pair = Grains::default();
-    pair.pour(&law, vector(0.0, 0.0, 0.0), vector(0.02, 0.0, 0.0));
-    pair.pour(&law, vector(1.3, 0.6, 0.0), vector(-0.02, 0.0, 0.0));
+    pair.pour(&law, vector(0.0, 0.0, 0.0), vector(0.004, 0.0, 0.0));
+    pair.pour(&law, vector(1.0, 0.6, 0.0), vector(-0.004, 0.0, 0.0));
     let angular = |g: &Grains| -> f64 {
         let one = |id| {
             let (x, v) = g.grain(id);
@@ -155,12 +143,12 @@ fn two_spinning_grains_keep_momentum_and_angular_momentum_in_an_oblique_collisio
         one(0) + one(1)
     };
     let before = angular(&pair);
-    (0..300).for_each(|_| pair.substep(&law, [0.0; 4], &Nowhere));
-    assert!(pair.spin(0)[2].abs() > 1e-3, "the collision was oblique");
+    (0..300).for_each(|_| pair.substep(&law, [0.0; 4], &Shape::Nowhere));
+    assert!(pair.spin(0)[2].abs() > 3e-4, "the collision was oblique");
     let (a, b) = (pair.grain(0).1, pair.grain(1).1);
     assert!((a[0] + b[0]).abs() < 1e-6 && (a[1] + b[1]).abs() < 1e-6);
     // The corrections act at the predicted positions, so angular momentum is kept to the order of one substep's path.
-    assert!((angular(&pair) / before - 1.0).abs() < 0.02, "{} {before}", angular(&pair));
+    assert!((angular(&pair) / before - 1.0).abs() < 0.01, "{} {before}", angular(&pair));
 }
 
 #[test]
@@ -185,7 +173,7 @@ fn unequal_grains_keep_momentum_and_rest_on_each_other_surface_to_surface() {
         [0, 1].iter().map(|&id| f64::from(g.grain(id).0[3]).powi(3) * f64::from(g.grain(id).1[0])).sum()
     };
     let before = momentum(&pair);
-    (0..200).for_each(|_| pair.substep(&law, [0.0; 4], &Nowhere));
+    (0..200).for_each(|_| pair.substep(&law, [0.0; 4], &Shape::Nowhere));
     assert!((momentum(&pair) - before).abs() < 1e-6 * 0.02, "{} {before}", momentum(&pair));
     let mut one = Grains::default();
     one.pour(&law, vector(0.0, 0.0, 1.0), [0.0; 4]);
@@ -201,9 +189,13 @@ fn strength(amplitudes: &[(&str, f64)], wait: f64, seconds: f64) -> f64 {
         let mut pair = Grains::default();
         pair.fix(vector(0.0, 0.0, 0.0));
         pair.pour(&law, vector(0.0, 0.0, -0.999), [0.0; 4]);
-        (0..substeps(wait)).for_each(|_| pair.substep(&law, [0.0; 4], &Nowhere));
-        let pull = vector(0.0, 0.0, -law.gravity * bond as f32);
-        (0..substeps(seconds)).for_each(|_| pair.substep(&law, pull, &Nowhere));
+        // Held against the fixed grain by an upward weight.
+        (0..substeps(wait)).for_each(|_| pair.substep(&law, vector(0.0, 0.0, law.gravity), &Shape::Nowhere));
+        // Slowly, for a sudden pull swings up to twice as far.
+        for substep in 0..substeps(seconds) {
+            let share = (2.0 * f64::from(substep) / f64::from(substeps(seconds))).min(1.0);
+            pair.substep(&law, vector(0.0, 0.0, -law.gravity * (share * bond) as f32), &Shape::Nowhere);
+        }
         pair.grain(1).0[2] > -1.2
     };
     let (mut low, mut high) = (0.0, 20.0);
@@ -219,10 +211,10 @@ fn strength(amplitudes: &[(&str, f64)], wait: f64, seconds: f64) -> f64 {
 
 #[test]
 fn a_contact_grows_stronger_with_its_age() {
-    // Bo(t) = 4 t / (t + 0.1 s).
-    let strengths = [0.02, 0.1, 0.9].map(|wait| strength(&[("consolidation", 4.0)], wait, 0.01));
-    for (strength, expected) in strengths.into_iter().zip([0.67, 2.0, 3.6]) {
-        assert!((strength / expected - 1.0).abs() < 0.2, "{strengths:?}");
+    // Bo(t) = 4 t / (t + 0.1 s), and the pull is at its full size 0.01 s after the wait.
+    let strengths = [0.02, 0.1, 0.9].map(|wait| strength(&[("consolidation", 4.0)], wait, 0.02));
+    for (strength, expected) in strengths.into_iter().zip([0.92, 2.10, 3.60]) {
+        assert!((strength / expected - 1.0).abs() < 0.06, "{strengths:?}");
     }
     assert!(strength(&[], 0.1, 0.05) < 0.05);
 }
@@ -236,23 +228,23 @@ fn a_bridge_of_water_holds_its_bond_number_and_forms_only_on_touch() {
     let mut apart = Grains::default();
     apart.pour(&law, vector(0.0, 0.0, 0.0), [0.0; 4]);
     apart.pour(&law, vector(1.05, 0.0, 0.0), [0.0; 4]);
-    (0..200).for_each(|_| apart.substep(&law, [0.0; 4], &Nowhere));
+    (0..200).for_each(|_| apart.substep(&law, [0.0; 4], &Shape::Nowhere));
     assert_eq!(apart.grain(1).0[0], 1.05);
     let mut met = Grains::default();
     met.pour(&law, vector(0.0, 0.0, 0.0), [0.0; 4]);
-    met.pour(&law, vector(0.999, 0.0, 0.0), vector(0.003, 0.0, 0.0));
+    met.pour(&law, vector(0.985, 0.0, 0.0), vector(0.01, 0.0, 0.0));
     let mut widest = 0.0f32;
     for _ in 0..3000 {
-        met.substep(&law, [0.0; 4], &Nowhere);
+        met.substep(&law, [0.0; 4], &Shape::Nowhere);
         widest = widest.max(met.grain(1).0[0] - met.grain(0).0[0]);
     }
     let end = met.grain(1).0[0] - met.grain(0).0[0];
-    assert!(widest > 1.005 && end < 1.01, "the bridge brought it back: {widest} {end}");
+    assert!(widest > 1.003 && end < 1.001, "the bridge brought it back: {widest} {end}");
     // Faster, it ruptures: at a gap of (0.008)^(1/3) / 2 = 0.1 d.
     let mut torn = Grains::default();
     torn.pour(&law, vector(0.0, 0.0, 0.0), [0.0; 4]);
-    torn.pour(&law, vector(0.999, 0.0, 0.0), vector(0.04, 0.0, 0.0));
-    (0..3000).for_each(|_| torn.substep(&law, [0.0; 4], &Nowhere));
+    torn.pour(&law, vector(0.95, 0.0, 0.0), vector(0.04, 0.0, 0.0));
+    (0..3000).for_each(|_| torn.substep(&law, [0.0; 4], &Shape::Nowhere));
     assert!(torn.grain(1).0[0] - torn.grain(0).0[0] > 2.0);
 }
 
@@ -294,7 +286,9 @@ fn an_emptied_spoon_keeps_a_film_of_the_share_that_was_asked_for() {
         let mut spoon = Dispenser::new(&set(), &settings, 2);
         let full = spoon.spoon_mg();
         let actions = [8.0, 8.0, 8.0, 8.0, 8.0, 8.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-        actions.map(|incline_change_deg| spoon.step(Action { incline_change_deg, shake_mm: 10.0 }));
+        for incline_change_deg in actions {
+            spoon.step(Action { incline_change_deg, shake_mm: 10.0 });
+        }
         assert_eq!(spoon.fault(), None);
         spoon.spoon_mg() / full
     };
@@ -330,7 +324,7 @@ fn air_gives_a_falling_grain_its_terminal_velocity() {
     let law = Law::new(&set, 0.4, SUBSTEP_S).extended(&with(&[("air", 10.0)]), &set, Site::Base);
     let mut one = Grains::default();
     one.pour(&law, [0.0; 4], [0.0; 4]);
-    (0..substeps(0.5)).for_each(|_| one.substep(&law, down(&law), &Nowhere));
+    (0..substeps(0.5)).for_each(|_| one.substep(&law, down(&law), &Shape::Nowhere));
     let speed = law.speed_m_s(dot(one.grain(0).1, one.grain(0).1).sqrt());
     assert!((speed / terminal - 1.0).abs() < 0.01, "{speed} against {terminal}");
 }
