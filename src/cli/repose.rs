@@ -6,7 +6,8 @@ use crate::domain::FieldError;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
 use crate::sim;
-use crate::sim::repose::{Refusal, Repose, Settings};
+use crate::sim::repose::{Compat, Refusal, Repose, Settings};
+use clap::ValueEnum;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -14,6 +15,15 @@ use serde::Serialize;
 const REPEATS_MAX: u32 = 1000;
 /// Grains that a heap may have: fewer cover no base, more take hours.
 const PARTICLES: std::ops::RangeInclusive<u32> = 200..=20_000;
+
+/// Whose semantics the simulator has, as typed.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum CompatFlag {
+    /// FLIP's own: heaps rest, every parameter acts.
+    Physical,
+    /// The published engine's: heaps creep, cohesion and mass do nothing.
+    Physx,
+}
 
 /// Arguments of `flip repose`.
 #[derive(Debug, clap::Args)]
@@ -24,6 +34,9 @@ pub(super) struct Arguments {
     /// Heaps poured, each with a seed of its own.
     #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true)]
     repeats: u32,
+    /// Whose semantics the simulator has.
+    #[arg(long, value_enum, default_value_t = CompatFlag::Physical)]
+    compat: CompatFlag,
     #[command(flatten)]
     parameters: parameters::Flags,
 }
@@ -63,7 +76,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             format!("must be from {} to {} grains, got {}", PARTICLES.start(), PARTICLES.end(), arguments.particles);
         return Err(FieldError::new("particles", message).into());
     }
-    let settings = Settings::with_particles(arguments.particles);
+    let compat = match arguments.compat {
+        CompatFlag::Physical => Compat::Physical,
+        CompatFlag::Physx => Compat::Physx,
+    };
+    let settings = Settings { compat, ..Settings::with_particles(arguments.particles) };
     let outcomes = pour(&set, &settings, common.seed, arguments.repeats);
     let document = summarise(set, settings, common.seed, outcomes)?;
     common.print(&document, || text(&document))
@@ -125,6 +142,9 @@ fn text(d: &Document) -> String {
         d.heaps.len(),
         d.repeats
     );
+    if d.settings.compat == Compat::Physx {
+        text.push_str("\ncompat           physx: the published engine's semantics, not FLIP's");
+    }
     for refusal in &d.refusals {
         text.push_str(&format!("\nrefused          {refusal}"));
     }

@@ -5,14 +5,25 @@
 //! flank. Everything is scaled in grain diameters, so the number of grains does not change with their size.
 
 use super::constraints::{Vector, vector};
-use super::grains::Grains;
-use super::law::{Law, SUBSTEP_S};
-use super::walls::Plate;
+use super::engine::{Engine, Physical, Physx};
+use super::law::SUBSTEP_S;
+use super::physx;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
+
+/// Whose semantics the solver has.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Compat {
+    /// FLIP's own: friction with a memory, so that heaps rest; every parameter acts by one documented law.
+    #[default]
+    Physical,
+    /// The published engine's, PhysX 5 solid particles, with what is inert in it and its creep: see `sim/physx/mod.rs`.
+    Physx,
+}
 
 /// Settings of the heap experiment; stored with every result.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -23,7 +34,8 @@ pub struct Settings {
     pub particles: u32,
     /// Radius of the base, grain diameters. Default 9: 2000 grains cover it and overflow up to 50 deg.
     pub base_radius_diameters: f64,
-    /// Coulomb coefficient of the base. Default 0.8: a rough plate, so that the heap fails and not its footing.
+    /// Coulomb coefficient of the base. Default 0.8: a rough plate, so that the heap fails and not its footing. Does nothing with
+    /// `compat` physx, where the grains' own coefficient holds at walls.
     pub base_friction: f64,
     /// Height of the opening above the apex, grain diameters; it rises with the heap. Default 3.
     pub funnel_clearance_diameters: f64,
@@ -31,8 +43,14 @@ pub struct Settings {
     pub funnel_radius_diameters: f64,
     /// Substep of the solver, s. Default 0.00008.
     pub substep_s: f64,
-    /// Longest wait for rest after the last grain, s. Default 1.
+    /// Longest wait for rest after the last grain, s. Default 1. With `compat` physx, whose heaps creep, always the whole of it.
     pub settle_max_s: f64,
+    /// Whose semantics the solver has. Default physical.
+    pub compat: Compat,
+    /// Frame of `compat` physx, s. Default 0.001.
+    pub frame_s: f64,
+    /// Iterations in such a frame. Default 16, the engine's.
+    pub iterations: u32,
 }
 
 impl Default for Settings {
@@ -45,6 +63,9 @@ impl Default for Settings {
             funnel_radius_diameters: 1.8,
             substep_s: SUBSTEP_S,
             settle_max_s: 1.0,
+            compat: Compat::Physical,
+            frame_s: physx::FRAME_S,
+            iterations: physx::ITERATIONS,
         }
     }
 }
@@ -112,7 +133,7 @@ const REST_RMS_M_S: f64 = 0.0005;
 
 /// Share of the grains that come through the wide opening.
 const QUICK: f64 = 0.6;
-/// Substeps between two looks for grains that fell off the base.
+/// Steps between two looks for grains that fell off the base.
 const DEPARTURE_CHECK: u32 = 16;
 
 /// Pour, wait until the heap rests, measure. Same inputs, same bytes.
@@ -127,44 +148,41 @@ const DEPARTURE_CHECK: u32 = 16;
 /// # Errors
 /// [`Refusal`] when the heap has no angle: a base that is not covered, or a solver that diverged.
 pub fn repose(set: &ParameterSet, settings: &Settings, seed: u64) -> Result<Repose, Refusal> {
-    let law = Law::new(set, settings.base_friction, settings.substep_s);
-    let mut heap = Heap::new(law, settings);
-    heap.pour(seed)?;
-    heap.settle()?;
-    heap.measure()
+    match settings.compat {
+        Compat::Physical => Heap { engine: Physical::new(set, settings), settings, steps: 0 }.run(seed),
+        Compat::Physx => Heap { engine: Physx::new(set, settings), settings, steps: 0 }.run(seed),
+    }
 }
 
-struct Heap<'a> {
-    law: Law,
+struct Heap<'a, E> {
+    engine: E,
     settings: &'a Settings,
-    plate: Plate,
-    grains: Grains,
-    substeps: u32,
+    steps: u32,
 }
 
-impl<'a> Heap<'a> {
-    fn new(law: Law, settings: &'a Settings) -> Self {
-        let plate = Plate { radius: settings.base_radius_diameters as f32 };
-        Self { law, settings, plate, grains: Grains::default(), substeps: 0 }
+impl<E: Engine> Heap<'_, E> {
+    fn run(mut self, seed: u64) -> Result<Repose, Refusal> {
+        self.pour(seed)?;
+        self.settle()?;
+        self.measure()
     }
 
-    fn advance(&mut self, substeps: u32) -> Result<(), Refusal> {
-        let gravity = vector(0.0, 0.0, -self.law.gravity);
-        for substep in 0..substeps {
-            self.grains.substep(&self.law, gravity, &self.plate);
-            if substep % DEPARTURE_CHECK == 0 {
-                self.grains.take_departed(&self.plate);
+    fn advance(&mut self, steps: u32) -> Result<(), Refusal> {
+        for step in 0..steps {
+            self.engine.step();
+            if step % DEPARTURE_CHECK == 0 {
+                self.engine.drop_departed();
             }
         }
-        self.substeps += substeps;
-        match self.grains.fault() {
+        self.steps += steps;
+        match self.engine.fault() {
             Some(cause) => Err(Refusal::Diverged { at_s: self.elapsed_s(), cause }),
             None => Ok(()),
         }
     }
 
     fn elapsed_s(&self) -> f64 {
-        f64::from(self.substeps) * self.law.substep_s
+        f64::from(self.steps) * self.engine.scales().step_s
     }
 
     /// The first grains, which end up inside or below, come quickly through a wide opening; those that shape the heap through the narrow
@@ -178,11 +196,11 @@ impl<'a> Heap<'a> {
         let fill = left - (QUICK * left as f64) as usize;
         while left > 0 {
             let radius = if left > fill { wide } else { narrow };
-            let speed = (self.law.gravity * 2.0 * radius).sqrt();
+            let speed = (self.engine.scales().gravity * 2.0 * radius).sqrt();
             let per_layer = (1.15 / speed).ceil() as u32;
             let height = self.apex() + self.settings.funnel_clearance_diameters as f32;
             for position in layer(&mut rng, radius, height).into_iter().take(left) {
-                self.grains.pour(position, vector(0.0, 0.0, -speed));
+                self.engine.pour(position, vector(0.0, 0.0, -speed));
                 left -= 1;
             }
             self.advance(per_layer)?;
@@ -192,39 +210,41 @@ impl<'a> Heap<'a> {
 
     /// Height of the highest grain that rests on others, or of the base.
     fn apex(&self) -> f32 {
-        let lying = self.grains.centres().iter().zip(self.grains.velocities()).filter(|(_, v)| v[3] >= 2.0);
+        let lying = self.engine.centres().iter().zip(self.engine.velocities()).filter(|(_, v)| v[3] >= 2.0);
         lying.fold(0.0, |top, (x, _)| top.max(x[2]))
     }
 
     fn settle(&mut self) -> Result<(), Refusal> {
-        let slice = self.law.substeps(0.01);
-        let fall = (2.0 * self.settings.funnel_clearance_diameters * self.law.diameter_m / 9.81).sqrt();
-        self.advance(self.law.substeps(fall))?;
-        let limit = self.substeps + self.law.substeps(self.settings.settle_max_s);
+        let scales = self.engine.scales();
+        let slice = scales.steps(0.01).max(1);
+        let fall = (2.0 * self.settings.funnel_clearance_diameters * scales.diameter_m / 9.81).sqrt();
+        self.advance(scales.steps(fall))?;
+        let limit = self.steps + scales.steps(self.settings.settle_max_s);
+        let may_stop = self.settings.compat == Compat::Physical;
         let mut calm = 0;
-        while calm < 10 && self.substeps < limit {
+        while calm < 10 && self.steps < limit {
             self.advance(slice)?;
-            let (_, rms) = self.grains.speeds();
-            calm = if self.law.speed_m_s(rms) < REST_RMS_M_S { calm + 1 } else { 0 };
+            let rests = scales.speed_m_s(self.engine.speed_rms()) < REST_RMS_M_S;
+            calm = if may_stop && rests { calm + 1 } else { 0 };
         }
         Ok(())
     }
 
     fn measure(&mut self) -> Result<Repose, Refusal> {
-        let before = cone_deg(self.grains.centres(), self.settings.base_radius_diameters);
-        self.advance(self.law.substeps(HOLD_S))?;
+        let before = cone_deg(self.engine.centres(), self.settings.base_radius_diameters);
+        let scales = self.engine.scales();
+        self.advance(scales.steps(HOLD_S))?;
         self.check_cover()?;
         let base = self.settings.base_radius_diameters;
-        let cone = cone_deg(self.grains.centres(), base);
-        let height = f64::from(self.grains.centres().iter().fold(0.0f32, |top, x| top.max(x[2]))) + 0.5;
-        let (overlap_mean, overlap_max) = self.grains.overlaps();
-        let (_, rms) = self.grains.speeds();
+        let cone = cone_deg(self.engine.centres(), base);
+        let height = f64::from(self.engine.centres().iter().fold(0.0f32, |top, x| top.max(x[2]))) + 0.5;
+        let (overlap_mean, overlap_max) = self.engine.overlaps();
         Ok(Repose {
             tip_deg: (2.0 * height / (2.0 * base)).atan().to_degrees(),
             cone_deg: cone,
             creep_deg_per_s: (cone - before) / HOLD_S,
-            speed_rms_mm_s: self.law.speed_m_s(rms) * 1e3,
-            particles_on_base: self.grains.centres().len() as u32,
+            speed_rms_mm_s: scales.speed_m_s(self.engine.speed_rms()) * 1e3,
+            particles_on_base: self.engine.centres().len() as u32,
             overlap_mean,
             overlap_max,
             simulated_s: self.elapsed_s(),
@@ -235,7 +255,7 @@ impl<'a> Heap<'a> {
     fn check_cover(&self) -> Result<(), Refusal> {
         let mut seen = [false; SECTORS];
         let inner = self.settings.base_radius_diameters as f32 - 2.0;
-        for x in self.grains.centres().iter().filter(|x| x[0] * x[0] + x[1] * x[1] >= inner * inner) {
+        for x in self.engine.centres().iter().filter(|x| x[0] * x[0] + x[1] * x[1] >= inner * inner) {
             seen[sector([f64::from(x[0]), f64::from(x[1])])] = true;
         }
         match seen.iter().filter(|s| **s).count() {
