@@ -53,5 +53,8 @@
 mod law;
 mod solver;
 
+#[cfg(test)]
+mod tests;
+
 pub(super) use law::{FRAME_S, ITERATIONS, Law};
 pub(super) use solver::Solver;
