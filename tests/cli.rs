@@ -72,6 +72,20 @@ fn repose_gives_the_same_bytes_twice_on_any_number_of_threads_and_on_every_path(
 }
 
 #[test]
+fn a_heap_says_whose_semantics_poured_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let heap = |flags: &[&str]| {
+        let arguments = [&["repose", "--particles", "300", "--seed", "1", "--json"], flags].concat();
+        document(&flip(folder.path(), &arguments))
+    };
+    let (own, published) = (heap(&[]), heap(&["--compat", "physx"]));
+    assert_eq!(own["settings"]["compat"], "physical");
+    assert_eq!(published["settings"]["compat"], "physx");
+    assert_eq!(own, heap(&["--compat", "physical"]));
+    assert_ne!(own["repose_deg"], published["repose_deg"]);
+}
+
+#[test]
 fn bad_input_exits_2_and_names_the_field() {
     let folder = tempfile::tempdir().unwrap();
     let cases: [(&[&str], &str); 15] = [
@@ -82,6 +96,7 @@ fn bad_input_exits_2_and_names_the_field() {
         (&["repose", "--repeats", "0"], "repeats"),
         (&["repose", "--particles", "199"], "particles: must be from 200 to 20000"),
         (&["repose", "--weight", "3"], "--weight"),
+        (&["repose", "--compat", "flex"], "--compat"),
         (&["calibrate", "--powder", "chalk"], "powder"),
         (&["calibrate", "--powder", "salt", "--sets", "0"], "sets"),
         (&["calibrate", "--powder", "salt", "--tolerance-deg", "inf"], "tolerance_deg"),

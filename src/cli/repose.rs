@@ -7,8 +7,9 @@ use crate::domain::seed::derive;
 use crate::domain::{FieldError, bounded};
 use crate::sim;
 use crate::sim::mechanisms::Extensions;
-use crate::sim::repose::{Refusal, Repose, Settings};
+use crate::sim::repose::{Compat, Refusal, Repose, Settings};
 use crate::sim::snapshot::Camera;
+use clap::ValueEnum;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -18,6 +19,15 @@ use std::sync::{Arc, Mutex};
 const REPEATS_MAX: u32 = 1000;
 /// Grains that a heap may have: fewer cover no base, more take hours.
 const PARTICLES: std::ops::RangeInclusive<u32> = 200..=20_000;
+
+/// Whose semantics the simulator has, as typed.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum CompatFlag {
+    /// FLIP's own: heaps rest, every parameter acts.
+    Physical,
+    /// The published engine's: heaps creep, cohesion and mass do nothing.
+    Physx,
+}
 
 /// Arguments of `flip repose`.
 #[derive(Debug, clap::Args)]
@@ -43,6 +53,9 @@ pub(super) struct Arguments {
     /// Write the grains of the first heap, one snapshot every 1/50 s, in the format of `sim::snapshot`.
     #[arg(long, value_name = "FILE")]
     snapshots: Option<PathBuf>,
+    /// Whose semantics the simulator has.
+    #[arg(long, value_enum, default_value_t = CompatFlag::Physical)]
+    compat: CompatFlag,
     #[command(flatten)]
     parameters: parameters::Flags,
 }
@@ -82,12 +95,21 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             format!("must be from {} to {} grains, got {}", PARTICLES.start(), PARTICLES.end(), arguments.particles);
         return Err(FieldError::new("particles", message).into());
     }
+    let compat = match arguments.compat {
+        CompatFlag::Physical => Compat::Physical,
+        CompatFlag::Physx => Compat::Physx,
+    };
     let settings = Settings {
         base_friction: bounded("base_friction", arguments.base_friction, 0.0, 2.0, "")?,
         rough_base: arguments.rough_base,
         extensions: extensions(&arguments.extension)?,
+        compat,
         ..Settings::with_particles(arguments.particles)
     };
+    if compat == Compat::Physx && (settings.rough_base || !settings.extensions.is_none()) {
+        let message = "the published engine has no extensions and no rough base; leave out --compat or them";
+        return Err(FieldError::new("compat", message).into());
+    }
     if arguments.view.is_some() || arguments.snapshots.is_some() {
         picture(&set, &settings, common.seed, arguments)?;
     }
@@ -186,6 +208,9 @@ fn text(d: &Document) -> String {
         d.heaps.len(),
         d.repeats
     );
+    if d.settings.compat == Compat::Physx {
+        text.push_str("\ncompat           physx: the published engine's semantics, not FLIP's");
+    }
     for refusal in &d.refusals {
         text.push_str(&format!("\nrefused          {refusal}"));
     }

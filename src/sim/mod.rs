@@ -39,6 +39,11 @@
 //! Sixteen grains of a block are solved at once, each from its own full list of neighbours (`neighbours`), so that no two write to the
 //! same place and every sum has a fixed order. `lanes` is the one file that knows the processor; its two paths give the same bits.
 //!
+//! # Another solver
+//!
+//! `physx` is the published engine's own semantics, for comparison: `compat` in the settings of the heap experiment switches it on.
+//! `engine` is what that experiment asks of either.
+//!
 //! # The nine parameters
 //!
 //! Each acts by one law with a unit, written in [`law`]; the tests in `sim/tests.rs` show each effect on something that
@@ -48,6 +53,8 @@ pub mod balance;
 mod constraints;
 mod contacts;
 pub mod dispense;
+mod engine;
+mod flank;
 mod grains;
 mod grid;
 mod lanes;
@@ -55,6 +62,7 @@ pub mod law;
 pub mod mechanisms;
 pub mod motion;
 mod neighbours;
+mod physx;
 pub mod repose;
 pub mod scoop;
 pub mod snapshot;

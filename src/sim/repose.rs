@@ -5,16 +5,28 @@
 //! flank. Everything is scaled in grain diameters, so the number of grains does not change with their size.
 
 use super::constraints::{Vector, vector};
-use super::grains::Grains;
-use super::law::{Law, SUBSTEP_S};
-use super::mechanisms::{Extensions, Site};
+use super::engine::{Engine, Physical, Physx};
+use super::flank::{SECTORS, cone_deg, sector};
+use super::law::SUBSTEP_S;
+use super::mechanisms::Extensions;
+use super::physx;
 use super::snapshot::{Camera, Snapshot};
-use super::walls::{Plate, Shape};
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
+
+/// Whose semantics the solver has.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Compat {
+    /// FLIP's own: friction with a memory, so that heaps rest; every parameter acts by one documented law.
+    #[default]
+    Physical,
+    /// The published engine's, PhysX 5 solid particles, with what is inert in it and its creep: see `sim/physx/mod.rs`.
+    Physx,
+}
 
 /// Settings of the heap experiment; stored with every result.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -25,7 +37,8 @@ pub struct Settings {
     pub particles: u32,
     /// Radius of the base, grain diameters. Default 9: 2000 grains cover it and overflow up to 50 deg.
     pub base_radius_diameters: f64,
-    /// Coulomb coefficient of the base. Default 0.8: a rough plate, so that the heap fails and not its footing.
+    /// Coulomb coefficient of the base. Default 0.8: a rough plate, so that the heap fails and not its footing. Does nothing with
+    /// `compat` physx, where the grains' own coefficient holds at walls.
     pub base_friction: f64,
     /// Height of the opening above the apex, grain diameters; it rises with the heap. Default 3.
     pub funnel_clearance_diameters: f64,
@@ -33,7 +46,7 @@ pub struct Settings {
     pub funnel_radius_diameters: f64,
     /// Substep of the solver, s. Default 0.00008.
     pub substep_s: f64,
-    /// Longest wait for rest after the last grain, s. Default 1.
+    /// Longest wait for rest after the last grain, s. Default 1. With `compat` physx, whose heaps creep, always the whole of it.
     pub settle_max_s: f64,
     /// Whether a layer of fixed grains covers the base. Default no: a smooth plate.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
@@ -41,6 +54,12 @@ pub struct Settings {
     /// What the base simulator leaves out. Default nothing.
     #[serde(skip_serializing_if = "Extensions::is_none")]
     pub extensions: Extensions,
+    /// Whose semantics the solver has. Default physical.
+    pub compat: Compat,
+    /// Frame of `compat` physx, s. Default 0.001.
+    pub frame_s: f64,
+    /// Iterations in such a frame. Default 16, the engine's.
+    pub iterations: u32,
 }
 
 impl Default for Settings {
@@ -55,6 +74,9 @@ impl Default for Settings {
             settle_max_s: 1.0,
             rough_base: false,
             extensions: Extensions::default(),
+            compat: Compat::Physical,
+            frame_s: physx::FRAME_S,
+            iterations: physx::ITERATIONS,
         }
     }
 }
@@ -113,8 +135,6 @@ pub enum Refusal {
     },
 }
 
-/// Sectors around the axis for the cone fit and for the cover of the rim.
-const SECTORS: usize = 12;
 /// Time over which rest is judged and creep measured, s.
 const HOLD_S: f64 = 0.2;
 /// Grains slower than this (root mean square) count as resting, m/s.
@@ -122,7 +142,7 @@ const REST_RMS_M_S: f64 = 0.0005;
 
 /// Share of the grains that come through the wide opening.
 const QUICK: f64 = 0.6;
-/// Substeps between two looks for grains that fell off the base.
+/// Steps between two looks for grains that fell off the base.
 const DEPARTURE_CHECK: u32 = 16;
 
 /// Pour, wait until the heap rests, measure. Same inputs, same bytes.
@@ -154,66 +174,48 @@ pub struct Pile {
 /// # Errors
 /// As [`repose`].
 pub fn pile(set: &ParameterSet, settings: &Settings, seed: u64, camera: Option<Camera>) -> Result<Pile, Refusal> {
-    let law = Law::new(set, settings.base_friction, settings.substep_s);
-    let law = law.extended(&settings.extensions, set, Site::Base);
-    let law = Law { extended: law.extended || settings.rough_base, ..law };
-    let mut heap = Heap::new(law, settings, camera);
-    heap.pour(seed)?;
-    heap.settle()?;
-    let repose = heap.measure()?;
-    Ok(Pile { repose, snapshot: Snapshot::of(&heap.grains, &heap.law, repose.simulated_s) })
+    match settings.compat {
+        Compat::Physical => Heap { engine: Physical::new(set, settings), settings, steps: 0, camera }.run(seed),
+        Compat::Physx => Heap { engine: Physx::new(set, settings), settings, steps: 0, camera }.run(seed),
+    }
 }
 
-struct Heap<'a> {
-    law: Law,
+struct Heap<'a, E> {
+    engine: E,
     settings: &'a Settings,
-    plate: Shape,
-    grains: Grains,
-    substeps: u32,
+    steps: u32,
     camera: Option<Camera>,
 }
 
-impl<'a> Heap<'a> {
-    fn new(law: Law, settings: &'a Settings, camera: Option<Camera>) -> Self {
-        let radius = settings.base_radius_diameters as f32;
-        let mut grains = Grains::default();
-        if settings.rough_base {
-            close_packed(radius).into_iter().for_each(|x| grains.fix(x));
-        }
-        Self { law, settings, plate: Shape::Plate(Plate { radius }), grains, substeps: 0, camera }
+impl<E: Engine> Heap<'_, E> {
+    fn run(mut self, seed: u64) -> Result<Pile, Refusal> {
+        self.pour(seed)?;
+        self.settle()?;
+        let repose = self.measure()?;
+        Ok(Pile { repose, snapshot: self.engine.snapshot(repose.simulated_s) })
     }
 
-    /// Height from which the heap is measured: the base, or where the lowest surface of a grain in a hollow of the fixed layer lies.
-    fn floor(&self) -> f64 {
-        if self.settings.rough_base { LAYER } else { 0.0 }
-    }
-
-    /// Centres from that height.
-    fn heap(&self) -> Vec<Vector> {
-        let floor = self.floor() as f32;
-        self.grains.free().map(|x| [x[0], x[1], x[2] - floor, x[3]]).collect()
-    }
-
-    fn advance(&mut self, substeps: u32) -> Result<(), Refusal> {
-        let gravity = vector(0.0, 0.0, -self.law.gravity);
-        for substep in 0..substeps {
-            self.grains.substep(&self.law, gravity, &self.plate);
-            if substep % DEPARTURE_CHECK == 0 {
-                self.grains.take_departed(&self.plate);
+    fn advance(&mut self, steps: u32) -> Result<(), Refusal> {
+        let scales = self.engine.scales();
+        for step in 0..steps {
+            self.engine.step();
+            if step % DEPARTURE_CHECK == 0 {
+                self.engine.drop_departed();
             }
-            if let Some(camera) = &self.camera {
-                camera.look(&self.grains, &self.law, self.substeps + substep);
+            if let Some(camera) = self.camera.as_ref().filter(|camera| camera.is_due(self.steps + step, scales.step_s))
+            {
+                (camera.see)(self.engine.snapshot(f64::from(self.steps + step) * scales.step_s));
             }
         }
-        self.substeps += substeps;
-        match self.grains.fault() {
+        self.steps += steps;
+        match self.engine.fault() {
             Some(cause) => Err(Refusal::Diverged { at_s: self.elapsed_s(), cause }),
             None => Ok(()),
         }
     }
 
     fn elapsed_s(&self) -> f64 {
-        f64::from(self.substeps) * self.law.substep_s
+        f64::from(self.steps) * self.engine.scales().step_s
     }
 
     /// The first grains, which end up inside or below, come quickly through a wide opening; those that shape the heap through the narrow
@@ -227,11 +229,11 @@ impl<'a> Heap<'a> {
         let fill = left - (QUICK * left as f64) as usize;
         while left > 0 {
             let radius = if left > fill { wide } else { narrow };
-            let speed = (self.law.gravity * 2.0 * radius).sqrt();
+            let speed = (self.engine.scales().gravity * 2.0 * radius).sqrt();
             let per_layer = (1.15 / speed).ceil() as u32;
             let height = self.apex() + self.settings.funnel_clearance_diameters as f32;
             for position in layer(&mut rng, radius, height).into_iter().take(left) {
-                self.grains.pour(&self.law, position, vector(0.0, 0.0, -speed));
+                self.engine.pour(position, vector(0.0, 0.0, -speed));
                 left -= 1;
             }
             self.advance(per_layer)?;
@@ -241,39 +243,41 @@ impl<'a> Heap<'a> {
 
     /// Height of the highest grain that rests on others, or of the base.
     fn apex(&self) -> f32 {
-        let lying = self.grains.centres().iter().zip(self.grains.velocities()).filter(|(_, v)| v[3] >= 2.0);
+        let lying = self.engine.centres().iter().zip(self.engine.velocities()).filter(|(_, v)| v[3] >= 2.0);
         lying.fold(0.0, |top, (x, _)| top.max(x[2]))
     }
 
     fn settle(&mut self) -> Result<(), Refusal> {
-        let slice = self.law.substeps(0.01);
-        let fall = (2.0 * self.settings.funnel_clearance_diameters * self.law.diameter_m / 9.81).sqrt();
-        self.advance(self.law.substeps(fall))?;
-        let limit = self.substeps + self.law.substeps(self.settings.settle_max_s);
+        let scales = self.engine.scales();
+        let slice = scales.steps(0.01).max(1);
+        let fall = (2.0 * self.settings.funnel_clearance_diameters * scales.diameter_m / 9.81).sqrt();
+        self.advance(scales.steps(fall))?;
+        let limit = self.steps + scales.steps(self.settings.settle_max_s);
+        let may_stop = self.settings.compat == Compat::Physical;
         let mut calm = 0;
-        while calm < 10 && self.substeps < limit {
+        while calm < 10 && self.steps < limit {
             self.advance(slice)?;
-            let (_, rms) = self.grains.speeds();
-            calm = if self.law.speed_m_s(rms) < REST_RMS_M_S { calm + 1 } else { 0 };
+            let rests = scales.speed_m_s(self.engine.speed_rms()) < REST_RMS_M_S;
+            calm = if may_stop && rests { calm + 1 } else { 0 };
         }
         Ok(())
     }
 
     fn measure(&mut self) -> Result<Repose, Refusal> {
-        let before = cone_deg(&self.heap(), self.settings.base_radius_diameters);
-        self.advance(self.law.substeps(HOLD_S))?;
-        self.check_cover()?;
+        let scales = self.engine.scales();
         let base = self.settings.base_radius_diameters;
-        let heap = self.heap();
+        let before = cone_deg(&self.engine.heap(), base);
+        self.advance(scales.steps(HOLD_S))?;
+        self.check_cover()?;
+        let heap = self.engine.heap();
         let cone = cone_deg(&heap, base);
         let height = heap.iter().fold(0.0f64, |top, x| top.max(f64::from(x[2]) + f64::from(x[3])));
-        let (overlap_mean, overlap_max) = self.grains.overlaps();
-        let (_, rms) = self.grains.speeds();
+        let (overlap_mean, overlap_max) = self.engine.overlaps();
         Ok(Repose {
             tip_deg: (2.0 * height / (2.0 * base)).atan().to_degrees(),
             cone_deg: cone,
             creep_deg_per_s: (cone - before) / HOLD_S,
-            speed_rms_mm_s: self.law.speed_m_s(rms) * 1e3,
+            speed_rms_mm_s: scales.speed_m_s(self.engine.speed_rms()) * 1e3,
             particles_on_base: heap.len() as u32,
             overlap_mean,
             overlap_max,
@@ -285,7 +289,7 @@ impl<'a> Heap<'a> {
     fn check_cover(&self) -> Result<(), Refusal> {
         let mut seen = [false; SECTORS];
         let inner = self.settings.base_radius_diameters as f32 - 2.0;
-        for x in self.grains.free().filter(|x| x[0] * x[0] + x[1] * x[1] >= inner * inner) {
+        for x in self.engine.heap().iter().filter(|x| x[0] * x[0] + x[1] * x[1] >= inner * inner) {
             seen[sector([f64::from(x[0]), f64::from(x[1])])] = true;
         }
         match seen.iter().filter(|s| **s).count() {
@@ -293,17 +297,6 @@ impl<'a> Heap<'a> {
             covered => Err(Refusal::BaseNotCovered { covered: covered as u32, sectors: SECTORS as u32 }),
         }
     }
-}
-
-/// Distance of close-packed layers, grain diameters: sqrt(2/3).
-const LAYER: f64 = 0.816_496_580_927_726;
-
-/// Centres of a close-packed layer that lies on a round base.
-fn close_packed(radius: f32) -> Vec<Vector> {
-    let rows = (radius / 0.75) as i32;
-    let at = |row: i32, column: i32| [column as f32 + 0.5 * (row & 1) as f32, row as f32 * 0.866_025_4];
-    let all = (-rows..=rows).flat_map(|row| (-rows..=rows).map(move |column| at(row, column)));
-    all.filter(|[x, y]| x * x + y * y <= radius * radius).map(|[x, y]| vector(x, y, 0.5)).collect()
 }
 
 /// Positions of one layer: a hexagonal lattice over the opening, turned and shifted at random.
@@ -326,102 +319,9 @@ fn layer(rng: &mut Pcg64Mcg, radius: f32, height: f32) -> Vec<Vector> {
     positions
 }
 
-fn sector(at: [f64; 2]) -> usize {
-    let turn = at[1].atan2(at[0]) / std::f64::consts::TAU + 0.5;
-    ((turn * SECTORS as f64) as usize).min(SECTORS - 1)
-}
-
-/// Side of a pixel of the height map, grain diameters.
-const PIXEL: f64 = 0.25;
-
-/// Slope of the flank as a depth camera from above sees it: the mean surface height of every one-diameter ring in each
-/// sector, a least-squares line through the rings between 20 % and 80 % of the apex height, and the mean slope of the
-/// sectors as an angle, degrees.
-fn cone_deg(x: &[Vector], base_radius: f64) -> f64 {
-    let rings = base_radius.ceil() as usize;
-    let mut profile = vec![Ring::default(); SECTORS * rings];
-    let mut apex = 0.0f64;
-    for (at, height) in surface(x, base_radius) {
-        let r = at[0].hypot(at[1]);
-        if (r as usize) < rings {
-            let ring = &mut profile[sector(at) * rings + r as usize];
-            *ring = Ring { pixels: ring.pixels + 1.0, radius: ring.radius + r, height: ring.height + height };
-        }
-        apex = apex.max(height);
-    }
-    let flank = 0.2 * apex..=0.8 * apex;
-    let means = |sector: &[Ring]| -> Vec<[f64; 2]> {
-        let seen = sector.iter().filter(|ring| ring.pixels > 0.0);
-        let points = seen.map(|ring| [ring.radius / ring.pixels, ring.height / ring.pixels]);
-        points.filter(|point| flank.contains(&point[1])).collect()
-    };
-    let slopes: Vec<f64> = profile.chunks(rings).filter_map(|sector| slope(&means(sector))).collect();
-    let mean = slopes.iter().sum::<f64>() / slopes.len().max(1) as f64;
-    (-mean).atan().to_degrees()
-}
-
-/// Sums over the pixels of one ring in one sector.
-#[derive(Debug, Clone, Copy, Default)]
-struct Ring {
-    pixels: f64,
-    radius: f64,
-    height: f64,
-}
-
-/// Position and height of every pixel of the height map that shows a grain.
-fn surface(x: &[Vector], base_radius: f64) -> impl Iterator<Item = ([f64; 2], f64)> {
-    let half = (base_radius / PIXEL).ceil() as i64 + 2;
-    let side = (2 * half + 1) as usize;
-    let mut top = vec![f64::NEG_INFINITY; side * side];
-    for p in x {
-        let (centre, r2) = ([f64::from(p[0]), f64::from(p[1])], f64::from(p[3] * p[3]));
-        let [column, row] = centre.map(|c| (c / PIXEL).round() as i64);
-        let wide = (f64::from(p[3]) / PIXEL).ceil() as i64;
-        for (i, j) in (-wide..=wide).flat_map(|i| (-wide..=wide).map(move |j| (column + i, row + j))) {
-            let apart = (i as f64 * PIXEL - centre[0]).powi(2) + (j as f64 * PIXEL - centre[1]).powi(2);
-            if apart < r2 && i.abs() <= half && j.abs() <= half {
-                let pixel = &mut top[(j + half) as usize * side + (i + half) as usize];
-                *pixel = pixel.max(f64::from(p[2]) + (r2 - apart).sqrt());
-            }
-        }
-    }
-    let position = move |k: usize| [(k % side) as i64 - half, (k / side) as i64 - half].map(|c| c as f64 * PIXEL);
-    top.into_iter().enumerate().filter(|(_, z)| z.is_finite()).map(move |(k, z)| (position(k), z))
-}
-
-/// Least-squares slope of height over radius; `None` below three points or without spread.
-fn slope(points: &[[f64; 2]]) -> Option<f64> {
-    let n = points.len() as f64;
-    if n < 3.0 {
-        return None;
-    }
-    let mean = |k: usize| points.iter().map(|p| p[k]).sum::<f64>() / n;
-    let (r, z) = (mean(0), mean(1));
-    let spread: f64 = points.iter().map(|p| (p[0] - r) * (p[0] - r)).sum();
-    (spread > 1e-9).then(|| points.iter().map(|p| (p[0] - r) * (p[1] - z)).sum::<f64>() / spread)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_cone_of_grains_has_its_own_angle() {
-        for angle in [25.0f64, 35.0, 45.0] {
-            let slope = angle.to_radians().tan();
-            let mut x = Vec::new();
-            for i in -100..=100 {
-                for j in -100..=100 {
-                    let (px, py) = (f64::from(i) * 0.1, f64::from(j) * 0.1);
-                    let r = (px * px + py * py).sqrt();
-                    if r <= 10.0 {
-                        x.push([px as f32, py as f32, (slope * (10.0 - r)) as f32 - 0.5, 0.5]);
-                    }
-                }
-            }
-            assert!((cone_deg(&x, 10.0) - angle).abs() < 0.5, "{} for {angle}", cone_deg(&x, 10.0));
-        }
-    }
 
     #[test]
     fn a_layer_holds_no_overlapping_grains() {

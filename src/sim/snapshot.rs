@@ -1,5 +1,6 @@
 //! Particles at one moment, small enough to send to a viewer many times a second.
 
+use super::constraints::Vector;
 use super::grains::Grains;
 use super::law::Law;
 use std::fmt;
@@ -36,19 +37,26 @@ impl fmt::Debug for Camera {
 }
 
 impl Camera {
+    /// Whether a snapshot is due at this step.
+    pub(super) fn is_due(&self, step: u32, step_s: f64) -> bool {
+        step.is_multiple_of(((self.every_s / step_s).round() as u32).max(1))
+    }
+
     /// Take a snapshot if one is due at this substep.
     pub(super) fn look(&self, grains: &Grains, law: &Law, substep: u32) {
-        if substep.is_multiple_of(law.substeps(self.every_s).max(1)) {
-            (self.see)(Snapshot::of(grains, law, f64::from(substep) * law.substep_s));
+        if self.is_due(substep, law.substep_s) {
+            let time_s = f64::from(substep) * law.substep_s;
+            (self.see)(Snapshot::of(grains.ids(), grains.centres(), law.diameter_m, time_s));
         }
     }
 }
 
 impl Snapshot {
-    pub(super) fn of(grains: &Grains, law: &Law, time_s: f64) -> Self {
-        let mut all: Vec<_> = grains.ids().iter().copied().zip(grains.centres()).collect();
+    /// Of grains with these numbers, centres and radii in grain diameters.
+    pub(super) fn of(ids: &[u32], centres: &[Vector], diameter_m: f64, time_s: f64) -> Self {
+        let mut all: Vec<_> = ids.iter().copied().zip(centres).collect();
         all.sort_unstable_by_key(|(id, _)| *id);
-        let mm = (law.diameter_m * 1e3) as f32;
+        let mm = (diameter_m * 1e3) as f32;
         let (mut low, mut high) = ([f32::MAX; 3], [f32::MIN; 3]);
         for (_, x) in &all {
             for k in 0..3 {
