@@ -47,8 +47,10 @@
 //!   `sep < s`, which compares a length in metres with a scale: within the published bounds s is in effect the *range of wall adhesion
 //!   in metres*, 0 to 50 micrometres. For s > 1 the even power lets the pull grow again beyond R.
 //! * Without damping and attraction, gravity, frame and diameter act only as g dt^2/d: less gravity is a shorter frame.
-//! * Friction remembers nothing from one frame to the next, and the sums start from zero. A lone grain rests all the same on any slope
-//!   that its friction can hold; a heap creeps, and its angle depends on the frame, on N and on how long it stood.
+//! * Friction remembers nothing from one frame to the next, and the sums start from zero: a heap creeps, and its angle depends on the
+//!   frame, on N and on how long it stood.
+//! * The tangential sums have no direction: slip to and fro within a frame adds up. A lone grain rests on a slope up to half of mu,
+//!   *climbs* between that and a little above mu, and slides beyond with the acceleration that Coulomb's law gives.
 //! * Grains do not rotate, and impacts are inelastic up to what the frame in which they happen leaves undone: an impact n iterations
 //!   before its end keeps at most 2^(-n/2) of the closing speed (N = 16).
 //!
