@@ -51,7 +51,7 @@ fn main() {
             for frame_s in [1.0 / 60.0, 0.004, 0.002, 0.001, 0.0005, 0.00025] {
                 row(&[("friction", 0.5)], &Settings { frame_s, ..physx }, heaps);
             }
-            for iterations in [4, 8, 32] {
+            for iterations in [4, 8, 32, 128] {
                 row(&[("friction", 0.5)], &Settings { iterations, ..physx }, heaps);
             }
             for settle_max_s in [0.5, 2.0] {

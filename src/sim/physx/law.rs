@@ -3,7 +3,8 @@
 use crate::domain::parameters::ParameterSet;
 use crate::sim::law::GRAVITY;
 
-/// Frame, s.
+/// Frame, s: the longest of those tried in which a grain that falls from the opening moves less than a diameter, beyond which it could
+/// pass the plate unseen. Grains overlap by less than 1 % of d on average.
 pub(in crate::sim) const FRAME_S: f64 = 0.001;
 /// Iterations in a frame: the engine's default.
 pub(in crate::sim) const ITERATIONS: u32 = 16;

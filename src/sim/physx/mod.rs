@@ -46,9 +46,18 @@
 //! * At walls, s < 1 makes the radius R negative, and the pull grows with distance instead of fading. What ends it is the guard
 //!   `sep < s`, which compares a length in metres with a scale: within the published bounds s is in effect the *range of wall adhesion
 //!   in metres*, 0 to 50 micrometres. For s > 1 the even power lets the pull grow again beyond R.
+//! * Without damping and attraction, gravity, frame and diameter act only as g dt^2/d: less gravity is a shorter frame.
 //! * Friction remembers nothing from one frame to the next, and the sums start from zero: a heap creeps, and its angle depends on the
 //!   frame, on N and on how long it stood.
-//! * Grains do not rotate, and impacts are inelastic up to what the frame in which they happen leaves undone.
+//! * The tangential sums have no direction: slip to and fro within a frame adds up. A lone grain rests on a slope up to half of mu,
+//!   *climbs* between that and a little above mu, and slides beyond with the acceleration that Coulomb's law gives.
+//! * Grains do not rotate, and impacts are inelastic up to what the frame in which they happen leaves undone: an impact n iterations
+//!   before its end keeps at most 2^(-n/2) of the closing speed (N = 16).
+//!
+//! Not here, because solid grains of equal mass on one fixed wall never meet it: fluid constraints, moving bodies, velocity iterations
+//! (the engine's do not move particles in this solver), sleeping (compiled out there). Different here: a grain touches at most one
+//! plane per frame; sums run in another order and without fused multiply-add; a grain may have more than 96 neighbours; the plate has
+//! no thickness, so that a grain which falls more than a diameter in a frame can pass it.
 
 mod law;
 mod solver;

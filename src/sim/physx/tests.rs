@@ -195,6 +195,42 @@ fn a_grain_falls_as_its_frames_say() {
 }
 
 #[test]
+fn gravity_and_the_frame_act_only_as_gravity_times_frame_squared() {
+    // 0.4 (1.5 ms)^2 = 0.9 (1 ms)^2; without damping the rest of a law does not know how long a frame is.
+    let friction = |gravity_scale| set(&[("friction", 0.6), ("gravity_scale", gravity_scale)]);
+    let (slow, quick) = (Law::new(&friction(0.4), 0.0015, 16), Law::new(&friction(0.9), 0.001, 16));
+    assert_eq!(collapse(&slow, &Plate { radius: 4.0 }), collapse(&quick, &Plate { radius: 4.0 }));
+    let other = Law::new(&friction(0.4), 0.001, 16);
+    assert_ne!(collapse(&slow, &Plate { radius: 4.0 }), collapse(&other, &Plate { radius: 4.0 }));
+}
+
+#[test]
+fn a_lone_grain_rests_on_a_gentle_slope_climbs_a_steeper_one_and_slides_above_the_friction_angle() {
+    let law = law(&[("friction", 0.4)]);
+    // Diameters per second downhill, and acceleration per second squared in units of g cos.
+    let slide = |slope: f32| {
+        let lean = vector(slope * law.gravity, 0.0, -law.gravity);
+        let mut one = solver(&[(vector(0.0, 0.0, 0.5), [0.0; 4])]);
+        let mut after = |frames| {
+            (0..frames).for_each(|_| one.frame(&law, lean, &Plate { radius: 20.0 }));
+            (one.centres()[0][0], one.velocities()[0][0])
+        };
+        let (before, after) = (after(10), after(20));
+        ((after.0 - before.0) * 50.0, (after.1 - before.1) / (20.0 * law.gravity))
+    };
+    for slope in [0.1, 0.2] {
+        assert!(slide(slope).0.abs() < 1e-3, "{} d/s at slope {slope}", slide(slope).0);
+    }
+    // The tangential sum has no direction: slip to and fro adds up, meets the cap, and the excess pushes uphill. The rate is what a
+    // transcription of the equations for one grain in double precision gives.
+    assert!((slide(0.39).0 + 2.516).abs() < 0.01, "{} d/s", slide(0.39).0);
+    for slope in [0.45, 0.5] {
+        let acceleration = slide(slope).1;
+        assert!((acceleration / (slope - 0.4) - 1.0).abs() < 0.02, "{acceleration} at slope {slope}");
+    }
+}
+
+#[test]
 fn no_grain_is_faster_than_the_speed_limit() {
     let law = Law { speed_max: 0.2, ..law(&[]) };
     let mut one = solver(&[([0.0; 4], vector(0.3, 0.0, 0.4))]);
