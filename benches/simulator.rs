@@ -1,12 +1,43 @@
-//! What the simulator costs: one heap and one step of the spoon, the two things that every calibration and every
-//! training are made of: `cargo bench --bench simulator`.
+//! What the simulator costs: the kernel on a column that flows and one that rests, its neighbour list, one heap and one step of the
+//! spoon, the two things that every calibration and every training are made of: `cargo bench --bench simulator`.
 
-use criterion::{Criterion, criterion_group, criterion_main};
+use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use flip::domain::bench::Action;
 use flip::domain::parameters::ParameterSet;
+use flip::sim::column::{self, Column};
 use flip::sim::dispense::{self, Dispenser};
 use flip::sim::repose::{self, repose};
 use std::hint::black_box;
+
+/// Substeps of one kernel measurement: 2 ms.
+const STRETCH: u32 = 25;
+
+fn kernel(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("kernel");
+    group.sample_size(20);
+    for particles in [2000, 10_000] {
+        let released = Column::new(&column::bed(particles).expect("a bed settles"));
+        let after = |substeps| {
+            let mut column = released.clone();
+            column.advance(substeps);
+            column
+        };
+        group.throughput(Throughput::Elements(u64::from(particles * STRETCH)));
+        for (scene, column) in [("flowing", after(50)), ("at rest", after(5000))] {
+            group.bench_function(format!("{particles} grains {scene}"), |bencher| {
+                bencher.iter_batched_ref(|| column.clone(), |column| column.advance(STRETCH), BatchSize::LargeInput);
+            });
+        }
+        // One substep with a new list; without one it costs 1/25 of a measurement above.
+        group.throughput(Throughput::Elements(u64::from(particles)));
+        let mut outdated = after(50);
+        outdated.outdate();
+        group.bench_function(format!("{particles} grains flowing, one substep and list"), |bencher| {
+            bencher.iter_batched_ref(|| outdated.clone(), |column| column.advance(1), BatchSize::LargeInput);
+        });
+    }
+    group.finish();
+}
 
 fn heap(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("heap");
@@ -39,5 +70,5 @@ fn spoon(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(simulator, heap, spoon);
+criterion_group!(simulator, kernel, heap, spoon);
 criterion_main!(simulator);

@@ -1,7 +1,8 @@
 //! The state of a powder and the order of one substep.
 
 use super::constraints::{Grip, V3, Vector, add, attract, choose, dot, inner, scale, separate, splat, stick, sub};
-use super::lanes::{Avx2, Avx512, Lanes, Mask, Path, Portable, WIDTH, block, block_mut};
+use super::grid::held;
+use super::lanes::{Avx2, Avx512, Counting, Lanes, Mask, Path, Portable, WIDTH, block, block_mut};
 use super::law::Law;
 use super::neighbours::{FAR, NEW, Neighbours};
 use super::walls::Wall;
@@ -121,6 +122,11 @@ impl Grains {
             // SAFETY: as above.
             Path::Avx512 => unsafe { self.advance_avx512(law, acceleration, wall) },
         }
+    }
+
+    /// The same, adding to the thread's [`super::Work`].
+    pub(super) fn substep_counted(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
+        self.advance::<Counting>(law, acceleration, wall);
     }
 
     #[target_feature(enable = "avx2")]
@@ -371,6 +377,39 @@ impl Grains {
             sum += f64::from(speed2);
         }
         (largest.sqrt(), (sum / self.n.max(1) as f64).sqrt() as f32)
+    }
+
+    /// Have the next substep build the neighbour list again.
+    pub(super) fn outdate(&mut self) {
+        self.changed = true;
+    }
+
+    /// How often the neighbour list was built.
+    pub(super) fn rebuilds(&self) -> u64 {
+        self.neighbours.builds
+    }
+
+    /// Memory held, bytes. Names every field, so that none is forgotten.
+    pub(super) fn bytes(&self) -> usize {
+        let Self {
+            n: _,
+            x,
+            v,
+            wall_anchor,
+            id,
+            listed,
+            p,
+            u,
+            neighbours,
+            changed: _,
+            poured: _,
+            path: _,
+            scratch,
+            numbers,
+        } = self;
+        [x, v, wall_anchor, p, u, scratch].into_iter().map(held).sum::<usize>()
+            + [id, listed, numbers].into_iter().map(held).sum::<usize>()
+            + neighbours.bytes()
     }
 
     /// What makes the state meaningless, if anything does.

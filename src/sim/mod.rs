@@ -45,6 +45,7 @@
 //! can be measured. `particle_mass_ug` converts counts to milligrams and does nothing else, because equal masses cancel.
 
 pub mod balance;
+pub mod column;
 mod constraints;
 pub mod dispense;
 mod grains;
@@ -55,6 +56,8 @@ pub mod motion;
 mod neighbours;
 pub mod repose;
 mod walls;
+
+pub use lanes::Work;
 
 #[cfg(test)]
 mod tests;
