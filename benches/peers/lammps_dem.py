@@ -47,7 +47,7 @@ newton off
 comm_modify vel yes
 region box block {-side} {side} {-side} {side} {-scene.DIAMETER} {top}
 create_box 1 box
-neighbor {0.1 * scene.DIAMETER} bin
+neighbor {0.3 * scene.DIAMETER} bin
 neigh_modify delay 0 every 1 check yes
 """)
 program.create_atoms(n, None, [1] * n, centres.flatten().tolist())

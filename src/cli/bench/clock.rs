@@ -23,7 +23,7 @@ pub(super) fn rss_mb() -> Option<f64> {
     line.split_whitespace().next()?.parse::<f64>().ok().map(|kb| kb / 1024.0)
 }
 
-/// A quantity over windows: other programs on the machine make windows slower, never faster.
+/// A quantity over windows, which differ in what the scene does in them and in what else the machine does.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Spread {
     pub median: f64,

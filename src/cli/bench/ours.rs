@@ -4,6 +4,7 @@ use super::clock::{Spread, core_s};
 use super::{Failure, settle};
 use crate::domain::bench::Action;
 use crate::domain::parameters::ParameterSet;
+use crate::sim::Work;
 use crate::sim::column::Column;
 use crate::sim::dispense::{self, Dispenser};
 use crate::sim::law::SUBSTEP_S;
@@ -21,12 +22,14 @@ const REST_S: f64 = 0.3;
 /// Particle-substeps that a measurement takes at least, for the clock's sake.
 const ENOUGH: f64 = 4e6;
 
-pub(super) fn substeps(seconds: f64) -> u32 {
+fn substeps(seconds: f64) -> u32 {
     (seconds / SUBSTEP_S).round() as u32
 }
 
 /// A column whose windows can be timed one after the other.
 pub(super) struct Windows {
+    /// Before the first window.
+    start: Column,
     column: Column,
     /// Core-seconds per simulated second of each window.
     pub costs: Vec<f64>,
@@ -47,7 +50,7 @@ impl Windows {
 
     fn after(mut column: Column, seconds: f64) -> Self {
         column.advance(substeps(seconds));
-        Self { column, costs: Vec::new(), overlaps: Vec::new() }
+        Self { start: column.clone(), column, costs: Vec::new(), overlaps: Vec::new() }
     }
 
     /// Time the next window: the same stretch as often as the clock needs.
@@ -75,6 +78,28 @@ impl Windows {
         &self.column
     }
 
+    /// Nanoseconds of a core per grain for one build of the neighbour list, in the first window: what it costs more to build one in
+    /// every substep.
+    pub(super) fn list_ns(&self) -> f64 {
+        let steps = substeps(WINDOW_S);
+        let (mut seldom, mut always) = (self.start.clone(), self.start.clone());
+        let (plain_s, ()) = core_s(|| seldom.advance(steps));
+        let (built_s, ()) = core_s(|| {
+            for _ in 0..steps {
+                always.outdate();
+                always.advance(1);
+            }
+        });
+        let more = always.rebuilds() - seldom.rebuilds();
+        1e9 * (built_s - plain_s) / (more as f64 * self.start.particles() as f64)
+    }
+
+    /// Operations and bytes of all windows, and how many particle-substeps they were.
+    pub(super) fn count(&self) -> (Work, f64) {
+        let steps = self.costs.len() as u32 * substeps(WINDOW_S);
+        (self.start.clone().count(steps), self.start.particles() as f64 * f64::from(steps))
+    }
+
     pub(super) fn cost(&self) -> Spread {
         Spread::of(&self.costs)
     }
@@ -100,8 +125,12 @@ pub(super) struct Size {
     pub ratio: f64,
     /// Root-mean-square speed of the grains at rest, mm/s.
     pub resting_rms_mm_s: f64,
-    /// Neighbour lists built per simulated second, flowing from the release to the last window's end.
-    pub rebuilds_per_s: f64,
+    /// Neighbour lists built per substep, flowing, over all windows.
+    pub lists_per_substep: f64,
+    /// Cost of building one list, ns per grain.
+    pub list_ns: Spread,
+    /// Share of the flowing cost that goes into lists.
+    pub list_share: f64,
     /// Memory per grain, flowing, bytes.
     pub bytes_per_particle: f64,
 }
@@ -119,13 +148,20 @@ pub(super) fn sizes(particles: &[u32], windows: u32) -> Result<Vec<Size>, Failur
             }
         }
         let flowing_ns = flowing.ns_per_particle_substep();
+        let list_ns = Spread::over(windows, |_| flowing.list_ns());
+        let built = (flowing.column.rebuilds() - flowing.start.rebuilds()) as f64;
+        let lists_per_substep = built / f64::from(windows * substeps(WINDOW_S));
+        let mean_cost = flowing.costs.iter().sum::<f64>() / flowing.costs.len() as f64;
+        let mean_ns = 1e9 * SUBSTEP_S * mean_cost / f64::from(particles);
         sizes.push(Size {
             particles,
             flowing_ns,
             resting_ns: resting.ns_per_particle_substep(),
             ratio: flowing_ns.median / sizes.first().map_or(flowing_ns, |size| size.flowing_ns).median,
             resting_rms_mm_s: resting.column().speeds_m_s().1 * 1e3,
-            rebuilds_per_s: flowing.column().rebuilds() as f64 / flowing.column().elapsed_s(),
+            lists_per_substep,
+            list_ns,
+            list_share: lists_per_substep * list_ns.median / mean_ns,
             bytes_per_particle: flowing.column().bytes() as f64 / f64::from(particles),
         });
     }
@@ -164,10 +200,10 @@ pub(super) struct Threads {
     pub speed_up: f64,
 }
 
-/// Time two columns per thread on one thread and on all, taking turns.
-pub(super) fn threads(centres_m: &[[f64; 3]], windows: u32) -> Result<Threads, Failure> {
+/// Time two copies of a column per thread on one thread and on all, taking turns.
+pub(super) fn threads(scene: &Windows, windows: u32) -> Result<Threads, Failure> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let column = Windows::flowing(centres_m).column;
+    let column = &scene.start;
     let steps = (ENOUGH / column.particles() as f64).ceil() as u32;
     let clock = |threads: usize, simulations: usize| -> Result<f64, Failure> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(anyhow::Error::from)?;

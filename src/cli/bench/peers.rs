@@ -208,9 +208,11 @@ impl Peer {
     }
 }
 
+/// The last line that speaks of an error, else the last.
 fn last_line(errors: &Path) -> String {
     let text = std::fs::read_to_string(errors).unwrap_or_default();
-    text.lines().last().unwrap_or("ended without a word").to_owned()
+    let names_it = |line: &&str| line.contains("rror");
+    text.lines().rfind(names_it).or(text.lines().last()).unwrap_or("ended without a word").trim().to_owned()
 }
 
 #[cfg(test)]

@@ -76,7 +76,6 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 fn measure(peers: &Peers, arguments: &Arguments, seed: u64) -> Result<Document, Failure> {
     let windows = arguments.windows;
     let (mut scenes, mut comparison, mut columns) = (Vec::new(), Vec::new(), Vec::new());
-    let (small, _) = peers.bed(COMPARED[0])?;
     for particles in COMPARED {
         let (centres, bed) = peers.bed(particles)?;
         let (flowing, rows) = peers.compare(&centres, windows)?;
@@ -108,7 +107,7 @@ fn measure(peers: &Peers, arguments: &Arguments, seed: u64) -> Result<Document, 
         sizes: ours::sizes(&arguments.sizes, windows)?,
         heap_core_s: ours::heap(windows, seed),
         weighing_step_core_s: ours::weighing_step(windows, seed),
-        threads: ours::threads(&small, windows)?,
+        threads: ours::threads(columns[0].1, windows)?,
         roofline: roofline(&columns, windows),
     })
 }

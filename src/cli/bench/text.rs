@@ -62,17 +62,23 @@ fn comparison(rows: &[Row]) -> String {
             format!("{:.2}", r.particle_steps_per_core_s * 1e-6),
             r.rss_mb.map_or("-".to_owned(), |mb| format!("{mb:.0}")),
         ],
-        Row::NotMeasured { peer, particles, not_measured } => {
+        Row::NotMeasured { peer, particles, .. } => {
             let mut cells = vec![String::new(); 9];
             cells[0].clone_from(peer);
             cells[1] = particles.to_string();
-            cells[5] = format!("not measured: {not_measured}");
+            cells[5] = "not measured".to_owned();
             cells
         }
     };
     let header =
         ["simulator", "N", "dt us", "iterations", "overlap", "core-s per sim-s", "ratio", "M steps/core-s", "MiB"];
-    table(&header, &rows.iter().map(cells).collect::<Vec<_>>())
+    let reasons = rows.iter().filter_map(|row| match row {
+        Row::NotMeasured { peer, particles, not_measured } => {
+            Some(format!("\nnot measured: {peer} on {particles} grains: {not_measured}"))
+        }
+        Row::Measured { .. } => None,
+    });
+    table(&header, &rows.iter().map(cells).collect::<Vec<_>>()) + &reasons.collect::<String>()
 }
 
 fn scenes(scenes: &[Scene]) -> String {
@@ -97,11 +103,23 @@ fn sizes(sizes: &[Size]) -> String {
             spread(s.resting_ns, 1),
             format!("{:.2}", s.ratio),
             format!("{:.2}", s.resting_rms_mm_s),
-            format!("{:.0}", s.rebuilds_per_s),
+            format!("{:.3}", s.lists_per_substep),
+            spread(s.list_ns, 0),
+            percent(s.list_share, 0),
             format!("{:.0}", s.bytes_per_particle),
         ]
     };
-    let header = ["N", "flowing", "at rest", "ratio flowing", "rms at rest mm/s", "lists/s flowing", "bytes/grain"];
+    let header = [
+        "N",
+        "flowing",
+        "at rest",
+        "ratio flowing",
+        "rms at rest mm/s",
+        "lists/substep",
+        "one list",
+        "in lists",
+        "bytes/grain",
+    ];
     table(&header, &sizes.iter().map(row).collect::<Vec<_>>())
 }
 
