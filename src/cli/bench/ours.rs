@@ -90,7 +90,7 @@ impl Windows {
                 always.advance(1);
             }
         });
-        let more = always.rebuilds() - seldom.rebuilds();
+        let more = (always.rebuilds() - seldom.rebuilds()).max(1);
         1e9 * (built_s - plain_s) / (more as f64 * self.start.particles() as f64)
     }
 
