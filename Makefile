@@ -1,11 +1,12 @@
 # make run    everything from a clean clone: fetch, build, and run the demonstration (ARGS=--exit ends it after the table)
 # make test   every test: Rust, page in a headless Chromium; prints how many ran
+# make bench-peers   the simulator's speed beside other simulators', which it installs (python3.11, PyPI)
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test setup web chromium bench lint
+.PHONY: run test setup web chromium bench bench-peers lint
 
 ARGS ?=
 LOGS := target/test
@@ -49,6 +50,10 @@ chromium:
 
 bench: setup
 	cargo bench --locked
+
+bench-peers: setup
+	benches/peers/run.sh setup
+	cargo run --quiet --release --locked -- bench sim --peers benches/peers $(ARGS)
 
 lint: setup
 	cargo fmt --check

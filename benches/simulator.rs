@@ -1,12 +1,45 @@
-//! What the simulator costs: one heap and one step of the spoon, the two things that every calibration and every
-//! training are made of: `cargo bench --bench simulator`.
+//! What the simulator costs: the kernel on a column that flows and one that rests, its neighbour list, one heap and one step of the
+//! spoon, the two things that every calibration and every training are made of: `cargo bench --bench simulator`.
 
-use criterion::{Criterion, criterion_group, criterion_main};
+use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use flip::domain::bench::Action;
 use flip::domain::parameters::ParameterSet;
+use flip::sim::column::{self, Column};
 use flip::sim::dispense::{self, Dispenser};
 use flip::sim::repose::{self, repose};
 use std::hint::black_box;
+
+/// Substeps of one kernel measurement: 2 ms.
+const STRETCH: u32 = 25;
+
+/// A column this many substeps after its release.
+fn column_after(particles: u32, substeps: u32) -> Column {
+    let mut column = Column::new(&column::bed(particles).expect("a bed settles"));
+    column.advance(substeps);
+    column
+}
+
+fn kernel(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("kernel");
+    group.sample_size(20);
+    for particles in [2000, 10_000] {
+        group.throughput(Throughput::Elements(u64::from(particles * STRETCH)));
+        for (scene, substeps) in [("flowing", 50), ("at rest", 5000)] {
+            group.bench_function(format!("{particles} grains {scene}"), |bencher| {
+                let column = column_after(particles, substeps);
+                bencher.iter_batched_ref(|| column.clone(), |column| column.advance(STRETCH), BatchSize::LargeInput);
+            });
+        }
+        // What this costs more than 1/25 of a measurement above is the list.
+        group.throughput(Throughput::Elements(u64::from(particles)));
+        group.bench_function(format!("{particles} grains, one substep and list"), |bencher| {
+            let mut column = column_after(particles, 50);
+            column.outdate();
+            bencher.iter_batched_ref(|| column.clone(), |column| column.advance(1), BatchSize::LargeInput);
+        });
+    }
+    group.finish();
+}
 
 fn heap(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("heap");
@@ -39,5 +72,5 @@ fn spoon(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(simulator, heap, spoon);
+criterion_group!(simulator, kernel, heap, spoon);
 criterion_main!(simulator);

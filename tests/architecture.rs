@@ -28,7 +28,7 @@ const EXCEPTIONS: [(&str, &[&str]); 1] = [
 ];
 
 /// What may be named only in some modules: crates that talk to the world, and words that mark asynchronous code.
-const CONFINED: [(&str, &[&str]); 18] = [
+const CONFINED: [(&str, &[&str]); 19] = [
     ("sqlx::", &["store", "jobs"]),
     ("apalis::", &["jobs"]),
     ("apalis_", &["jobs"]),
@@ -41,6 +41,7 @@ const CONFINED: [(&str, &[&str]); 18] = [
     ("rayon::", &["calibrate", "train", "jobs", "cli"]),
     ("clap::", &["cli"]),
     ("indicatif::", &["cli"]),
+    ("rustix::", &["cli"]),
     ("anyhow::", &["cli"]),
     ("tokio::", &["store", "jobs", "app", "api", "cli"]),
     ("async fn", &["store", "jobs", "app", "api", "cli"]),

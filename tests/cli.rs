@@ -5,7 +5,8 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-const COMMANDS: [&str; 9] = ["serve", "demo", "repose", "calibrate", "train", "evaluate", "weigh", "jobs", "token"];
+const COMMANDS: [&str; 10] =
+    ["serve", "demo", "repose", "bench", "calibrate", "train", "evaluate", "weigh", "jobs", "token"];
 
 fn flip(data_dir: &Path, arguments: &[&str]) -> Output {
     command(data_dir, arguments).output().unwrap()
@@ -88,7 +89,7 @@ fn a_heap_says_whose_semantics_poured_it() {
 #[test]
 fn bad_input_exits_2_and_names_the_field() {
     let folder = tempfile::tempdir().unwrap();
-    let cases: [(&[&str], &str); 16] = [
+    let cases: [(&[&str], &str); 19] = [
         (&["repose", "--friction", "1.31"], "friction: must be a number from 0 to 1.3"),
         (&["repose", "--cohesion", "NaN"], "cohesion: must be a number from 0 to 1.2"),
         (&["repose", "--particle-diameter-mm", "-1"], "particle_diameter_mm"),
@@ -97,6 +98,9 @@ fn bad_input_exits_2_and_names_the_field() {
         (&["repose", "--particles", "199"], "particles: must be from 200 to 20000"),
         (&["repose", "--weight", "3"], "--weight"),
         (&["repose", "--compat", "flex"], "--compat"),
+        (&["bench", "sim", "--windows", "0"], "windows: must be from 1 to 100"),
+        (&["bench", "sim", "--sizes", "2000,99"], "sizes: must be from 100 to 200000"),
+        (&["bench", "bed", "--particles", "99", "bed.csv"], "particles: must be from 100 to 200000"),
         (&["calibrate", "--powder", "chalk"], "powder"),
         (&["calibrate", "--powder", "salt", "--sets", "0"], "sets"),
         (&["calibrate", "--powder", "salt", "--tolerance-deg", "inf"], "tolerance_deg"),
@@ -222,4 +226,23 @@ fn tokens_are_made_with_a_role() {
     expect_status(&output, 0);
     assert_eq!(document(&output)["role"], "operator");
     assert!(document(&output)["token"].as_str().unwrap().starts_with("flip_"));
+}
+
+#[test]
+fn bench_writes_the_same_bed_twice_as_centres_in_metres() {
+    let folder = tempfile::tempdir().unwrap();
+    let bed = || {
+        let file = folder.path().join("bed.csv");
+        let output = flip(folder.path(), &["bench", "bed", "--particles", "150", file.to_str().unwrap(), "--json"]);
+        expect_status(&output, 0);
+        assert_eq!(document(&output)["particles"], 150);
+        std::fs::read_to_string(file).unwrap()
+    };
+    let first = bed();
+    assert_eq!(first.lines().count(), 150);
+    for line in first.lines() {
+        let centre: Vec<f64> = line.split(',').map(|cell| cell.parse().unwrap()).collect();
+        assert!(centre.len() == 3 && centre.iter().all(|m| m.abs() < 0.005) && centre[2] > 0.0001, "{line}");
+    }
+    assert_eq!(first, bed());
 }

@@ -5,6 +5,7 @@
 //! field or the missing prerequisite; 1: failure. Commands call the same [`crate::app::App`] as REST and gRPC, in
 //! this process, so there is one path to every effect.
 
+mod bench;
 mod calibrate;
 mod demo;
 mod evaluate;
@@ -70,6 +71,8 @@ enum Command {
     Evaluate(evaluate::Arguments),
     /// Weigh one dose on the simulated bench.
     Weigh(weigh::Arguments),
+    /// Time the simulator, also beside other simulators.
+    Bench(bench::Arguments),
     /// List calibrations, trainings and evaluations, also while a server runs.
     Jobs(jobs::Arguments),
     /// Make API tokens.
@@ -108,6 +111,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Train(arguments) => train::run(common, arguments),
         Command::Evaluate(arguments) => evaluate::run(common, arguments),
         Command::Weigh(arguments) => weigh::run(common, arguments),
+        Command::Bench(arguments) => bench::run(common, arguments),
         Command::Jobs(arguments) => jobs::run(common, arguments),
         Command::Token(arguments) => token::run(common, arguments),
         Command::Health(arguments) => health::run(common, arguments),

@@ -2,7 +2,8 @@
 
 use super::constraints::{Vector, add, choose, dot, scale, splat};
 use super::contacts::{self, Predicted, Sum, Turn};
-use super::lanes::{Avx2, Avx512, Lanes, Mask, Path, Portable, WIDTH, block, block_mut};
+use super::grid::held;
+use super::lanes::{Avx2, Avx512, Counting, Lanes, Mask, Path, Portable, WIDTH, block, block_mut};
 use super::law::Law;
 use super::neighbours::{FAR, NEW, Neighbours};
 use super::walls::{Shape, Wall};
@@ -168,6 +169,11 @@ impl Grains {
             // SAFETY: as above.
             Path::Avx512 => unsafe { self.advance_avx512(law, acceleration, wall) },
         }
+    }
+
+    /// The same, adding to the thread's [`super::Work`].
+    pub(super) fn substep_counted(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
+        self.advance::<Counting, false>(law, acceleration, wall);
     }
 
     #[target_feature(enable = "avx2")]
@@ -363,6 +369,43 @@ impl Grains {
             sum += f64::from(speed2);
         }
         (largest.sqrt(), (sum / self.n.max(1) as f64).sqrt() as f32)
+    }
+
+    /// Have the next substep build the neighbour list again.
+    pub(super) fn outdate(&mut self) {
+        self.changed = true;
+    }
+
+    /// How often the neighbour list was built.
+    pub(super) fn rebuilds(&self) -> u64 {
+        self.neighbours.builds
+    }
+
+    /// Memory held, bytes. Names every field, so that none is forgotten.
+    pub(super) fn bytes(&self) -> usize {
+        let Self {
+            n: _,
+            x,
+            v,
+            wall_anchor,
+            spin,
+            wall_stretch,
+            id,
+            listed,
+            p,
+            u,
+            turning,
+            neighbours,
+            changed: _,
+            poured: _,
+            elapsed: _,
+            path: _,
+            scratch,
+            numbers,
+        } = self;
+        [x, v, wall_anchor, spin, wall_stretch, p, u, turning, scratch].into_iter().map(held).sum::<usize>()
+            + [id, listed, numbers].into_iter().map(held).sum::<usize>()
+            + neighbours.bytes()
     }
 
     /// What makes the state meaningless, if anything does.

@@ -61,6 +61,12 @@ impl Grid {
         }
     }
 
+    /// Memory held, bytes.
+    pub(super) fn bytes(&self) -> usize {
+        let Self { origin: _, size: _, first, grain, cell_of } = self;
+        held(first) + held(grain) + held(cell_of)
+    }
+
     /// The lines of cells within `range` of `x`.
     #[inline(always)]
     pub(super) fn near(&self, x: Vector, range: f32) -> Lines {
@@ -68,6 +74,11 @@ impl Grid {
         let (low, high) = ([at(0, -range), at(1, -range), at(2, -range)], [at(0, range), at(1, range), at(2, range)]);
         Lines { low, high, y: low[1], z: low[2] }
     }
+}
+
+/// Memory that a column holds, used or not, bytes.
+pub(super) fn held<T>(column: &Vec<T>) -> usize {
+    column.capacity() * size_of::<T>()
 }
 
 /// Walks over the lines of cells in a box. No closure and no iterator adapter: what runs within must be compiled for the processor at

@@ -50,6 +50,7 @@
 //! can be measured. `particle_mass_ug` converts counts to milligrams and does nothing else, because equal masses cancel.
 
 pub mod balance;
+pub mod column;
 mod constraints;
 mod contacts;
 pub mod dispense;
@@ -65,8 +66,11 @@ mod neighbours;
 mod physx;
 pub mod repose;
 pub mod scoop;
+mod shapes;
 pub mod snapshot;
 mod walls;
+
+pub use lanes::Work;
 
 #[cfg(test)]
 mod tests;

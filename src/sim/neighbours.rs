@@ -1,7 +1,7 @@
 //! Grains that may touch before the list is built again. Lengths in grain diameters, time in substeps.
 
 use super::constraints::{V3, Vector, dot, inner, splat, sub};
-use super::grid::Grid;
+use super::grid::{Grid, held};
 use super::lanes::{Lanes, Mask, WIDTH, block};
 use super::mechanisms::{Memory, SLOTS};
 
@@ -47,6 +47,8 @@ pub(super) struct Neighbours {
     pub memory: Vec<Memory>,
     /// Some grain once had more neighbours than the list takes: contacts were missing.
     pub overfull: bool,
+    /// Lists built.
+    pub builds: u64,
     /// Where each grain's path begins; the fourth number is the square of its allowance.
     start: Vec<Vector>,
     /// The velocity along it.
@@ -147,6 +149,45 @@ impl Neighbours {
             self.write_rows::<EXTENDED>(b, n, &lists, &counts, was);
         }
         self.age = 0.0;
+        self.builds += 1;
+    }
+
+    /// Memory held, bytes. Names every field, so that none is forgotten.
+    pub(super) fn bytes(&self) -> usize {
+        let Self {
+            first,
+            other,
+            anchor,
+            touching,
+            linked,
+            memory,
+            overfull: _,
+            builds: _,
+            start,
+            pace,
+            age: _,
+            widest: _,
+            old,
+            grid,
+            sorted,
+            fast,
+            wide,
+            renamed,
+        } = self;
+        let rows = |first, other, anchor, touching| held(first) + held(other) + held(anchor) + held(touching);
+        rows(first, other, anchor, touching)
+            + rows(&old.first, &old.other, &old.anchor, &old.touching)
+            + held(linked)
+            + held(memory)
+            + held(&old.linked)
+            + held(&old.memory)
+            + held(start)
+            + held(pace)
+            + grid.bytes()
+            + sorted.x.iter().chain(&sorted.v).chain([&sorted.allowance]).map(held).sum::<usize>()
+            + held(fast)
+            + held(wide)
+            + held(renamed)
     }
 
     fn keep_old(&mut self, n: usize, was: &[u32]) {

@@ -290,11 +290,12 @@ mod tests {
 
     fn small() -> Settings {
         let spoon = dispense::Settings { semi_axes_mm: [2.2, 1.6, 1.0], ..Default::default() };
-        Settings { spoon, bed_depth_mm: 3.2, immersion_mm: 1.3, push_mm: 3.0, margin_mm: 1.0, ..Default::default() }
+        Settings { spoon, bed_depth_mm: 2.5, immersion_mm: 0.6, push_mm: 3.0, margin_mm: 1.0, ..Default::default() }
     }
 
+    /// Free-flowing: a steep powder is pushed along by so small a spoon.
     fn set() -> ParameterSet {
-        ParameterSet::default().with("friction", 0.6).unwrap()
+        ParameterSet::default().with("friction", 0.2).unwrap()
     }
 
     #[test]
@@ -317,7 +318,7 @@ mod tests {
 
     #[test]
     fn a_spoon_that_would_touch_the_floor_is_refused_by_name() {
-        let shallow = Settings { bed_depth_mm: 2.5, ..small() };
+        let shallow = Settings { bed_depth_mm: 1.9, ..small() };
         let failure = scoop(&set(), &shallow, 3, None).unwrap_err();
         assert!(matches!(&failure, Failure::Settings(error) if error.field == "bed_depth_mm"), "{failure}");
         assert!(scoop(&set(), &Settings { margin_mm: f64::NAN, ..small() }, 3, None).is_err());

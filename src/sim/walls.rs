@@ -3,6 +3,7 @@
 use super::constraints::{V3, Vector, choose, inner, scale, sub};
 use super::lanes::Lanes;
 use super::scoop::Trough;
+use super::shapes::Silo;
 
 /// The nearest point of a wall to each of sixteen grains.
 #[derive(Clone, Copy)]
@@ -41,6 +42,7 @@ pub(super) enum Shape {
     Bowl(Bowl),
     Plane(Plane),
     Trough(Trough),
+    Silo(Silo),
 }
 
 impl Wall for Shape {
@@ -53,6 +55,7 @@ impl Wall for Shape {
             Self::Bowl(bowl) => bowl.touch(p),
             Self::Plane(plane) => plane.touch(p),
             Self::Trough(trough) => trough.touch(p),
+            Self::Silo(silo) => silo.touch(p),
         }
     }
 
@@ -64,6 +67,7 @@ impl Wall for Shape {
             Self::Bowl(bowl) => bowl.has_left(p),
             Self::Plane(plane) => plane.has_left(p),
             Self::Trough(trough) => trough.has_left(p),
+            Self::Silo(silo) => silo.has_left(p),
         }
     }
 }
@@ -93,9 +97,9 @@ impl Wall for Plane {
 }
 
 /// Radius of a grain in the kernel's unit of length.
-const RADIUS: f32 = 0.5;
+pub(super) const RADIUS: f32 = 0.5;
 /// Nothing is nearer to a point than this: keeps divisions finite.
-const NEAREST: f32 = 1e-6;
+pub(super) const NEAREST: f32 = 1e-6;
 
 /// A horizontal round plate at z = 0 with a sharp rim; grains beyond it fall.
 #[derive(Debug, Clone, Copy)]
@@ -204,7 +208,7 @@ impl Bowl {
 
 /// Contact of grains with points.
 #[inline(always)]
-fn touch_point<L: Lanes>(p: V3<L>, point: V3<L>) -> Touch<L> {
+pub(super) fn touch_point<L: Lanes>(p: V3<L>, point: V3<L>) -> Touch<L> {
     let away = sub(p, point);
     let distance = inner(away, away).sqrt().max(L::splat(NEAREST));
     Touch::still(distance - L::splat(RADIUS), scale(away, L::splat(1.0) / distance))

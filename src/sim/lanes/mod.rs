@@ -7,9 +7,13 @@
 
 mod avx2;
 mod avx512;
+mod counting;
+pub(super) mod peak;
 
 pub(super) use avx2::Avx2;
 pub(super) use avx512::Avx512;
+pub use counting::Work;
+pub(super) use counting::{Counting, counted};
 
 use super::constraints::Vector;
 use std::ops::{Add, Div, Mul, Sub};
@@ -97,6 +101,15 @@ impl Path {
             ("avx2", Self::Avx2, std::arch::is_x86_feature_detected!("avx2")),
             ("avx512", Self::Avx512, std::arch::is_x86_feature_detected!("avx512f")),
         ]
+    }
+
+    /// What `FLIP_SIMD` calls it.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Portable => "portable",
+            Self::Avx2 => "avx2",
+            Self::Avx512 => "avx512",
+        }
     }
 
     /// The paths that this processor has, the narrowest first.

@@ -1,0 +1,124 @@
+//! `flip bench`: what the simulator costs on this machine, beside other simulators on the same scene.
+
+mod clock;
+mod ours;
+mod peers;
+mod roofline;
+mod sim;
+mod text;
+
+use super::Common;
+use super::failure::Failure;
+use crate::domain::FieldError;
+use crate::sim::column;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// Grains of a bed: fewer make no column, more take hours.
+const PARTICLES: std::ops::RangeInclusive<u32> = 100..=200_000;
+
+/// Arguments of `flip bench`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum What {
+    /// Time the simulator, and other simulators beside it, in processor seconds per simulated second.
+    Sim(sim::Arguments),
+    /// Write a settled bed for another simulator, one `x,y,z` in metres a line.
+    Bed(BedArguments),
+}
+
+/// Arguments of `flip bench bed`.
+#[derive(Debug, clap::Args)]
+struct BedArguments {
+    /// Grains, 100 to 200000.
+    #[arg(long, value_name = "N", default_value_t = 2000, allow_negative_numbers = true)]
+    particles: u32,
+    /// File to write.
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+}
+
+/// The document of `flip bench bed`.
+#[derive(Debug, Serialize)]
+struct BedDocument {
+    particles: u32,
+    diameter_m: f64,
+    height_m: f64,
+    file: PathBuf,
+    simulator: &'static str,
+}
+
+/// Run a benchmark and print what it measured.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    match &arguments.what {
+        What::Sim(arguments) => sim::run(common, arguments),
+        What::Bed(arguments) => bed(common, arguments),
+    }
+}
+
+fn bed(common: &Common, arguments: &BedArguments) -> Result<(), Failure> {
+    require_particles("particles", arguments.particles)?;
+    let centres = settle(arguments.particles)?;
+    write_bed(&arguments.file, &centres)?;
+    let document = BedDocument {
+        particles: arguments.particles,
+        diameter_m: column::DIAMETER_M,
+        height_m: centres.iter().fold(0.0, |top, x| x[2].max(top)) + column::DIAMETER_M / 2.0,
+        file: arguments.file.clone(),
+        simulator: crate::sim::VERSION,
+    };
+    common.print(&document, || format!("{} grains in {}", document.particles, document.file.display()))
+}
+
+fn require_particles(field: &'static str, particles: u32) -> Result<(), FieldError> {
+    if PARTICLES.contains(&particles) {
+        return Ok(());
+    }
+    let message = format!("must be from {} to {} grains, got {particles}", PARTICLES.start(), PARTICLES.end());
+    Err(FieldError::new(field, message))
+}
+
+/// A bed of the simulator's own making.
+fn settle(particles: u32) -> Result<Vec<[f64; 3]>, Failure> {
+    column::bed(particles).map_err(|cause| Failure::Failed(anyhow::anyhow!("the bed of {particles}: {cause}")))
+}
+
+fn write_bed(file: &Path, centres: &[[f64; 3]]) -> Result<(), Failure> {
+    let lines: Vec<String> = centres.iter().map(|[x, y, z]| format!("{x:.9e},{y:.9e},{z:.9e}\n")).collect();
+    Ok(std::fs::write(file, lines.concat())?)
+}
+
+/// A bed that [`write_bed`] or another program wrote.
+fn read_bed(file: &Path) -> Result<Vec<[f64; 3]>, Failure> {
+    let bad = |line: usize| {
+        let message = format!("{}: line {line} is not `x,y,z`", file.display());
+        FieldError::new("peers", message)
+    };
+    let text = std::fs::read_to_string(file)?;
+    let centre = |(number, line): (usize, &str)| {
+        let numbers: Result<Vec<f64>, _> = line.split(',').map(|cell| cell.trim().parse()).collect();
+        numbers.ok().and_then(|n| <[f64; 3]>::try_from(n).ok()).ok_or_else(|| bad(number + 1).into())
+    };
+    text.lines().enumerate().map(centre).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bed_survives_its_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("bed.csv");
+        let centres = [[1.25e-4, -3.0e-3, 0.5], [0.0, 1.0e-9, 2.0]];
+        write_bed(&file, &centres).unwrap();
+        assert_eq!(read_bed(&file).unwrap(), centres);
+        std::fs::write(&file, "1,2,3\n1,2\n").unwrap();
+        assert!(format!("{:?}", read_bed(&file).unwrap_err()).contains("line 2"));
+    }
+}
