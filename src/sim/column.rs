@@ -28,10 +28,11 @@ const PACKING: f64 = 0.6;
 const REST_RMS_M_S: f64 = 0.001;
 /// Longest wait for that, s.
 const SETTLE_MAX_S: f64 = 0.6;
-/// Substeps without weight in which a bed gives up its overlaps, and the drag meanwhile: a simulator with stiffer grains would burst
-/// from them.
-const UNLOAD: u32 = 1500;
-const UNLOAD_DRAG: f32 = 0.9;
+/// Mean overlap down to which a bed is left without weight, diameters: a simulator with stiffer grains would burst from more.
+const UNLOADED: f64 = 0.000_1;
+/// Most substeps for that, and the drag meanwhile.
+const UNLOAD_MAX: u32 = 6000;
+const UNLOAD_DRAG: f32 = 0.97;
 
 /// Grains on a plane. Clone it to run the same stretch again.
 #[derive(Debug, Clone)]
@@ -146,7 +147,10 @@ pub fn bed(particles: u32) -> Result<Vec<[f64; 3]>, String> {
         column.advance_within(slice, &beaker);
     }
     (column.law.gravity, column.law.drag) = (0.0, UNLOAD_DRAG);
-    column.advance_within(UNLOAD, &beaker);
+    let until = column.substeps + u64::from(UNLOAD_MAX);
+    while column.overlaps().0 > UNLOADED && column.substeps < until {
+        column.advance_within(slice, &beaker);
+    }
     column.fault().map_or_else(|| Ok(column.centres_m()), Err)
 }
 
