@@ -5,7 +5,8 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-const COMMANDS: [&str; 9] = ["serve", "demo", "repose", "calibrate", "train", "evaluate", "weigh", "jobs", "token"];
+const COMMANDS: [&str; 10] =
+    ["serve", "demo", "repose", "validate", "calibrate", "train", "evaluate", "weigh", "jobs", "token"];
 
 fn flip(data_dir: &Path, arguments: &[&str]) -> Output {
     command(data_dir, arguments).output().unwrap()

@@ -54,6 +54,8 @@ pub mod law;
 pub mod motion;
 mod neighbours;
 pub mod repose;
+mod shapes;
+pub mod validate;
 mod walls;
 
 #[cfg(test)]

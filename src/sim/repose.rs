@@ -127,7 +127,11 @@ const DEPARTURE_CHECK: u32 = 16;
 /// # Errors
 /// [`Refusal`] when the heap has no angle: a base that is not covered, or a solver that diverged.
 pub fn repose(set: &ParameterSet, settings: &Settings, seed: u64) -> Result<Repose, Refusal> {
-    let law = Law::new(set, settings.base_friction, settings.substep_s);
+    repose_under(Law::new(set, settings.base_friction, settings.substep_s), settings, seed)
+}
+
+/// [`repose`] of grains that follow `law`; the settings' base friction and substep are those the law was made with.
+pub(super) fn repose_under(law: Law, settings: &Settings, seed: u64) -> Result<Repose, Refusal> {
     let mut heap = Heap::new(law, settings);
     heap.pour(seed)?;
     heap.settle()?;
@@ -246,7 +250,7 @@ impl<'a> Heap<'a> {
 }
 
 /// Positions of one layer: a hexagonal lattice over the opening, turned and shifted at random.
-fn layer(rng: &mut Pcg64Mcg, radius: f32, height: f32) -> Vec<Vector> {
+pub(super) fn layer(rng: &mut Pcg64Mcg, radius: f32, height: f32) -> Vec<Vector> {
     let spacing = 1.12f32;
     let (sin, cos) = rng.random_range(0.0..std::f32::consts::TAU).sin_cos();
     let shift = [rng.random_range(0.0..spacing), rng.random_range(0.0..spacing)];
@@ -308,7 +312,7 @@ struct Ring {
 }
 
 /// Position and height of every pixel of the height map that shows a grain.
-fn surface(x: &[Vector], base_radius: f64) -> impl Iterator<Item = ([f64; 2], f64)> {
+pub(super) fn surface(x: &[Vector], base_radius: f64) -> impl Iterator<Item = ([f64; 2], f64)> {
     let half = (base_radius / PIXEL).ceil() as i64 + 2;
     let side = (2 * half + 1) as usize;
     let mut top = vec![f64::NEG_INFINITY; side * side];

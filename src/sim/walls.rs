@@ -21,9 +21,9 @@ pub(super) trait Wall {
 }
 
 /// Radius of a grain in the kernel's unit of length.
-const RADIUS: f32 = 0.5;
+pub(super) const RADIUS: f32 = 0.5;
 /// Nothing is nearer to a point than this: keeps divisions finite.
-const NEAREST: f32 = 1e-6;
+pub(super) const NEAREST: f32 = 1e-6;
 
 /// A horizontal round plate at z = 0 with a sharp rim; grains beyond it fall.
 #[derive(Debug, Clone, Copy)]
@@ -110,7 +110,7 @@ impl Wall for Bowl {
 
 /// Contact of grains with points.
 #[inline(always)]
-fn touch_point<L: Lanes>(p: V3<L>, point: V3<L>) -> Touch<L> {
+pub(super) fn touch_point<L: Lanes>(p: V3<L>, point: V3<L>) -> Touch<L> {
     let away = sub(p, point);
     let distance = inner(away, away).sqrt().max(L::splat(NEAREST));
     Touch { gap: distance - L::splat(RADIUS), normal: scale(away, L::splat(1.0) / distance) }

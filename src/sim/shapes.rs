@@ -1,0 +1,195 @@
+//! Walls of the validation scenes: nothing, a plane, fixed spheres, a silo. Lengths in grain diameters.
+
+use super::constraints::{V3, Vector, choose, splat};
+use super::lanes::Lanes;
+use super::walls::{NEAREST, RADIUS, Touch, Wall, touch_point};
+
+/// No wall anywhere.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Void;
+
+impl Wall for Void {
+    #[inline(always)]
+    fn touch<L: Lanes>(&self, _: V3<L>) -> Touch<L> {
+        Touch { gap: L::splat(f32::MAX), normal: [L::splat(0.0), L::splat(0.0), L::splat(1.0)] }
+    }
+
+    fn has_left(&self, _: Vector) -> bool {
+        false
+    }
+}
+
+/// The plane z = 0 without an edge. An incline is this plane under a gravity that leans.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Plane;
+
+impl Wall for Plane {
+    #[inline(always)]
+    fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
+        Touch { gap: p[2] - L::splat(RADIUS), normal: [L::splat(0.0), L::splat(0.0), L::splat(1.0)] }
+    }
+
+    fn has_left(&self, _: Vector) -> bool {
+        false
+    }
+}
+
+/// Three fixed spheres of the grains' diameter. A grain that overlaps several is pushed out of the one it overlaps most.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Tripod {
+    /// Centres.
+    pub centres: [Vector; 3],
+}
+
+impl Wall for Tripod {
+    #[inline(always)]
+    fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
+        let [a, b, c] = self.centres;
+        nearer(nearer(touch_sphere(p, a), touch_sphere(p, b)), touch_sphere(p, c))
+    }
+
+    fn has_left(&self, _: Vector) -> bool {
+        false
+    }
+}
+
+/// Contact of grains with a sphere of their own size.
+#[inline(always)]
+fn touch_sphere<L: Lanes>(p: V3<L>, centre: Vector) -> Touch<L> {
+    let point = touch_point(p, splat(centre));
+    Touch { gap: point.gap - L::splat(RADIUS), ..point }
+}
+
+/// The contact with the smaller gap.
+#[inline(always)]
+fn nearer<L: Lanes>(a: Touch<L>, b: Touch<L>) -> Touch<L> {
+    let first = a.gap.below(b.gap);
+    Touch { gap: L::select(first, a.gap, b.gap), normal: choose(first, a.normal, b.normal) }
+}
+
+/// Radius of the groove between the side and the floor of a silo: above a grain's, so that every grain has one nearest point.
+const FILLET: f32 = 0.75;
+
+/// The inside of an upright cylinder with a flat floor and, in its middle, a round orifice with a sharp edge.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Silo {
+    /// Radius of the cylinder.
+    pub radius: f32,
+    /// Radius of the orifice; zero is none.
+    pub orifice: f32,
+    /// Height of the floor.
+    pub floor: f32,
+}
+
+impl Silo {
+    /// A container: no orifice, the floor at zero.
+    pub(super) fn closed(radius: f32) -> Self {
+        Self { radius, orifice: 0.0, floor: 0.0 }
+    }
+}
+
+impl Wall for Silo {
+    /// Exact everywhere: side, floor and groove are one distance, `f - |(max(0, r - R + f), max(0, f - z))|` with f the groove's radius;
+    /// over the orifice the edge is nearest, and below the floor its underside.
+    #[inline(always)]
+    fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
+        let (zero, one) = (L::splat(0.0), L::splat(1.0));
+        let z = p[2] - L::splat(self.floor);
+        let r2 = p[0] * p[0] + p[1] * p[1];
+        let r = r2.sqrt().max(L::splat(NEAREST));
+        let aside = zero.max(r - L::splat(self.radius - FILLET));
+        let below = zero.max(L::splat(FILLET) - z);
+        let depth = (aside * aside + below * below).sqrt().max(L::splat(NEAREST));
+        let inward = (zero - aside) / (depth * r);
+        let mut touch =
+            Touch { gap: L::splat(FILLET - RADIUS) - depth, normal: [p[0] * inward, p[1] * inward, below / depth] };
+        if self.orifice == 0.0 {
+            return touch;
+        }
+        let under = z.below(L::splat(-0.25));
+        touch.gap = L::select(under, zero - z - L::splat(RADIUS), touch.gap);
+        touch.normal = choose(under, [zero, zero, zero - one], touch.normal);
+        let over = r2.below(L::splat(self.orifice * self.orifice));
+        if over == 0 {
+            return touch;
+        }
+        let to_edge = L::splat(self.orifice) / r;
+        let edge = touch_point([p[0], p[1], z], [p[0] * to_edge, p[1] * to_edge, zero]);
+        Touch { gap: L::select(over, edge.gap, touch.gap), normal: choose(over, edge.normal, touch.normal) }
+    }
+
+    fn has_left(&self, p: Vector) -> bool {
+        p[2] < self.floor - 1.5
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::lanes::{Portable, WIDTH};
+    use super::*;
+
+    /// The contact of one grain.
+    fn touch(wall: &impl Wall, p: [f32; 3]) -> (f32, [f32; 3]) {
+        let first = |x: Portable| {
+            let mut lanes = [0.0; WIDTH];
+            x.store(&mut lanes);
+            lanes[0]
+        };
+        let touch = wall.touch(p.map(Portable::splat));
+        (first(touch.gap), touch.normal.map(first))
+    }
+
+    /// Gap and direction to the nearest of points strewn densely over the surface of a silo, in the half-plane y = 0, x > 0.
+    fn brute_force(silo: &Silo, p: [f32; 3]) -> (f32, [f32; 3]) {
+        let steps = 20_000u16;
+        let share = |k: u16| f32::from(k) / f32::from(steps);
+        let flat = silo.radius - FILLET;
+        let floor = (0..=steps).map(|k| [silo.orifice + (flat - silo.orifice) * share(k), 0.0]);
+        let groove = (0..=steps).map(|k| {
+            let (sin, cos) = (share(k) * std::f32::consts::FRAC_PI_2).sin_cos();
+            [flat + FILLET * sin, FILLET - FILLET * cos]
+        });
+        let side = (0..=steps).map(|k| [silo.radius, FILLET + 10.0 * share(k)]);
+        let distance = |q: &[f32; 2]| (p[0] - q[0]).hypot(p[2] - q[1]);
+        let points = floor.chain(groove).chain(side);
+        let nearest = points.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap();
+        let length = distance(&nearest);
+        (length - RADIUS, [(p[0] - nearest[0]) / length, 0.0, (p[2] - nearest[1]) / length])
+    }
+
+    #[test]
+    fn the_distance_to_a_silo_agrees_with_a_brute_force_search() {
+        let silo = Silo { radius: 10.0, orifice: 3.0, floor: 0.0 };
+        for p in [
+            [5.0, 0.0, 0.45],
+            [9.52, 0.0, 4.0],
+            [9.4, 0.0, 0.6],
+            [9.6, 0.0, 0.4],
+            [2.7, 0.0, 0.3],
+            [2.6, 0.0, -0.1],
+            [3.2, 0.0, -0.4],
+        ] {
+            let ((gap, normal), (expected, direction)) = (touch(&silo, p), brute_force(&silo, p));
+            assert!((gap - expected).abs() < 2e-3, "gap {gap} for {expected} at {p:?}");
+            assert!((0..3).all(|k| (normal[k] - direction[k]).abs() < 5e-3), "{normal:?} for {direction:?} at {p:?}");
+        }
+    }
+
+    #[test]
+    fn nothing_is_near_in_the_middle_of_a_silo() {
+        let silo = Silo { radius: 10.0, orifice: 3.0, floor: -0.1 };
+        assert!(touch(&silo, [0.0, 0.0, 5.0]).0 > 0.1 && touch(&silo, [0.0, 0.0, 0.0]).0 > 0.1);
+        assert!((touch(&silo, [6.0, 0.0, 0.4]).0).abs() < 1e-6, "the floor is lower by a tenth");
+        assert!(silo.has_left([0.0, 0.0, -1.7, 0.0]) && !silo.has_left([0.0, 0.0, -1.5, 0.0]));
+    }
+
+    #[test]
+    fn of_three_spheres_the_nearest_is_touched() {
+        let tripod = Tripod { centres: [[0.0; 4], [1.0, 0.0, 0.0, 0.0], [0.5, 0.75f32.sqrt(), 0.0, 0.0]] };
+        let (gap, normal) = touch(&tripod, [1.0, 0.0, 1.25]);
+        assert!((gap - 0.25).abs() < 1e-6 && normal == [0.0, 0.0, 1.0]);
+        // On top of all three, at the height of a tetrahedron.
+        let (gap, _) = touch(&tripod, [0.5, 0.75f32.sqrt() / 3.0, (2.0f32 / 3.0).sqrt()]);
+        assert!(gap.abs() < 1e-6);
+    }
+}

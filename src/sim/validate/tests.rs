@@ -1,0 +1,1 @@
+//! A broken law fails its check: the suite cannot pass for nothing.
