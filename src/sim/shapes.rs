@@ -1,6 +1,6 @@
-//! Walls of the validation scenes: nothing, a plane, fixed spheres, a silo. Lengths in grain diameters.
+//! Walls of the validation scenes: nothing, a plane, a silo. Lengths in grain diameters.
 
-use super::constraints::{V3, Vector, choose, splat};
+use super::constraints::{V3, Vector, choose};
 use super::lanes::Lanes;
 use super::walls::{NEAREST, RADIUS, Touch, Wall, touch_point};
 
@@ -32,39 +32,6 @@ impl Wall for Plane {
     fn has_left(&self, _: Vector) -> bool {
         false
     }
-}
-
-/// Three fixed spheres of the grains' diameter. A grain that overlaps several is pushed out of the one it overlaps most.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Tripod {
-    /// Centres.
-    pub centres: [Vector; 3],
-}
-
-impl Wall for Tripod {
-    #[inline(always)]
-    fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
-        let [a, b, c] = self.centres;
-        nearer(nearer(touch_sphere(p, a), touch_sphere(p, b)), touch_sphere(p, c))
-    }
-
-    fn has_left(&self, _: Vector) -> bool {
-        false
-    }
-}
-
-/// Contact of grains with a sphere of their own size.
-#[inline(always)]
-fn touch_sphere<L: Lanes>(p: V3<L>, centre: Vector) -> Touch<L> {
-    let point = touch_point(p, splat(centre));
-    Touch { gap: point.gap - L::splat(RADIUS), ..point }
-}
-
-/// The contact with the smaller gap.
-#[inline(always)]
-fn nearer<L: Lanes>(a: Touch<L>, b: Touch<L>) -> Touch<L> {
-    let first = a.gap.below(b.gap);
-    Touch { gap: L::select(first, a.gap, b.gap), normal: choose(first, a.normal, b.normal) }
 }
 
 /// Radius of the groove between the side and the floor of a silo: above a grain's, so that every grain has one nearest point.
@@ -181,15 +148,5 @@ mod tests {
         assert!(touch(&silo, [0.0, 0.0, 5.0]).0 > 0.1 && touch(&silo, [0.0, 0.0, 0.0]).0 > 0.1);
         assert!((touch(&silo, [6.0, 0.0, 0.4]).0).abs() < 1e-6, "the floor is lower by a tenth");
         assert!(silo.has_left([0.0, 0.0, -1.7, 0.0]) && !silo.has_left([0.0, 0.0, -1.5, 0.0]));
-    }
-
-    #[test]
-    fn of_three_spheres_the_nearest_is_touched() {
-        let tripod = Tripod { centres: [[0.0; 4], [1.0, 0.0, 0.0, 0.0], [0.5, 0.75f32.sqrt(), 0.0, 0.0]] };
-        let (gap, normal) = touch(&tripod, [1.0, 0.0, 1.25]);
-        assert!((gap - 0.25).abs() < 1e-6 && normal == [0.0, 0.0, 1.0]);
-        // On top of all three, at the height of a tetrahedron.
-        let (gap, _) = touch(&tripod, [0.5, 0.75f32.sqrt() / 3.0, (2.0f32 / 3.0).sqrt()]);
-        assert!(gap.abs() < 1e-6);
     }
 }

@@ -41,7 +41,7 @@ pub(super) const EXPERIMENTS: &[Experiment] = &[
 const RADIUS: f64 = 20.0;
 /// Aspect ratios on either side of 1.7.
 const LOW: [f64; 3] = [0.5, 0.9, 1.5];
-const TALL: [f64; 3] = [2.0, 2.8, 4.0];
+const TALL: [f64; 3] = [1.8, 2.5, 3.5];
 /// The front is where the grains' cross-sections cover this share of a ring.
 const COVERED: f64 = 0.5;
 
@@ -83,7 +83,7 @@ fn law_of(deposits: &[Deposit], length: fn(&Deposit) -> f64) -> [f64; 2] {
 }
 
 fn collapse(suite: &Suite, aspects: &[f64]) -> Vec<Deposit> {
-    let law = suite.law(ROUGH);
+    let law = suite.law_of_deep_bed(ROUGH);
     let mut smooth_sided = law;
     smooth_sided.wall.friction = 0.0;
     let silo = Silo::closed(RADIUS as f32);
@@ -95,6 +95,15 @@ fn collapse(suite: &Suite, aspects: &[f64]) -> Vec<Deposit> {
         // Three free falls from the column's height is the time the front takes; it is given twice that to come to rest.
         let time = 6.0 * (aspect * RADIUS).sqrt() * fall_time(&law);
         settle(&mut grains, &law, down(&law), &Plane, time as u32);
+        eprintln!(
+            "DBG {aspect} N {} packed {} front {} height {} speed {:?} fall {}",
+            grains.centres().len(),
+            grains.centres().len() as f64 / 6.0 / (RADIUS * RADIUS * aspect * RADIUS),
+            front(&grains),
+            height(grains.centres()),
+            grains.speeds(),
+            law.gravity.sqrt()
+        );
         Deposit { aspect, runout: front(&grains) / RADIUS - 1.0, height: height(grains.centres()) / RADIUS }
     };
     aspects.iter().map(|aspect| release(*aspect)).collect()

@@ -19,9 +19,9 @@ pub(super) const EXPERIMENTS: &[Experiment] = &[
 
 /// Orifice diameters, grain diameters: from six, below which arches form, to 2/5 of the silo's.
 const ORIFICES: [f64; 4] = [6.0, 8.0, 10.0, 12.0];
-/// Radius of the discharged silo and height of its filling, three of the widest orifices, grain diameters.
+/// Radius of the discharged silo and height of its filling, two and a half of the widest orifice, grain diameters.
 const RADIUS: f64 = 15.0;
-const HEIGHT: f64 = 36.0;
+const HEIGHT: f64 = 30.0;
 /// Offset of spheres in the fit of the exponent (Beverloo et al. 1961).
 const OFFSET: f64 = 1.4;
 
@@ -30,7 +30,7 @@ const OFFSET: f64 = 1.4;
 /// `C` and `k` come from a line through W^(2/5) over D; the exponent from a power law of D - 1.4 d, since with `k` free it would be what
 /// the line assumed.
 fn beverloo(suite: &Suite) -> Vec<Check> {
-    let law = suite.law(SMOOTH);
+    let law = suite.law_of_deep_bed(SMOOTH);
     let bed = rain(&law, &Silo::closed(RADIUS as f32), 1.0, 1, |grains| f64::from(top(grains)) > HEIGHT + 1.0);
     let bulk = packing_fraction(&bed, RADIUS - 3.0, [3.0, HEIGHT - 4.0]);
     let rate = |orifice: f64, height: f64| discharge(&law, &cut(&bed, height), orifice) / bulk;
@@ -67,8 +67,8 @@ fn discharge(law: &Law, bed: &Grains, orifice: f64) -> f64 {
         }
         (before - grains.centres().len()) as f64 / f64::from(steps)
     };
-    left_after(12.0);
-    left_after(24.0) * fall_time(law) * std::f64::consts::PI / 6.0
+    left_after(10.0);
+    left_after(20.0) * fall_time(law) * std::f64::consts::PI / 6.0
 }
 
 /// Radius of Janssen's column, grain diameters.
@@ -81,7 +81,7 @@ const FILLINGS: [f64; 7] = [3.0, 6.0, 9.0, 14.0, 20.0, 30.0, 45.0];
 /// Each filling rains in. Then the floor sinks by a fifth of a diameter, which mobilises the wall's friction upwards, and its load is the
 /// mean over the second half of that (Vanel and Clement 1999, Eur. Phys. J. B 11, 525).
 fn janssen(suite: &Suite) -> Vec<Check> {
-    let law = suite.law(SMOOTH);
+    let law = suite.law_of_deep_bed(SMOOTH);
     let loads: Vec<[f64; 2]> = FILLINGS.iter().map(|&height| floor_load(&law, height)).collect();
     let error = |saturated: f64| -> f64 {
         loads.iter().map(|[m, apparent]| (apparent - saturated * (1.0 - (-m / saturated).exp())).powi(2)).sum()

@@ -2,7 +2,7 @@
 //!
 //! One powder, one solver setting and one friction map serve every check: the default [`ParameterSet`] (Coulomb coefficient 0.16 between
 //! grains, diameter 0.27 mm, no attraction), the simulator's own substep, and two walls, [`SMOOTH`] and [`ROUGH`]. A check that is about
-//! a parameter changes that parameter and nothing else.
+//! a parameter changes that parameter and nothing else; beds deeper than a heap weigh less, [`LIGHT`].
 //!
 //! | file | what it asks |
 //! |---|---|
@@ -31,6 +31,9 @@ use super::repose::{Refusal, Repose, Settings, repose_under};
 use crate::domain::parameters::ParameterSet;
 use serde::Serialize;
 
+/// Gravity scale of beds deeper than a heap. Their laws hold for hard grains of any weight, and overlaps grow with the weight above: at
+/// full gravity a bed of eighty diameters would be a tenth too dense.
+const LIGHT: f64 = 0.3;
 /// Coulomb coefficient of silo walls and inclines.
 const SMOOTH: f64 = 0.4;
 /// Coulomb coefficient of a base that grains stick to, as under the heaps of [`super::repose`].
@@ -138,6 +141,11 @@ impl Suite {
     /// The law of the reference powder against a wall of this Coulomb coefficient.
     fn law(&self, wall_friction: f64) -> Law {
         self.law_of(&self.powder, wall_friction)
+    }
+
+    /// The same for a deep bed.
+    fn law_of_deep_bed(&self, wall_friction: f64) -> Law {
+        self.law_of(&self.powder(&[("gravity_scale", LIGHT)]), wall_friction)
     }
 
     fn law_of(&self, powder: &ParameterSet, wall_friction: f64) -> Law {

@@ -10,8 +10,8 @@ pub(super) const EXPERIMENTS: &[Experiment] = &[
 ];
 
 /// Radius of the container and height of the filling, grain diameters.
-const RADIUS: f64 = 9.0;
-const HEIGHT: f64 = 22.0;
+const RADIUS: f64 = 13.0;
+const HEIGHT: f64 = 15.0;
 
 fn poured(suite: &Suite) -> Vec<Check> {
     let source = "random loose 0.55 (Jerkins et al. 2008) to random close 0.64";
@@ -25,11 +25,11 @@ fn frictionless(suite: &Suite) -> Vec<Check> {
 
 /// Share of grain in the bulk, away from walls and surface, after rain.
 fn fraction(suite: &Suite, with_friction: bool) -> f64 {
-    let mut law = suite.law(SMOOTH);
+    let mut law = suite.law_of_deep_bed(SMOOTH);
     if !with_friction {
         law.grain.friction = 0.0;
         law.wall.friction = 0.0;
     }
     let bed = rain(&law, &Silo::closed(RADIUS as f32), 0.4, 1, |grains| f64::from(top(grains)) > HEIGHT);
-    packing_fraction(&bed, RADIUS - 3.0, [3.0, HEIGHT - 4.0])
+    packing_fraction(&bed, RADIUS - 5.0, [4.0, HEIGHT - 4.0])
 }

@@ -4,7 +4,7 @@ use super::super::constraints::{Vector, dot, vector};
 use super::super::grains::Grains;
 use super::super::law::{BOND_PER_COHESION, GRAVITY, Law};
 use super::super::repose::Settings;
-use super::super::shapes::{Plane, Tripod, Void};
+use super::super::shapes::{Plane, Void};
 use super::super::walls::{Plate, Wall};
 use super::scene::{advance, at_rest, down, leaning, threshold};
 use super::{Check, Experiment, SMOOTH, Suite};
@@ -119,21 +119,25 @@ fn incline(suite: &Suite) -> Vec<Check> {
     ]
 }
 
-/// Lean at which a grain without friction leaves its seat on three fixed spheres through the saddle between two of them.
+/// Lean at which a grain without friction leaves its seat on three fixed grains through the saddle between two of them.
 ///
 /// The saddle lies 1 / (2 sqrt 3) aside of the seat, sqrt(2/3) below it: atan of their ratio is 19.47 deg. Over a sphere it were 35.26.
+/// The lower three are glued to a plane by a contact of a hundred weights; the contacts of the fourth are those between grains.
 fn tetrahedron(suite: &Suite) -> Vec<Check> {
-    let mut law = suite.law(0.0);
+    let mut law = suite.law(SMOOTH);
     law.grain.friction = 0.0;
+    law.wall.friction = 100.0;
+    law.wall = law.wall.attracted(100.0 * law.gravity);
     let aside = 0.75f32.sqrt();
-    // Around the origin, with the saddle towards +x between the first two.
-    let centres = [vector(aside / 3.0, 0.5, 0.0), vector(aside / 3.0, -0.5, 0.0), vector(-2.0 * aside / 3.0, 0.0, 0.0)];
-    let tripod = Tripod { centres };
+    // Around the axis, with the saddle towards +x between the first two.
+    let seat = [[aside / 3.0, 0.5], [aside / 3.0, -0.5], [-2.0 * aside / 3.0, 0.0]];
+    let lower = seat.map(|[x, y]| vector(x, y, 0.5));
+    let upper = vector(0.0, 0.0, 0.5 + (2.0f32 / 3.0).sqrt());
     let leaves = |degrees: f64| {
-        let mut one = at_rest([vector(0.0, 0.0, (2.0f32 / 3.0).sqrt())]);
-        lean(&mut one, &law, degrees, &tripod);
-        advance(&mut one, &law, leaning(&law, degrees), &tripod, law.substeps(0.3));
-        one.centres()[0][0] > 0.5
+        let mut four = at_rest(lower.into_iter().chain([upper]));
+        lean(&mut four, &law, degrees, &Plane);
+        advance(&mut four, &law, leaning(&law, degrees), &Plane, law.substeps(0.3));
+        four.centres().iter().all(|x| x[2] < 1.0)
     };
     let source = "geometry: atan((1 / sqrt 12) / sqrt(2 / 3))";
     vec![Check::near("tetrahedron_escape", threshold([10.0, 30.0], 10, leaves), [19.471, 0.2], "deg", source)]
