@@ -95,15 +95,6 @@ fn collapse(suite: &Suite, aspects: &[f64]) -> Vec<Deposit> {
         // Three free falls from the column's height is the time the front takes; it is given twice that to come to rest.
         let time = 6.0 * (aspect * RADIUS).sqrt() * fall_time(&law);
         settle(&mut grains, &law, down(&law), &Plane, time as u32);
-        eprintln!(
-            "DBG {aspect} N {} packed {} front {} height {} speed {:?} fall {}",
-            grains.centres().len(),
-            grains.centres().len() as f64 / 6.0 / (RADIUS * RADIUS * aspect * RADIUS),
-            front(&grains),
-            height(grains.centres()),
-            grains.speeds(),
-            law.gravity.sqrt()
-        );
         Deposit { aspect, runout: front(&grains) / RADIUS - 1.0, height: height(grains.centres()) / RADIUS }
     };
     aspects.iter().map(|aspect| release(*aspect)).collect()

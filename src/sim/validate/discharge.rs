@@ -76,15 +76,20 @@ const COLUMN: f64 = 6.0;
 /// Heights to which it is filled, grain diameters.
 const FILLINGS: [f64; 7] = [3.0, 6.0, 9.0, 14.0, 20.0, 30.0, 45.0];
 
-/// Janssen 1895: a floor bears m_app = m_sat (1 - exp(-m / m_sat)) of a filling m, with m_sat = rho pi R^3 / (2 mu K).
+/// Janssen 1895: what a floor bears of a filling m saturates, m_app = c m_sat (1 - exp(-m / m_sat)) with m_sat = rho pi R^3 / (2 mu K).
 ///
 /// Each filling rains in. Then the floor sinks by a fifth of a diameter, which mobilises the wall's friction upwards, and its load is the
-/// mean over the second half of that (Vanel and Clement 1999, Eur. Phys. J. B 11, 525).
+/// mean over the second half of that (Vanel and Clement 1999, Eur. Phys. J. B 11, 525). The load is the floor's and the groove's push;
+/// `c`, below one, is what the friction of the groove, which is not seen, leaves of it.
 fn janssen(suite: &Suite) -> Vec<Check> {
     let law = suite.law_of_deep_bed(SMOOTH);
     let loads: Vec<[f64; 2]> = FILLINGS.iter().map(|&height| floor_load(&law, height)).collect();
+    let shape = |m: f64, saturated: f64| 1.0 - (-m / saturated).exp();
     let error = |saturated: f64| -> f64 {
-        loads.iter().map(|[m, apparent]| (apparent - saturated * (1.0 - (-m / saturated).exp())).powi(2)).sum()
+        let [up, down] = loads.iter().fold([0.0; 2], |[up, down], &[m, load]| {
+            [up + load * shape(m, saturated), down + shape(m, saturated).powi(2)]
+        });
+        loads.iter().map(|&[m, load]| (load - up / down * shape(m, saturated)).powi(2)).sum()
     };
     let saturated = least(&error, [10.0, 10_000.0]);
     let mean = loads.iter().map(|load| load[1]).sum::<f64>() / loads.len() as f64;

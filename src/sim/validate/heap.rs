@@ -101,7 +101,6 @@ fn funnel(suite: &Suite) -> Vec<Check> {
         angle(suite, &suite.powder, &settings, 12)
     };
     let means = [2.0, 3.0, 5.0].map(at);
-    eprintln!("DBG funnel {means:?}");
     let [degrees, error] = difference(&means);
     let source = "an angle of repose belongs to the powder, within two standard errors";
     vec![Check::near("repose_funnel", degrees, [0.0, SIGNIFICANT * error], "deg", source)]
@@ -110,7 +109,6 @@ fn funnel(suite: &Suite) -> Vec<Check> {
 fn size(suite: &Suite) -> Vec<Check> {
     let of = |particles: u32, seeds: u64| angle(suite, &suite.powder, &Settings::with_particles(particles), seeds);
     let means = [of(2000, 12), of(4000, 5), of(8000, 5)];
-    eprintln!("DBG size {means:?}");
     let [degrees, _] = difference(&means);
     vec![Check::near("repose_size", degrees, [0.0, 1.5], "deg", "an angle of repose belongs to the powder")]
 }

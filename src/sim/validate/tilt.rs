@@ -26,7 +26,6 @@ const WATCHED: f64 = 10.0;
 fn tilted_bed(suite: &Suite) -> Vec<Check> {
     let law = suite.law(ROUGH);
     let beds: Vec<[f64; 2]> = (1..=3).map(|seed| avalanche(&law, seed)).collect();
-    eprintln!("DBG {beds:?}");
     let [starts, rests] = [0, 1].map(|k| Mean::of(&beds.iter().map(|bed| bed[k]).collect::<Vec<_>>()).mean);
     let repose = angle(suite, &suite.powder, &Settings::with_particles(4000), 4).mean;
     let source = "Jaeger et al. 1989: the maximum angle of stability is above the angle of repose by up to 5 deg";
