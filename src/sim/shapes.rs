@@ -82,7 +82,10 @@ impl Wall for Silo {
         }
         let to_edge = L::splat(self.orifice) / r;
         let edge = touch_point([p[0], p[1], z], [p[0] * to_edge, p[1] * to_edge, zero]);
-        Touch { gap: L::select(over, edge.gap, touch.gap), normal: choose(over, edge.normal, touch.normal) }
+        // Around the axis nothing is near, and on it the edge has no nearest point.
+        let middle = r2.below(L::splat(0.25 * self.orifice * self.orifice));
+        let edge_gap = L::select(middle, L::splat(f32::MAX), edge.gap);
+        Touch { gap: L::select(over, edge_gap, touch.gap), normal: choose(over, edge.normal, touch.normal) }
     }
 
     fn has_left(&self, p: Vector) -> bool {

@@ -120,18 +120,22 @@ pub(super) fn floor_load(law: &Law, height: f64) -> [f64; 2] {
     [grains.centres().len() as f64, load]
 }
 
-/// What the floor and the groove push the grains upwards by, diameters per substep squared: the share `law.wall.normal` of each overlap
-/// that the next substep predicts. The side is vertical; its friction, the rest of the weight, is not counted.
+/// What the floor and the groove push the grains upwards by, diameters per substep squared, as the next substep computes it. The side is
+/// vertical; its friction, the rest of the weight, is not counted.
 fn lift(law: &Law, grains: &Grains, silo: &Silo) -> f64 {
     let mut sum = 0.0;
     for (x, v) in grains.centres().iter().zip(grains.velocities()) {
         if x[2] > silo.floor + 1.0 {
             continue;
         }
-        let p = [x[0] + v[0], x[1] + v[1], x[2] + v[2] - law.gravity].map(Portable::splat);
-        let touch = silo.touch(p);
-        let (gap, up) = (first(touch.gap), first(touch.normal[2]));
-        sum += f64::from((law.wall.normal * (law.wall.onset - gap)).max(0.0) * up);
+        let u = [v[0], v[1], v[2] - law.gravity];
+        let touch = silo.touch([x[0] + u[0], x[1] + u[1], x[2] + u[2]].map(Portable::splat));
+        let (gap, normal) = (first(touch.gap) - law.wall.onset, touch.normal.map(first));
+        if gap < 0.0 {
+            let opening = u[0] * normal[0] + u[1] * normal[1] + u[2] * normal[2];
+            let damping = law.wall.normal_damping / v[3].max(1.0).sqrt();
+            sum += f64::from((-law.wall.normal * gap - damping * opening).max(0.0) * normal[2]);
+        }
     }
     sum
 }

@@ -87,7 +87,7 @@ fn difference(means: &[Mean]) -> [f64; 2] {
     for (i, a) in means.iter().enumerate() {
         for b in &means[..i] {
             let [degrees, error] = [(a.mean - b.mean).abs(), a.error.hypot(b.error)];
-            if !(degrees <= largest[0]) {
+            if degrees.is_nan() || degrees > largest[0] {
                 largest = [degrees, error];
             }
         }

@@ -71,7 +71,31 @@ pub struct KnownDeviation {
 }
 
 /// Checks that the simulator is known to miss, by how much at most, and why.
-const KNOWN: &[(&str, KnownDeviation)] = &[];
+const KNOWN: &[(&str, KnownDeviation)] = &[
+    ("collapse_tall_runout_exponent", KnownDeviation { miss: 0.16, reason: SHORT_RUNOUT }),
+    ("collapse_tall_runout_prefactor", KnownDeviation { miss: 0.08, reason: SHORT_RUNOUT }),
+    ("collapse_low_runout_exponent", KnownDeviation { miss: 0.07, reason: SHORT_RUNOUT }),
+    ("collapse_low_runout_prefactor", KnownDeviation { miss: 0.04, reason: SHORT_RUNOUT }),
+    (
+        "repose_size",
+        KnownDeviation {
+            miss: 0.05,
+            reason: "the angle is read from the topmost grain: one diameter of height is 4.5 deg on the base of 2000 grains and 3.0 deg on \
+                     that of 8000",
+        },
+    ),
+    (
+        "repose_funnel",
+        KnownDeviation {
+            miss: 0.45,
+            reason: "grains that fall five diameters flatten the top of a heap that is only six high; a wider heap would not feel it",
+        },
+    ),
+];
+
+/// Why columns spread less far than sand.
+const SHORT_RUNOUT: &str = "a column spreads less far: grains that do not rotate stop where they touch the rough plane; not yet told apart \
+                            from the effect of a radius of 20 d";
 
 impl Check {
     /// A quantity that a law gives.
