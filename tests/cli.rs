@@ -5,8 +5,8 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-const COMMANDS: [&str; 10] =
-    ["serve", "demo", "repose", "bench", "calibrate", "train", "evaluate", "weigh", "jobs", "token"];
+const COMMANDS: [&str; 11] =
+    ["serve", "demo", "repose", "validate", "bench", "calibrate", "train", "evaluate", "weigh", "jobs", "token"];
 
 fn flip(data_dir: &Path, arguments: &[&str]) -> Output {
     command(data_dir, arguments).output().unwrap()
@@ -84,6 +84,26 @@ fn a_heap_says_whose_semantics_poured_it() {
     assert_eq!(published["settings"]["compat"], "physx");
     assert_eq!(own, heap(&["--compat", "physical"]));
     assert_ne!(own["repose_deg"], published["repose_deg"]);
+}
+
+#[test]
+fn validate_prints_what_it_measured_and_knows_its_checks_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = flip(folder.path(), &["validate", "--only", "free_fall", "--only", "incline_threshold", "--json"]);
+    expect_status(&output, 0);
+    let document = document(&output);
+    let names: Vec<&str> = document["checks"].as_array().unwrap().iter().map(|c| c["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["free_fall", "incline_threshold"]);
+    for check in document["checks"].as_array().unwrap() {
+        assert_eq!(check["passed"], true, "{check}");
+        for key in ["measured", "expected", "tolerance"] {
+            assert!(check[key].is_f64(), "{key} of {check}");
+        }
+        assert!(check["unit"].is_string() && !check["source"].as_str().unwrap().is_empty());
+    }
+    let unknown = flip(folder.path(), &["validate", "--only", "antigravity"]);
+    expect_status(&unknown, 2);
+    assert!(stderr(&unknown).contains("only") && stderr(&unknown).contains("free_fall"), "{}", stderr(&unknown));
 }
 
 #[test]

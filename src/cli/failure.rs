@@ -14,6 +14,8 @@ pub(super) enum Failure {
     /// The input is sound and the world is not ready for it: a prerequisite is missing, or another process holds the
     /// database. Exit status 2.
     NotNow(String),
+    /// The command printed its document, and what that says is bad. Exit status 1; nothing more on stdout.
+    Found(String),
     /// Everything else. Exit status 1.
     Failed(anyhow::Error),
 }
@@ -22,6 +24,10 @@ impl Failure {
     /// Print the reason (on stderr, and as the one document on stdout with `json`) and return the exit status.
     pub(super) fn report(&self, json: bool) -> ExitCode {
         let (status, document) = match self {
+            Self::Found(message) => {
+                eprintln!("flip: {message}");
+                return ExitCode::from(1);
+            }
             Self::BadInput(errors) => {
                 let errors: Vec<_> = errors.iter().map(|e| json!({ "field": e.field, "message": e.message })).collect();
                 (2, json!({ "error": { "kind": "bad_input", "errors": errors } }))
@@ -30,6 +36,7 @@ impl Failure {
             Self::Failed(error) => (1, json!({ "error": { "kind": "failed", "message": format!("{error:#}") } })),
         };
         match self {
+            Self::Found(_) => {}
             Self::BadInput(errors) => errors.iter().for_each(|e| eprintln!("flip: {e}")),
             Self::NotNow(message) => eprintln!("flip: {message}"),
             Self::Failed(error) => eprintln!("flip: {error:#}"),

@@ -19,6 +19,7 @@ mod session;
 mod table;
 mod token;
 mod train;
+mod validate;
 mod view;
 mod watch;
 mod weigh;
@@ -63,6 +64,8 @@ enum Command {
     Demo(demo::Arguments),
     /// Pour a simulated powder and measure its angle of repose.
     Repose(repose::Arguments),
+    /// Check that the simulator keeps the laws of nature.
+    Validate(validate::Arguments),
     /// Find simulated powders that pile like a measured one.
     Calibrate(calibrate::Arguments),
     /// Learn to weigh on simulated powders.
@@ -107,6 +110,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Serve(arguments) => serve::run(common, arguments),
         Command::Demo(arguments) => demo::run(common, arguments),
         Command::Repose(arguments) => repose::run(common, arguments),
+        Command::Validate(arguments) => validate::run(common, arguments),
         Command::Calibrate(arguments) => calibrate::run(common, arguments),
         Command::Train(arguments) => train::run(common, arguments),
         Command::Evaluate(arguments) => evaluate::run(common, arguments),

@@ -2,6 +2,7 @@
 
 use crate::domain::FieldError;
 use crate::domain::parameters::{COUNT, PARAMETERS, Parameter, ParameterSet};
+use crate::sim::mechanisms::Extensions;
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
 
 /// The nine values as typed by the caller, not yet checked against their bounds.
@@ -50,4 +51,16 @@ fn flag(parameter: &Parameter) -> Arg {
         .value_parser(clap::value_parser!(f64))
         .allow_negative_numbers(true)
         .help(format!("{meaning}; {lower} to {upper}{unit} [default: {default}]"))
+}
+
+/// The mechanisms that flags name.
+pub(super) fn extensions(flags: &[String]) -> Result<Extensions, FieldError> {
+    flags.iter().try_fold(Extensions::default(), |extensions, flag| {
+        let parts = flag.split_once('=').and_then(|(name, amplitude)| Some((name, amplitude.parse().ok()?)));
+        let Some((name, amplitude)) = parts else {
+            let message = format!("must be a name, an equals sign and a number, as in `rotation=1`, got `{flag}`");
+            return Err(FieldError::new("extension", message));
+        };
+        extensions.with(name, amplitude)
+    })
 }

@@ -6,7 +6,6 @@ use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
 use crate::domain::{FieldError, bounded};
 use crate::sim;
-use crate::sim::mechanisms::Extensions;
 use crate::sim::repose::{Compat, Refusal, Repose, Settings};
 use crate::sim::snapshot::Camera;
 use clap::ValueEnum;
@@ -102,7 +101,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let settings = Settings {
         base_friction: bounded("base_friction", arguments.base_friction, 0.0, 2.0, "")?,
         rough_base: arguments.rough_base,
-        extensions: extensions(&arguments.extension)?,
+        extensions: parameters::extensions(&arguments.extension)?,
         compat,
         ..Settings::with_particles(arguments.particles)
     };
@@ -138,18 +137,6 @@ fn picture(set: &ParameterSet, settings: &Settings, seed: u64, arguments: &Argum
         std::fs::write(file, &*frames)?;
     }
     Ok(())
-}
-
-/// The mechanisms that flags name.
-fn extensions(flags: &[String]) -> Result<Extensions, FieldError> {
-    flags.iter().try_fold(Extensions::default(), |extensions, flag| {
-        let parts = flag.split_once('=').and_then(|(name, amplitude)| Some((name, amplitude.parse().ok()?)));
-        let Some((name, amplitude)) = parts else {
-            let message = format!("must be a name, an equals sign and a number, as in `rotation=1`, got `{flag}`");
-            return Err(FieldError::new("extension", message));
-        };
-        extensions.with(name, amplitude)
-    })
 }
 
 /// One heap per repeat; `collect` keeps their order, so the threads leave no mark on the result.

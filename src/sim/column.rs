@@ -8,7 +8,7 @@ use super::grains::Grains;
 use super::lanes::{Path, Work, counted, peak};
 use super::law::{Law, SUBSTEP_S};
 use super::shapes::Silo;
-use super::walls::{Plane, Shape};
+use super::walls::Shape;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
 use rand::{RngExt, SeedableRng};
@@ -19,7 +19,7 @@ pub const DIAMETER_M: f64 = 0.27e-3;
 /// Coulomb coefficient of every contact.
 pub const FRICTION: f64 = 0.5;
 /// Floor on which the column falls.
-const FLOOR: Shape = Shape::Plane(Plane::LEVEL);
+const FLOOR: Shape = Shape::FLAT;
 /// Height of a bed over its radius.
 const SLENDERNESS: f64 = 2.0;
 /// Share of a bed's volume that grains fill, for choosing its radius.

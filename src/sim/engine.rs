@@ -68,7 +68,12 @@ pub(super) struct Physical {
 impl Physical {
     pub(super) fn new(set: &ParameterSet, settings: &Settings) -> Self {
         let law = Law::new(set, settings.base_friction, settings.substep_s);
-        let law = law.extended(&settings.extensions, set, Site::Base);
+        Self::under(law.extended(&settings.extensions, set, Site::Base), settings)
+    }
+
+    /// Grains that follow `law`.
+    pub(super) fn under(law: Law, settings: &Settings) -> Self {
+        // Only a law with mechanisms knows fixed grains.
         let law = Law { extended: law.extended || settings.rough_base, ..law };
         let plate = Plate { radius: settings.base_radius_diameters as f32 };
         let mut grains = Grains::default();

@@ -49,7 +49,7 @@ struct Ring {
 }
 
 /// Position and height of every pixel of the height map that shows a grain.
-fn surface(x: &[Vector], base_radius: f64) -> impl Iterator<Item = ([f64; 2], f64)> {
+pub(super) fn surface(x: &[Vector], base_radius: f64) -> impl Iterator<Item = ([f64; 2], f64)> {
     let half = (base_radius / PIXEL).ceil() as i64 + 2;
     let side = (2 * half + 1) as usize;
     let mut top = vec![f64::NEG_INFINITY; side * side];

@@ -68,6 +68,7 @@ pub mod repose;
 pub mod scoop;
 mod shapes;
 pub mod snapshot;
+pub mod validate;
 mod walls;
 
 pub use lanes::Work;

@@ -7,7 +7,7 @@
 use super::constraints::{Vector, vector};
 use super::engine::{Engine, Physical, Physx};
 use super::flank::{SECTORS, cone_deg, sector};
-use super::law::SUBSTEP_S;
+use super::law::{Law, SUBSTEP_S};
 use super::mechanisms::Extensions;
 use super::physx;
 use super::snapshot::{Camera, Snapshot};
@@ -160,6 +160,12 @@ pub fn repose(set: &ParameterSet, settings: &Settings, seed: u64) -> Result<Repo
     pile(set, settings, seed, None).map(|pile| pile.repose)
 }
 
+/// [`repose`] of grains that follow `law`; the settings' base friction and substep are those the law was made with.
+pub(super) fn repose_under(law: Law, settings: &Settings, seed: u64) -> Result<Repose, Refusal> {
+    let engine = Physical::under(law, settings);
+    Heap { engine, settings, steps: 0, camera: None }.run(seed).map(|pile| pile.repose)
+}
+
 /// A heap and where its grains lie.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pile {
@@ -300,7 +306,7 @@ impl<E: Engine> Heap<'_, E> {
 }
 
 /// Positions of one layer: a hexagonal lattice over the opening, turned and shifted at random.
-fn layer(rng: &mut Pcg64Mcg, radius: f32, height: f32) -> Vec<Vector> {
+pub(super) fn layer(rng: &mut Pcg64Mcg, radius: f32, height: f32) -> Vec<Vector> {
     let spacing = 1.12f32;
     let (sin, cos) = rng.random_range(0.0..std::f32::consts::TAU).sin_cos();
     let shift = [rng.random_range(0.0..spacing), rng.random_range(0.0..spacing)];

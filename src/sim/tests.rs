@@ -6,7 +6,7 @@ use super::grains::Grains;
 use super::lanes::Path;
 use super::law::{self, Law, SUBSTEP_S};
 use super::repose::{self, repose};
-use super::walls::{Plane, Plate, Shape};
+use super::walls::{Plate, Shape};
 use crate::domain::bench::Action;
 use crate::domain::parameters::ParameterSet;
 
@@ -140,7 +140,7 @@ fn friction_makes_a_heap_steeper() {
 fn slide(degrees: f64) -> [f32; 2] {
     let law = law(&[]);
     let (sin, cos) = degrees.to_radians().sin_cos();
-    let incline = Shape::Plane(Plane::LEVEL);
+    let incline = Shape::FLAT;
     let mut one = grains(&[vector(0.0, 0.0, 0.5)]);
     (0..substeps(0.01)).for_each(|_| one.substep(&law, down(&law), &incline));
     let tilted = vector(law.gravity * sin as f32, 0.0, -law.gravity * cos as f32);

@@ -36,7 +36,6 @@ pub(super) trait Wall {
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Shape {
     /// No wall anywhere.
-    #[cfg(test)]
     Nowhere,
     Plate(Plate),
     Bowl(Bowl),
@@ -45,11 +44,15 @@ pub(super) enum Shape {
     Silo(Silo),
 }
 
+impl Shape {
+    /// The plane z = 0 without an edge.
+    pub(super) const FLAT: Self = Self::Plane(Plane { normal: [0.0, 0.0, 1.0] });
+}
+
 impl Wall for Shape {
     #[inline(always)]
     fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
         match self {
-            #[cfg(test)]
             Self::Nowhere => Touch::still(L::splat(f32::MAX), [L::splat(0.0), L::splat(0.0), L::splat(1.0)]),
             Self::Plate(plate) => plate.touch(p),
             Self::Bowl(bowl) => bowl.touch(p),
@@ -61,7 +64,6 @@ impl Wall for Shape {
 
     fn has_left(&self, p: Vector) -> bool {
         match self {
-            #[cfg(test)]
             Self::Nowhere => false,
             Self::Plate(plate) => plate.has_left(p),
             Self::Bowl(bowl) => bowl.has_left(p),
@@ -77,11 +79,6 @@ impl Wall for Shape {
 pub(super) struct Plane {
     /// Unit vector out of the wall.
     pub normal: [f32; 3],
-}
-
-impl Plane {
-    /// z = 0.
-    pub(super) const LEVEL: Self = Self { normal: [0.0, 0.0, 1.0] };
 }
 
 impl Wall for Plane {

@@ -1,5 +1,7 @@
 //! Does nature hold? Bulk behaviour of the simulator through its public surface.
 
+mod validation;
+
 use flip::domain::parameters::ParameterSet;
 use flip::sim::repose::{Settings, repose};
 use rayon::prelude::*;
