@@ -282,9 +282,11 @@ impl Grains {
         self.p.clear();
         self.p.resize(padded, NOBODY);
         self.p.push(NOWHERE);
-        for column in [&mut self.u, &mut self.turning] {
-            column.clear();
-            column.resize(padded + 1, [0.0; 4]);
+        self.u.clear();
+        self.u.resize(padded + 1, [0.0; 4]);
+        self.turning.clear();
+        if EXTENDED {
+            self.turning.resize(padded + 1, [0.0; 4]);
         }
         self.changed = false;
     }

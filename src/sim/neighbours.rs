@@ -375,15 +375,11 @@ impl Neighbours {
 
 /// Smallest squared distance of two grains on their paths.
 fn closest2(x: Vector, v: Vector, y: Vector, w: Vector) -> f32 {
-    let r = std::array::from_fn(|k| x[k] - y[k]);
-    let u = std::array::from_fn(|k| v[k] - w[k]);
-    let t = if dot3(u, u) > 0.0 { (-dot3(r, u) / dot3(u, u)).clamp(0.0, HORIZON) } else { 0.0 };
-    let m: [f32; 3] = std::array::from_fn(|k| r[k] + u[k] * t);
-    dot3(m, m)
-}
-
-fn dot3(a: [f32; 3], b: [f32; 3]) -> f32 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    let r: Vector = std::array::from_fn(|k| x[k] - y[k]);
+    let u: Vector = std::array::from_fn(|k| v[k] - w[k]);
+    let t = if dot(u, u) > 0.0 { (-dot(r, u) / dot(u, u)).clamp(0.0, HORIZON) } else { 0.0 };
+    let m: Vector = std::array::from_fn(|k| r[k] + u[k] * t);
+    dot(m, m)
 }
 
 /// Sixteen numbers of a column from place `j`; sixteen follow every grain.
