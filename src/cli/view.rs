@@ -53,7 +53,7 @@ pub(super) fn svg(pile: &Pile, settings: &Settings, diameter_mm: f64) -> String 
     let tip = "stroke=\"#b3261e\" stroke-width=\"4\"";
     // The cone is drawn through the middle of the flank, where it was fitted.
     let slope = pile.repose.cone_deg.to_radians().tan();
-    let [half, centre] = [0.5 * apex, base - 0.5 * apex / apex.max(1e-9) * base];
+    let [half, centre] = [0.5 * apex, 0.5 * base];
     let cone = "stroke=\"#1a56b0\" stroke-width=\"4\" stroke-dasharray=\"14 8\"";
     for side in [-1.0, 1.0] {
         line(at(side * base, 0.0), at(0.0, apex), tip);

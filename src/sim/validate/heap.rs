@@ -108,7 +108,8 @@ fn funnel(suite: &Suite) -> Vec<Check> {
 
 fn size(suite: &Suite) -> Vec<Check> {
     let of = |particles: u32, seeds: u64| angle(suite, &suite.powder, &Settings::with_particles(particles), seeds);
-    let means = [of(2000, 12), of(4000, 5), of(8000, 5)];
+    // So many that the standard error of each is about 0.2 deg.
+    let means = [of(2000, 32), of(4000, 16), of(8000, 10)];
     let [degrees, _] = difference(&means);
     vec![Check::near("repose_size", degrees, [0.0, 1.5], "deg", "an angle of repose belongs to the powder")]
 }

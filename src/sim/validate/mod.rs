@@ -80,14 +80,6 @@ const KNOWN: &[(&str, KnownDeviation)] = &[
     ("collapse_low_runout_exponent", KnownDeviation { miss: 0.07, reason: SHORT_RUNOUT }),
     ("collapse_low_runout_prefactor", KnownDeviation { miss: 0.04, reason: SHORT_RUNOUT }),
     (
-        "repose_size",
-        KnownDeviation {
-            miss: 0.05,
-            reason: "the angle is read from the topmost grain: one diameter of height is 4.5 deg on the base of 2000 grains and 3.0 deg on \
-                     that of 8000",
-        },
-    ),
-    (
         "repose_funnel",
         KnownDeviation {
             miss: 0.45,

@@ -94,7 +94,7 @@ fn lean(grains: &mut Grains, law: &Law, degrees: f64, wall: &Shape) {
 
 /// Whether a grain on a plane slides at an angle, once the lean has come to it.
 fn slides(law: &Law, degrees: f64) -> bool {
-    let mut one = at_rest(&law, [vector(0.0, 0.0, 0.5)]);
+    let mut one = at_rest(law, [vector(0.0, 0.0, 0.5)]);
     lean(&mut one, law, degrees, &Shape::FLAT);
     let before = one.centres()[0][0];
     advance(&mut one, law, leaning(law, degrees), &Shape::FLAT, law.substeps(0.2));

@@ -13,9 +13,12 @@ fn check(name: &str, revise: fn(Law) -> Law) -> Check {
     experiment.run(&Suite::revised(revise)).into_iter().find(|check| check.name == name).unwrap()
 }
 
+/// A law broken on purpose.
+type Fault = fn(Law) -> Law;
+
 #[test]
 fn a_broken_law_fails_its_check() {
-    let faults: [(&str, fn(Law) -> Law); 11] = [
+    let faults: [(&str, Fault); 11] = [
         ("free_fall", |law| Law { gravity: 1.02 * law.gravity, ..law }),
         ("inelastic_drop", |mut law| {
             law.wall.normal_damping = 0.0;
