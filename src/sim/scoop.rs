@@ -84,7 +84,7 @@ const SPACING: f64 = 1.12;
 /// Volume of a rained bed per grain, in grain diameters cubed: a packing fraction of 0.58.
 const VOLUME_PER_GRAIN: f64 = std::f64::consts::PI / 6.0 / 0.58;
 
-/// Scoop. Same inputs, same bytes. Costs about 40 CPU-s at the default size, in proportion to the volume of the bed.
+/// Scoop. Same inputs, same bytes. The cost grows with the volume of the bed: tens of thousands of grains at the default size.
 ///
 /// # Errors
 /// [`Failure`]: settings in which the spoon would touch the trough, or a solver that diverged.

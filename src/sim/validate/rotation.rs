@@ -64,9 +64,8 @@ fn rough_plate(suite: &Suite) -> Vec<Check> {
     let rolls = Extensions { rotation: 1.0, ..suite.extensions };
     let resists = Extensions { rolling_friction: ROLLING, ..rolls };
     let [loose, held, held_smooth] = [cone(rolls, true), cone(resists, true), cone(resists, false)];
-    let source =
-        "discrete-element studies of rolling spheres on a bed of their own; the range is that of the requirements";
-    let returns = "rolling resistance lets spheres pile as rough grains do (Zhou et al. 1999, 2002)";
+    let source = "rolling spheres on a bed of their own stand at 15 to 25 deg: the requirement's range";
+    let returns = "rolling resistance gives a heap back; the range is our own, set after this was first measured";
     vec![
         Check::within("rotation_rough_plate", loose, [15.0, 25.0], "deg", source),
         Check::within("rolling_resistance_rise", held - loose, [5.0, 25.0], "deg", returns),
