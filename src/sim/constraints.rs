@@ -144,6 +144,8 @@ pub(super) struct Held<L> {
 pub(super) struct Grip<L> {
     /// Share of the stretch per substep and side.
     pub stiffness: L,
+    /// Its inverse.
+    pub looseness: L,
     /// Share of the slip velocity per substep and side.
     pub damping: L,
     /// Largest correction: friction coefficient times push.
@@ -190,7 +192,7 @@ pub(super) fn stick<L: Lanes>(
     }
     let one = L::splat(1.0);
     let t = scale(t, L::select(slips, grip.limit / t2.sqrt(), one));
-    let moved = sub(offset, scale(t, one / grip.stiffness));
+    let moved = sub(offset, scale(t, grip.looseness));
     Held { correction: t, anchor: choose(slips, moved, anchor) }
 }
 
@@ -257,10 +259,10 @@ mod tests {
         }
     }
 
-    const GRIP: Grip<f32> = Grip { stiffness: 0.1, damping: 0.0, limit: 1.0 };
+    const GRIP: Grip<f32> = Grip { stiffness: 0.1, looseness: 10.0, damping: 0.0, limit: 1.0 };
 
     fn hold(offset: [f32; 3], anchor: [f32; 3], normal: [f32; 3], grip: Grip<f32>) -> ([f32; 3], [f32; 3]) {
-        let grip = Grip { stiffness: splat(grip.stiffness), damping: splat(grip.damping), limit: splat(grip.limit) };
+        let grip = Grip { stiffness: splat(grip.stiffness), looseness: splat(grip.looseness), damping: splat(grip.damping), limit: splat(grip.limit) };
         let still = [0.0; 3].map(splat);
         let held = stick(offset.map(splat), anchor.map(splat), still, normal.map(splat), splat(0.0), grip);
         (firsts(held.correction), firsts(held.anchor))

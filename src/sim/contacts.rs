@@ -1,4 +1,4 @@
-//! Every contact of sixteen grains: what the constraints and the mechanisms add up to.
+//! Every contact, sixteen at once: what the constraints and the mechanisms add up to.
 #![allow(clippy::inline_always)] // See `lanes`.
 
 use super::constraints::{Grip, V3, Vector, add, attract, choose, cross, inner, scale, separate, stick, sub};
@@ -8,7 +8,7 @@ use super::mechanisms::{AtWall, Pair};
 use super::neighbours::Neighbours;
 use super::walls::{Shape, Wall};
 
-/// Where everything would be without contacts: centre and radius, velocity and number of contacts, spin (radians per substep).
+/// Where everything would be without contacts: centre and radius, velocity and share of damping, spin (radians per substep).
 #[derive(Clone, Copy)]
 pub(super) struct Predicted<'a> {
     pub p: &'a [Vector],
@@ -22,21 +22,27 @@ pub(super) struct Turn<L> {
     pub p: V3<L>,
     pub u: V3<L>,
     pub radius: L,
-    pub contacts: L,
+    /// `1 / sqrt(contacts)`: a grain's contacts share its damping, so that the sum stays stable however many there are.
+    pub share: L,
     pub spin: V3<L>,
-    pub sum: Sum<L>,
+    /// Change of velocity.
+    pub correction: V3<L>,
+    /// Torque over mass.
+    pub torque: V3<L>,
+    /// Their number.
+    pub contacts: L,
 }
 
-/// What contacts add up to: change of velocity, torque over mass, number.
-pub(super) struct Sum<L> {
-    pub correction: V3<L>,
-    pub torque: V3<L>,
-    pub contacts: L,
+/// Where the pairs' impulses are summed up by grain: change of velocity times mass, with the number of contacts in the fourth place; and
+/// torque, empty where grains do not rotate.
+pub(super) struct Sums<'a> {
+    pub impulse: &'a mut [Vector],
+    pub torque: &'a mut [Vector],
 }
 
 /// Mass over that of a grain of the mean size.
 #[inline(always)]
-fn mass<L: Lanes>(radius: L) -> L {
+pub(super) fn mass<L: Lanes>(radius: L) -> L {
     let diameter = radius + radius;
     diameter * diameter * diameter
 }
@@ -50,30 +56,24 @@ fn carry<L: Lanes>(velocity: V3<L>, anchor: V3<L>, spins: V3<L>, normal: V3<L>) 
     [sub(velocity, moved), sub(anchor, sub(still, moved))]
 }
 
-/// Contacts with the listed neighbours of block `b`.
+/// Contacts of all listed pairs. Impulses on both grains of a pair are exactly opposite.
 #[inline(always)]
-pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(
-    list: &mut Neighbours,
-    b: usize,
-    law: &Law,
-    at: Predicted,
-    turn: &mut Turn<L>,
-) {
+pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(list: &mut Neighbours, law: &Law, at: Predicted, sums: &mut Sums) {
     let c = &law.grain;
     let (one, zero) = (L::splat(1.0), L::splat(0.0));
     let reach = if EXTENDED { c.reach.max(law.mechanisms.pair_reach()) } else { c.reach };
     let near2 = L::splat((1.0 + reach) * (1.0 + reach));
     let (onset, inverse_ramp) = (L::splat(1.0 + c.onset), L::splat(1.0 / (c.reach - c.onset)));
-    let my_mass = mass(turn.radius);
-    let Neighbours { first, other, anchor, touching, linked, memory, .. } = list;
-    for row in first[b] as usize..first[b + 1] as usize {
-        let others = &other[row];
+    let (stiffness, looseness) = (L::splat(c.tangential), L::splat(1.0 / c.tangential));
+    let Neighbours { pair, anchor, touching, linked, memory, .. } = list;
+    for (row, [first, second]) in pair.iter().enumerate() {
         #[allow(unsafe_code)]
-        // SAFETY: the list names grains and the one that is nowhere, and `p` has them all; `Grains::list` makes both together.
-        let [qx, qy, qz, their_radius] = unsafe { L::gather(at.p, others) };
-        let offset = sub(turn.p, [qx, qy, qz]);
+        // SAFETY: the list names grains and the two places after the last, and `p` has them all; `Grains::list` makes both together.
+        let ([ax, ay, az, radius], [bx, by, bz, their_radius]) =
+            unsafe { (L::gather(at.p, first), L::gather(at.p, second)) };
+        let offset = sub([ax, ay, az], [bx, by, bz]);
         let distance2 = inner(offset, offset);
-        let radii = turn.radius + their_radius;
+        let radii = radius + their_radius;
         let near = if EXTENDED {
             let far = radii + L::splat(reach);
             distance2.below(far * far)
@@ -92,60 +92,54 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(
         let gap = if EXTENDED { distance - (radii + L::splat(c.onset)) } else { distance - onset };
         let mut along = zero - attract(gap, L::splat(c.attraction), inverse_ramp);
         let touch = gap.below(zero) & near;
-        // Of unequal grains the lighter one gives way: shares of a correction are as the other's mass to both.
-        let (mut side, mut lightness) = (one, one);
+        let (mut reduced_mass, mut effective) = (one, one);
         if EXTENDED {
-            let their_mass = mass(their_radius);
-            side = (their_mass + their_mass) / (my_mass + their_mass);
+            // Of unequal grains the lighter one gives way: a correction of equal grains is an impulse of their reduced mass.
+            let (mine, theirs) = (mass(radius), mass(their_radius));
+            reduced_mass = (mine + mine) * theirs / (mine + theirs);
             // Attraction grows with the effective radius.
-            let effective = L::splat(4.0) * turn.radius * their_radius / radii;
-            lightness = effective / my_mass;
-            along = along * lightness;
+            effective = L::splat(4.0) * radius * their_radius / radii;
+            along = along * effective;
         }
-        // The levers of both add up to the distance, overlap or not, so that friction keeps angular momentum.
-        let lever = distance * turn.radius / radii;
         let mut push = zero;
+        let mut held = [zero; 3];
         let mut turning = [zero; 3];
         if touch != 0 {
             #[allow(unsafe_code)]
             // SAFETY: as above; `u` and `spin` are as long as `p`.
-            let [wx, wy, wz, theirs] = unsafe { L::gather(at.u, others) };
-            let mut velocity = sub(turn.u, [wx, wy, wz]);
+            let ([ux, uy, uz, mine], [wx, wy, wz, theirs]) =
+                unsafe { (L::gather(at.u, first), L::gather(at.u, second)) };
+            let mut velocity = sub([ux, uy, uz], [wx, wy, wz]);
             let opening = inner(velocity, normal);
-            // A grain's contacts share its damping: the sum stays stable however many there are.
-            let share = one / one.max(turn.contacts * theirs).sqrt();
-            let taken = if EXTENDED { share * side } else { share };
-            let stiffness = if EXTENDED { L::splat(c.normal) * side } else { L::splat(c.normal) };
-            push = separate(gap, opening, stiffness, L::splat(c.normal_damping) * taken);
+            let share = mine * theirs;
+            push = separate(gap, opening, L::splat(c.normal), L::splat(c.normal_damping) * share);
             push = L::select(touch, push, zero);
-            along = along + push;
             let kept = &mut anchor[row];
             let mut stuck = choose(touching[row], [L::load(&kept[0]), L::load(&kept[1]), L::load(&kept[2])], offset);
             if EXTENDED {
                 #[allow(unsafe_code)]
                 // SAFETY: as above.
-                let [sx, sy, sz, _] = unsafe { L::gather(at.spin, others) };
-                let spin = [sx, sy, sz];
+                let ([sx, sy, sz, _], [tx, ty, tz, _]) =
+                    unsafe { (L::gather(at.spin, first), L::gather(at.spin, second)) };
+                let (spin, their_spin) = ([sx, sy, sz], [tx, ty, tz]);
+                let [lever, their_lever] = levers(distance, radius, radii);
                 // Surfaces that turn carry the contact's two points along.
-                let spins = add(scale(turn.spin, lever), scale(spin, distance - lever));
+                let spins = add(scale(spin, lever), scale(their_spin, their_lever));
                 [velocity, stuck] = carry(velocity, stuck, spins, normal);
-                turning = sub(turn.spin, spin);
+                turning = sub(spin, their_spin);
             }
-            let grip = Grip {
-                stiffness: if EXTENDED { L::splat(c.tangential) * side } else { L::splat(c.tangential) },
-                damping: L::splat(c.tangential_damping) * taken,
-                limit: L::splat(c.friction) * push,
-            };
-            let held = stick(offset, stuck, velocity, normal, opening, grip);
-            held.anchor[0].store(&mut kept[0]);
-            held.anchor[1].store(&mut kept[1]);
-            held.anchor[2].store(&mut kept[2]);
-            let held = choose(touch, held.correction, [zero; 3]);
-            turn.sum.correction = sub(turn.sum.correction, held);
-            turn.sum.contacts = turn.sum.contacts + L::select(touch, one, zero);
+            let damping = L::splat(c.tangential_damping) * share;
+            let grip = Grip { stiffness, looseness, damping, limit: L::splat(c.friction) * push };
+            let stick = stick(offset, stuck, velocity, normal, opening, grip);
+            stick.anchor[0].store(&mut kept[0]);
+            stick.anchor[1].store(&mut kept[1]);
+            stick.anchor[2].store(&mut kept[2]);
+            held = choose(touch, stick.correction, [zero; 3]);
             if EXTENDED {
-                turn.sum.torque = add(turn.sum.torque, scale(cross(normal, held), lever));
+                push = push * reduced_mass;
+                held = scale(held, reduced_mass);
             }
+            along = along + push;
         }
         if EXTENDED {
             let met: Mask = touching[row] | linked[row];
@@ -159,9 +153,9 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(
             let mut pair = Pair {
                 gap,
                 normal,
-                radii: [turn.radius, their_radius],
-                lightness,
-                side,
+                radii: [radius, their_radius],
+                effective,
+                reduced_mass,
                 touch,
                 push,
                 turning,
@@ -172,11 +166,33 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(
             };
             law.mechanisms.pair(&mut pair);
             along = along - pair.pull;
-            turn.sum.torque = add(turn.sum.torque, choose(near, pair.torque, [zero; 3]));
+            let torque = choose(near, pair.torque, [zero; 3]);
+            let [lever, their_lever] = levers(distance, radius, radii);
+            let arm = cross(normal, held);
+            let [x, y, z] = add(scale(arm, lever), torque);
+            let [tx, ty, tz] = sub(scale(arm, their_lever), torque);
+            #[allow(unsafe_code)]
+            // SAFETY: as above; `torque` is as long as `p`.
+            unsafe {
+                L::scatter([x, y, z, zero], sums.torque, first);
+                L::scatter([tx, ty, tz, zero], sums.torque, second);
+            }
         }
         touching[row] = touch;
-        turn.sum.correction = add(turn.sum.correction, choose(near, scale(normal, along), [zero; 3]));
+        let [x, y, z] = sub(choose(near, scale(normal, along), [zero; 3]), held);
+        #[allow(unsafe_code)]
+        // SAFETY: as above; `impulse` is as long as `p`.
+        unsafe {
+            L::exchange([x, y, z, L::select(touch, one, zero)], sums.impulse, first, second);
+        }
     }
+}
+
+/// The levers of both grains add up to the distance, overlap or not, so that friction keeps angular momentum.
+#[inline(always)]
+fn levers<L: Lanes>(distance: L, radius: L, radii: L) -> [L; 2] {
+    let lever = distance * radius / radii;
+    [lever, distance - lever]
 }
 
 /// Contact of block grains with a wall. `anchors` are where each contact stuck, with 1 in the fourth place while it touches; `stretches`
@@ -206,7 +222,7 @@ pub(super) fn wall<L: Lanes, const EXTENDED: bool>(
     let mut pull = attract(gap, L::splat(c.attraction), L::splat(1.0 / (c.reach - c.onset)));
     let mut velocity = sub(turn.u, touched.velocity);
     let opening = inner(velocity, normal);
-    let share = one / one.max(turn.contacts).sqrt();
+    let share = turn.share;
     let push = separate(gap, opening, L::splat(c.normal), L::splat(c.normal_damping) * share);
     let push = L::select(touch, push, zero);
     let [ax, ay, az, was] = L::rows(anchors);
@@ -219,6 +235,7 @@ pub(super) fn wall<L: Lanes, const EXTENDED: bool>(
     }
     let grip = Grip {
         stiffness: L::splat(c.tangential),
+        looseness: L::splat(1.0 / c.tangential),
         damping: L::splat(c.tangential_damping) * share,
         limit: L::splat(c.friction) * push,
     };
@@ -248,10 +265,10 @@ pub(super) fn wall<L: Lanes, const EXTENDED: bool>(
         };
         law.mechanisms.wall(&mut contact);
         pull = pull + contact.pull;
-        turn.sum.torque = add(turn.sum.torque, add(scale(cross(normal, held), turn.radius), contact.torque));
+        turn.torque = add(turn.torque, add(scale(cross(normal, held), turn.radius), contact.torque));
         L::write_rows([stretch[0], stretch[1], stretch[2], clings], stretches);
     }
     let along = choose(near, scale(normal, push - pull), [zero; 3]);
-    turn.sum.correction = add(turn.sum.correction, sub(along, held));
-    turn.sum.contacts = turn.sum.contacts + touches;
+    turn.correction = add(turn.correction, sub(along, held));
+    turn.contacts = turn.contacts + touches;
 }

@@ -1,7 +1,7 @@
 //! The state of a powder and the order of one substep.
 
 use super::constraints::{Vector, add, choose, dot, scale, splat};
-use super::contacts::{self, Predicted, Sum, Turn};
+use super::contacts::{self, Predicted, Sums, Turn};
 use super::grid::held;
 use super::lanes::{Avx2, Avx512, Counting, Lanes, Mask, Path, Portable, WIDTH, block, block_mut};
 use super::law::Law;
@@ -29,10 +29,13 @@ pub(super) struct Grains {
     id: Vec<u32>,
     /// Each grain's place in the neighbour list.
     listed: Vec<u32>,
-    /// What [`Predicted`] says, with one grain more that is nowhere: the neighbour of those who have none.
+    /// What [`Predicted`] says, with two grains more that are nowhere: the pairs of a row that is not full.
     p: Vec<Vector>,
     u: Vec<Vector>,
     turning: Vec<Vector>,
+    /// What [`Sums`] says; zero between substeps.
+    impulse: Vec<Vector>,
+    torque: Vec<Vector>,
     neighbours: Neighbours,
     /// Grains came or went since the list was built.
     changed: bool,
@@ -68,8 +71,8 @@ impl Departure {
 const SPEED_MAX: f32 = 1.0;
 /// A grain that fills a block up.
 const NOBODY: Vector = [FAR, FAR, FAR, 0.5];
-/// Its neighbour: far from it too.
-const NOWHERE: Vector = [-FAR, -FAR, -FAR, 0.5];
+/// The two of a pair that is none: far from each other.
+const NOWHERE: [Vector; 2] = [[-FAR, -FAR, -FAR, 0.5], [-FAR, -FAR, FAR, 0.5]];
 
 impl Default for Grains {
     fn default() -> Self {
@@ -92,6 +95,8 @@ impl Grains {
             p: Vec::new(),
             u: Vec::new(),
             turning: Vec::new(),
+            impulse: Vec::new(),
+            torque: Vec::new(),
             neighbours: Neighbours::default(),
             changed: true,
             poured: 0,
@@ -209,8 +214,11 @@ impl Grains {
             self.list::<L, EXTENDED>(law);
             self.predict::<L, EXTENDED>(law, acceleration);
         }
+        let at = Predicted { p: &self.p, u: &self.u, spin: &self.turning };
+        let mut sums = Sums { impulse: &mut self.impulse, torque: &mut self.torque };
+        contacts::pairs::<L, EXTENDED>(&mut self.neighbours, law, at, &mut sums);
         for b in 0..self.x.len() / WIDTH {
-            self.project::<L, EXTENDED>(b, law, wall);
+            self.advance_block::<L, EXTENDED>(b, law, wall);
         }
         self.neighbours.grow_older();
         self.elapsed += 1;
@@ -247,7 +255,8 @@ impl Grains {
             // A position that is no number has strayed too.
             furthest = L::select(strayed.below(furthest), furthest, strayed);
             L::write_rows([p[0], p[1], p[2], radius], block_mut(&mut self.p, b));
-            L::write_rows([u[0], u[1], u[2], contacts], block_mut(&mut self.u, b));
+            let share = L::splat(1.0) / L::splat(1.0).max(contacts).sqrt();
+            L::write_rows([u[0], u[1], u[2], share], block_mut(&mut self.u, b));
         }
         furthest.below(L::splat(0.0)) == Mask::MAX
     }
@@ -281,47 +290,54 @@ impl Grains {
         self.x[n..].fill(NOBODY);
         self.p.clear();
         self.p.resize(padded, NOBODY);
-        self.p.push(NOWHERE);
-        self.u.clear();
-        self.u.resize(padded + 1, [0.0; 4]);
-        self.turning.clear();
-        if EXTENDED {
-            self.turning.resize(padded + 1, [0.0; 4]);
+        self.p.extend(NOWHERE);
+        for column in [&mut self.u, &mut self.impulse] {
+            column.clear();
+            column.resize(padded + 2, [0.0; 4]);
+        }
+        for column in [&mut self.turning, &mut self.torque] {
+            column.clear();
+            column.resize(if EXTENDED { padded + 2 } else { 0 }, [0.0; 4]);
         }
         self.changed = false;
     }
 
-    /// Solve every contact of the grains of block `b`, and move them.
+    /// Add the walls to what the pairs gave the grains of block `b`, and move them.
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
-    fn project<L: Lanes, const EXTENDED: bool>(&mut self, b: usize, law: &Law, wall: &Shape) {
+    fn advance_block<L: Lanes, const EXTENDED: bool>(&mut self, b: usize, law: &Law, wall: &Shape) {
         let [px, py, pz, radius] = L::rows(block(&self.p, b));
-        let [ux, uy, uz, contacts] = L::rows(block(&self.u, b));
+        let [ux, uy, uz, share] = L::rows(block(&self.u, b));
         let zero = L::splat(0.0);
-        let sum = Sum { correction: [zero; 3], torque: [zero; 3], contacts: zero };
-        let mut turn = Turn { p: [px, py, pz], u: [ux, uy, uz], radius, contacts, spin: [zero; 3], sum };
+        let [ix, iy, iz, contacts] = L::rows(block(&self.impulse, b));
+        block_mut(&mut self.impulse, b).fill([0.0; 4]);
+        let (p, u, still) = ([px, py, pz], [ux, uy, uz], [zero; 3]);
+        let mut turn =
+            Turn { p, u, radius, share, spin: still, correction: [ix, iy, iz], torque: still, contacts };
         let mut free = self.inhabited(b);
         let mut mobile = zero;
         if EXTENDED {
+            let lightness = L::splat(1.0) / contacts::mass(radius);
+            turn.correction = scale(turn.correction, lightness);
+            let [tx, ty, tz, _] = L::rows(block(&self.torque, b));
+            block_mut(&mut self.torque, b).fill([0.0; 4]);
+            turn.torque = scale([tx, ty, tz], lightness);
             let [sx, sy, sz, flag] = L::rows(block(&self.turning, b));
             turn.spin = [sx, sy, sz];
             mobile = flag;
             free &= zero.below(flag);
         }
-        let at = Predicted { p: &self.p, u: &self.u, spin: &self.turning };
-        contacts::pairs::<L, EXTENDED>(&mut self.neighbours, b, law, at, &mut turn);
         let stretches = if EXTENDED { Some(block_mut(&mut self.wall_stretch, b)) } else { None };
         contacts::wall::<L, EXTENDED>(law, wall, block_mut(&mut self.wall_anchor, b), stretches, &mut turn);
         let [x, y, z, radius] = L::rows(block(&self.x, b));
-        let Sum { correction, torque, contacts } = turn.sum;
-        let v = choose(free, add(turn.u, correction), [zero; 3]);
+        let v = choose(free, add(turn.u, turn.correction), [zero; 3]);
         let x = add([x, y, z], v);
-        L::write_rows([v[0], v[1], v[2], contacts], block_mut(&mut self.v, b));
+        L::write_rows([v[0], v[1], v[2], turn.contacts], block_mut(&mut self.v, b));
         L::write_rows([x[0], x[1], x[2], radius], block_mut(&mut self.x, b));
         if EXTENDED {
             // The moment of inertia of a solid sphere is 2/5 m r^2.
             let ease = L::splat(2.5 * law.mechanisms.freedom) / (radius * radius);
-            let spin = choose(free, add(turn.spin, scale(torque, ease)), [zero; 3]);
+            let spin = choose(free, add(turn.spin, scale(turn.torque, ease)), [zero; 3]);
             L::write_rows([spin[0], spin[1], spin[2], mobile], block_mut(&mut self.spin, b));
         }
     }
@@ -397,6 +413,8 @@ impl Grains {
             p,
             u,
             turning,
+            impulse,
+            torque,
             neighbours,
             changed: _,
             poured: _,
@@ -405,7 +423,7 @@ impl Grains {
             scratch,
             numbers,
         } = self;
-        [x, v, wall_anchor, spin, wall_stretch, p, u, turning, scratch].into_iter().map(held).sum::<usize>()
+        [x, v, wall_anchor, spin, wall_stretch, p, u, turning, impulse, torque, scratch].into_iter().map(held).sum::<usize>()
             + [id, listed, numbers].into_iter().map(held).sum::<usize>()
             + neighbours.bytes()
     }

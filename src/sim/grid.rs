@@ -74,6 +74,12 @@ impl Grid {
         let (low, high) = ([at(0, -range), at(1, -range), at(2, -range)], [at(0, range), at(1, range), at(2, range)]);
         Lines { low, high, y: low[1], z: low[2] }
     }
+
+    /// The lines of cells within `range` of `x` from its own line on.
+    #[inline(always)]
+    pub(super) fn after(&self, x: Vector, range: f32) -> Lines {
+        Lines { y: self.coordinate(x[1], 1), z: self.coordinate(x[2], 2), ..self.near(x, range) }
+    }
 }
 
 /// Memory that a column holds, used or not, bytes.

@@ -53,6 +53,39 @@ pub(super) trait Lanes:
     /// # Safety
     /// Every index is below `from.len()`.
     unsafe fn gather(from: &[Vector], index: &[u32; WIDTH]) -> [Self; 4];
+    /// Add the vectors to those at these places, lane after lane.
+    ///
+    /// # Safety
+    /// Every index is below `to.len()`.
+    #[inline(always)]
+    unsafe fn scatter(components: [Self; 4], to: &mut [Vector], index: &[u32; WIDTH]) {
+        let mut vectors = [[0.0; 4]; WIDTH];
+        Self::write_rows(components, &mut vectors);
+        for lane in 0..WIDTH {
+            // SAFETY: the caller promises that every index is within `to`.
+            let sum = unsafe { to.get_unchecked_mut(index[lane] as usize) };
+            *sum = plus(*sum, vectors[lane]);
+        }
+    }
+    /// Add the first three components at the first places and take them away at the second, lane after lane; the fourth is added at both.
+    ///
+    /// # Safety
+    /// Every index is below `to.len()`.
+    #[inline(always)]
+    unsafe fn exchange(components: [Self; 4], to: &mut [Vector], first: &[u32; WIDTH], second: &[u32; WIDTH]) {
+        let mut vectors = [[0.0; 4]; WIDTH];
+        Self::write_rows(components, &mut vectors);
+        for lane in 0..WIDTH {
+            let [x, y, z, w] = vectors[lane];
+            // SAFETY: the caller promises that every index is within `to`.
+            unsafe {
+                let sum = to.get_unchecked_mut(first[lane] as usize);
+                *sum = plus(*sum, [x, y, z, w]);
+                let sum = to.get_unchecked_mut(second[lane] as usize);
+                *sum = plus(*sum, [-x, -y, -z, w]);
+            }
+        }
+    }
     /// Write `first + lane` for every set bit to `to[at..]` and return the place after the last. The sixteen places after `at` may be
     /// overwritten.
     ///
@@ -68,6 +101,11 @@ pub(super) trait Lanes:
         }
         at
     }
+}
+
+#[inline(always)]
+fn plus(a: Vector, b: Vector) -> Vector {
+    [a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]]
 }
 
 /// Sixteen consecutive vectors.

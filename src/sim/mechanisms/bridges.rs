@@ -55,7 +55,7 @@ impl Mechanism for Bridges {
         *pair.linked |= spans;
         let s = zero.max(pair.gap) * L::splat(self.inverse_length);
         let shape = one + s * (L::splat(1.05) + L::splat(2.5) * s);
-        let pull = L::splat(self.pull) / shape * pair.lightness;
+        let pull = L::splat(self.pull) / shape * pair.effective;
         pair.pull = pair.pull + L::select(spans, pull, zero);
     }
 }

@@ -34,7 +34,7 @@ impl Mechanism for Consolidation {
         let zero = L::splat(0.0);
         let age = L::load(&pair.memory[AGE]) + L::splat(1.0);
         L::select(pair.touch, age, zero).store(&mut pair.memory[AGE]);
-        let pull = L::splat(self.pull) * age / (age + L::splat(self.half_life)) * pair.lightness;
+        let pull = L::splat(self.pull) * age / (age + L::splat(self.half_life)) * pair.effective;
         pair.pull = pair.pull + L::select(pair.touch, pull, zero);
     }
 }

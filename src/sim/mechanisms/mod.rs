@@ -117,35 +117,36 @@ pub(super) const SLOTS: usize = 5;
 /// What sixteen pairs remember beside their anchors: rolling stretch (three), age, and whether a bridge of water spans them.
 pub(super) type Memory = [[f32; WIDTH]; SLOTS];
 
-/// Sixteen pairs as the hooks see them. Lengths in grain diameters, time in substeps, accelerations those of the grain whose turn it is.
+/// Sixteen pairs as the hooks see them. Lengths in grain diameters, time in substeps, masses over that of a mean grain; forces and torques
+/// act on the first grain, and opposite ones on the second.
 pub(super) struct Pair<'a, L> {
     /// Distance between the surfaces, beyond the onset of contact.
     pub gap: L,
-    /// From the other grain to this one.
+    /// From the second grain to the first.
     pub normal: V3<L>,
-    /// This grain's radius and the other's.
+    /// Radii of both.
     pub radii: [L; 2],
-    /// Acceleration of this grain by one unit of force: 1 for a grain of the mean size.
-    pub lightness: L,
-    /// Share of the base's corrections that this grain takes: 1 for equal masses.
-    pub side: L,
+    /// Effective diameter, `4 r_1 r_2 / (r_1 + r_2)`: attraction grows with it.
+    pub effective: L,
+    /// Twice the reduced mass, `2 m_1 m_2 / (m_1 + m_2)`: 1 for grains of the mean size.
+    pub reduced_mass: L,
     /// Lanes in contact.
     pub touch: Mask,
     /// Push along the normal, in contact.
     pub push: L,
-    /// Spin of this grain less the other's, radians per substep.
+    /// Spin of the first less that of the second, radians per substep.
     pub turning: V3<L>,
-    /// What the pairs remember; zero when they meet.
+    /// What the pairs remember; zero when they meet. The first three numbers are a vector from one grain to the other.
     pub memory: &'a mut Memory,
     /// Lanes that remember although they do not touch.
     pub linked: &'a mut Mask,
     /// Attraction that the mechanisms add.
     pub pull: L,
-    /// Torque on this grain over its mass.
+    /// Torque on the first grain.
     pub torque: V3<L>,
 }
 
-/// Sixteen contacts with a wall as the hooks see them; units as in [`Pair`].
+/// Sixteen contacts with a wall as the hooks see them; units as in [`Pair`], but accelerations for forces.
 pub(super) struct AtWall<'a, L> {
     /// Distance between the surfaces.
     pub gap: L,

@@ -9,7 +9,7 @@ use crate::sim::lanes::{Lanes, Mask};
 /// ```text
 /// w = (I - n n^T) (w_i - w_j)          rolling velocity, radians per substep
 /// s <- (I - n n^T) (s + w)             rolling stretch since the contact stuck
-/// M = r^2 (k_t s + c_t w)              torque over mass
+/// M = m r^2 (k_t s + c_t w)            torque, m = 2 m_i m_j / (m_i + m_j)
 /// M' = M min(1, mu_r r push / |M|)     and s follows so that the next substep begins at the limit
 /// ```
 ///
@@ -74,7 +74,7 @@ impl Mechanism for Rolling {
         let [mine, theirs] = pair.radii;
         let radius = (mine + mine) * theirs / (mine + theirs);
         let stretch = [L::load(&pair.memory[0]), L::load(&pair.memory[1]), L::load(&pair.memory[2])];
-        let [torque, stretch] = self.resist(stretch, pair.turning, pair.normal, radius, pair.side, pair.push);
+        let [torque, stretch] = self.resist(stretch, pair.turning, pair.normal, radius, pair.reduced_mass, pair.push);
         let kept: [L; 3] = choose(pair.touch, stretch, [zero; 3]);
         kept[0].store(&mut pair.memory[0]);
         kept[1].store(&mut pair.memory[1]);
