@@ -191,7 +191,7 @@ pub(super) fn stick<L: Lanes>(
         return Held { correction: t, anchor };
     }
     let one = L::splat(1.0);
-    let t = scale(t, L::select(slips, grip.limit / t2.sqrt(), one));
+    let t = scale(t, L::select(slips, grip.limit / t2 * t2.sqrt(), one));
     let moved = sub(offset, scale(t, grip.looseness));
     Held { correction: t, anchor: choose(slips, moved, anchor) }
 }

@@ -65,8 +65,10 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(list: &mut Neighbours, law: 
     let near2 = L::splat((1.0 + reach) * (1.0 + reach));
     let (onset, inverse_ramp) = (L::splat(1.0 + c.onset), L::splat(1.0 / (c.reach - c.onset)));
     let (stiffness, looseness) = (L::splat(c.tangential), L::splat(1.0 / c.tangential));
-    let Neighbours { pair, anchor, touching, linked, memory, .. } = list;
-    for (row, [first, second]) in pair.iter().enumerate() {
+    let Neighbours { ends, anchor, touching, linked, memory, .. } = list;
+    let [firsts, seconds] = [ends[0].as_chunks::<WIDTH>().0, ends[1].as_chunks::<WIDTH>().0];
+    for row in 0..firsts.len() {
+        let (first, second) = (&firsts[row], &seconds[row]);
         #[allow(unsafe_code)]
         // SAFETY: the list names grains and the two places after the last, and `p` has them all; `Grains::list` makes both together.
         let ([ax, ay, az, radius], [bx, by, bz, their_radius]) =
@@ -88,7 +90,8 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(list: &mut Neighbours, law: 
             continue;
         }
         let distance = distance2.sqrt();
-        let normal = scale(offset, one / distance);
+        // The inverse by a root and a division that do not wait for each other.
+        let normal = scale(offset, distance * (one / distance2));
         let gap = if EXTENDED { distance - (radii + L::splat(c.onset)) } else { distance - onset };
         let mut along = zero - attract(gap, L::splat(c.attraction), inverse_ramp);
         let touch = gap.below(zero) & near;

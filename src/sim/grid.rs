@@ -3,7 +3,7 @@
 use super::constraints::Vector;
 
 /// Side of a cell.
-const CELL: f32 = 1.3;
+const CELL: f32 = 2.0;
 
 /// A uniform grid over the grains' bounding box.
 #[derive(Debug, Clone, Default)]

@@ -1,7 +1,7 @@
 //! Grains that may touch before the list is built again. Lengths in grain diameters, time in substeps.
 
 use super::constraints::{V3, Vector, dot, inner, splat, sub};
-use super::grid::{Grid, held};
+use super::grid::{Grid, Lines, held};
 use super::lanes::{Lanes, Mask, WIDTH, block};
 use super::mechanisms::{Memory, SLOTS};
 
@@ -37,8 +37,8 @@ const POINTING: usize = 3;
 /// Grains that move together, as in a falling stream, have parallel paths and are not listed with each other for being fast.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Neighbours {
-    /// Both grains of each pair, by row. Where a row is not full, two places after the last grain.
-    pub pair: Vec<[[u32; WIDTH]; 2]>,
+    /// The earlier and the later grain of each pair, row after row. Where a row is not full, two places after the last grain.
+    pub ends: [Vec<u32>; 2],
     /// By component: position of the first grain relative to the second where the contact stuck. Means something only where `touching`
     /// says so.
     pub anchor: Vec<[[f32; WIDTH]; 3]>,
@@ -59,9 +59,16 @@ pub(super) struct Neighbours {
     age: f32,
     /// By how much the largest radius exceeds the mean.
     widest: f32,
-    /// The later grain of each pair, by the earlier one: the near pairs, and those that may come near.
-    listed: [Listed; 2],
+    /// Where each grain's pairs begin among the near ones, and among those that may come near.
+    begins: [Vec<u32>; 2],
+    /// Where those begin among all.
+    middle: usize,
+    later: Vec<u32>,
+    /// Grains of the last list.
+    grains: usize,
     kept: Vec<Kept>,
+    /// Their memories, where mechanisms have any.
+    kept_memory: Vec<[f32; SLOTS]>,
     grid: Grid,
     sorted: Sorted,
     fast: Vec<u32>,
@@ -70,51 +77,24 @@ pub(super) struct Neighbours {
     renamed: Vec<u32>,
 }
 
-/// Pairs by their earlier grain.
-#[derive(Debug, Clone, Default)]
-struct Listed {
-    /// `first[i]..first[i + 1]` are grain i's.
-    first: Vec<u32>,
-    other: Vec<u32>,
-}
-
-impl Listed {
-    fn clear(&mut self) {
-        self.first.clear();
-        self.first.push(0);
-        self.other.clear();
-    }
-
-    /// The pairs of the next grain.
-    fn push(&mut self, others: &[u32]) {
-        self.other.extend_from_slice(others);
-        self.first.push(self.other.len() as u32);
-    }
-
-    fn place(&self, i: u32, j: u32) -> Option<usize> {
-        let (first, end) = (self.first[i as usize] as usize, self.first[i as usize + 1] as usize);
-        self.other[first..end].iter().position(|&other| other == j).map(|place| first + place)
-    }
-
-    fn rows(&self) -> usize {
-        self.other.len().div_ceil(WIDTH)
-    }
-}
-
 /// A pair that goes on from one list to the next.
 #[derive(Debug, Clone)]
 struct Kept {
-    pair: [u32; 2],
+    ends: [u32; 2],
     touched: bool,
     linked: bool,
     anchor: [f32; 3],
-    memory: [f32; SLOTS],
 }
 
-/// Positions, velocities and allowances by component, with a block of nowhere behind the last; fast grains are nowhere.
+/// Those that are near, and those that may come near, with room to write whole lanes.
+type Found = [[u32; NEIGHBOURS_MAX + WIDTH]; 2];
+
+/// Positions, velocities and allowances by component, with a block of nowhere behind the last.
 #[derive(Debug, Clone, Default)]
 struct Sorted {
     x: [Vec<f32>; 3],
+    /// The first component again, where fast grains are nowhere.
+    slow: Vec<f32>,
     v: [Vec<f32>; 3],
     allowance: Vec<f32>,
 }
@@ -156,15 +136,15 @@ impl Neighbours {
         let n = x.len();
         self.keep::<EXTENDED>();
         self.set_out(x, v);
-        self.search_wide(x, v, reach);
-        let [mut near, mut later] = std::mem::take(&mut self.listed);
-        near.clear();
-        later.clear();
-        let mut found = [[0u32; NEIGHBOURS_MAX + WIDTH]; 2];
+        let mut found: Found = [[0; NEIGHBOURS_MAX + WIDTH]; 2];
+        self.search_wide::<L>(x, v, reach, &mut found);
+        self.ends.iter_mut().chain(&mut self.begins).chain([&mut self.later]).for_each(Vec::clear);
         let mut next_wide = 0;
         for i in 0..n {
+            self.begins[0].push(self.ends[1].len() as u32);
+            self.begins[1].push(self.later.len() as u32);
             let mut counts = [0; 2];
-            if self.sorted.x[0][i] < FAR {
+            if self.sorted.slow[i] < FAR {
                 counts = self.search::<L>(i, x, v, reach, &mut found);
             }
             while let Some((_, j)) = self.wide.get(next_wide).filter(|pair| pair.0 as usize == i) {
@@ -175,12 +155,13 @@ impl Neighbours {
                 next_wide += 1;
             }
             self.overfull |= counts[0] == NEIGHBOURS_MAX || counts[1] == NEIGHBOURS_MAX;
-            near.push(&found[0][..counts[0]]);
-            later.push(&found[1][..counts[1]]);
+            self.ends[1].extend_from_slice(&found[0][..counts[0]]);
+            self.ends[0].resize(self.ends[1].len(), i as u32);
+            self.later.extend_from_slice(&found[1][..counts[1]]);
         }
-        self.listed = [near, later];
         self.write_rows::<EXTENDED>(n);
         self.remember::<EXTENDED>(was);
+        self.grains = n;
         self.age = 0.0;
         self.builds += 1;
     }
@@ -188,7 +169,7 @@ impl Neighbours {
     /// Memory held, bytes. Names every field, so that none is forgotten.
     pub(super) fn bytes(&self) -> usize {
         let Self {
-            pair,
+            ends,
             anchor,
             touching,
             linked,
@@ -199,25 +180,29 @@ impl Neighbours {
             pace,
             age: _,
             widest: _,
-            listed,
+            begins,
+            middle: _,
+            later,
+            grains: _,
             kept,
+            kept_memory,
             grid,
             sorted,
             fast,
             wide,
             renamed,
         } = self;
-        held(pair)
+        ends.iter().chain(begins).chain([later]).map(held).sum::<usize>()
             + held(anchor)
             + held(touching)
             + held(linked)
             + held(memory)
             + held(start)
             + held(pace)
-            + listed.iter().map(|listed| held(&listed.first) + held(&listed.other)).sum::<usize>()
             + held(kept)
+            + held(kept_memory)
             + grid.bytes()
-            + sorted.x.iter().chain(&sorted.v).chain([&sorted.allowance]).map(held).sum::<usize>()
+            + sorted.x.iter().chain(&sorted.v).chain([&sorted.slow, &sorted.allowance]).map(held).sum::<usize>()
             + held(fast)
             + held(wide)
             + held(renamed)
@@ -226,24 +211,23 @@ impl Neighbours {
     /// Note what has to go on from the list as it is.
     fn keep<const EXTENDED: bool>(&mut self) {
         self.kept.clear();
-        for (row, pair) in self.pair.iter().enumerate() {
+        self.kept_memory.clear();
+        for row in 0..self.touching.len() {
             let touching = self.touching[row];
             let linked = if EXTENDED { self.linked[row] } else { 0 };
             let mut left = touching | linked;
             while left != 0 {
                 let lane = left.trailing_zeros() as usize;
                 left &= left - 1;
-                let mut memory = [0.0; SLOTS];
-                if EXTENDED {
-                    memory = std::array::from_fn(|k| self.memory[row][k][lane]);
-                }
                 self.kept.push(Kept {
-                    pair: [pair[0][lane], pair[1][lane]],
+                    ends: [self.ends[0][row * WIDTH + lane], self.ends[1][row * WIDTH + lane]],
                     touched: touching >> lane & 1 == 1,
                     linked: linked >> lane & 1 == 1,
                     anchor: std::array::from_fn(|k| self.anchor[row][k][lane]),
-                    memory,
                 });
+                if EXTENDED {
+                    self.kept_memory.push(std::array::from_fn(|k| self.memory[row][k][lane]));
+                }
             }
         }
     }
@@ -256,8 +240,8 @@ impl Neighbours {
         self.start.clear();
         self.pace.clear();
         self.fast.clear();
-        let Sorted { x: sx, v: sv, allowance } = &mut self.sorted;
-        for column in sx.iter_mut().chain(sv.iter_mut()).chain([&mut *allowance]) {
+        let Sorted { x: sx, slow, v: sv, allowance } = &mut self.sorted;
+        for column in sx.iter_mut().chain(sv.iter_mut()).chain([&mut *slow, &mut *allowance]) {
             column.clear();
             column.resize(n + WIDTH, 0.0);
         }
@@ -273,66 +257,70 @@ impl Neighbours {
             if is_fast {
                 self.fast.push(i as u32);
             }
+            slow[i] = if is_fast { FAR } else { x[i][0] };
             for k in 0..3 {
-                sx[k][i] = if is_fast { FAR } else { x[i][k] };
+                sx[k][i] = x[i][k];
                 sv[k][i] = v[i][k];
             }
-        }
-        for column in sx {
-            column[n..].fill(FAR);
         }
         self.start.resize(padded, [FAR, FAR, FAR, 1.0]);
         self.pace.resize(padded, [0.0; 4]);
     }
 
-    /// Pairs with a fast grain, found by the faster one.
-    fn search_wide(&mut self, x: &[Vector], v: &[Vector], reach: f32) {
+    /// Pairs with a fast grain.
+    #[inline(always)]
+    fn search_wide<L: Lanes>(&mut self, x: &[Vector], v: &[Vector], reach: f32, found: &mut Found) {
         self.wide.clear();
-        let (grid, allowance, wide, widest) = (&self.grid, &self.sorted.allowance, &mut self.wide, self.widest);
-        for &fast in &self.fast {
-            let i = fast as usize;
-            let speed2 = dot(v[i], v[i]);
-            let range = reach + allowance[i] + widest + SKIN_MAX + 2.0 * speed2.sqrt() * HORIZON;
-            let mut lines = grid.near(x[i], range);
-            while let Some(places) = lines.next(grid) {
-                for j in places {
-                    let theirs = dot(v[j], v[j]);
-                    if theirs > speed2 || (theirs == speed2 && j <= i) {
-                        continue;
-                    }
-                    let near = reach + allowance[i] + allowance[j];
-                    if closest2(x[i], v[i], x[j], v[j]) < near * near {
-                        wide.push((i.min(j) as u32, i.max(j) as u32));
+        for k in 0..self.fast.len() {
+            let i = self.fast[k] as usize;
+            // Faster ones find it.
+            let speed = dot(v[i], v[i]).sqrt();
+            let range = reach + self.sorted.allowance[i] + self.widest + SKIN_MAX + 2.0 * speed * HORIZON;
+            let lines = self.grid.near(x[i], range);
+            let counts = self.scan::<L, true>(i, x, v, reach, lines, found);
+            self.overfull |= counts[0] == NEIGHBOURS_MAX || counts[1] == NEIGHBOURS_MAX;
+            for (found, count) in found.iter().zip(counts) {
+                for &j in &found[..count] {
+                    let theirs = dot(v[j as usize], v[j as usize]).sqrt();
+                    if theirs < speed || (theirs == speed && j as usize > i) {
+                        self.wide.push((j.min(i as u32), j.max(i as u32)));
                     }
                 }
             }
         }
-        wide.sort_unstable();
+        self.wide.sort_unstable();
     }
 
     /// The neighbours of grain `i` among those after it that are not fast: those near now, and those that may come near; how many.
     #[inline(always)]
-    fn search<L: Lanes>(
+    fn search<L: Lanes>(&self, i: usize, x: &[Vector], v: &[Vector], reach: f32, found: &mut Found) -> [usize; 2] {
+        let others = SKIN + SKIN_PER_PATH * FAST * HORIZON + self.widest;
+        let range = reach + self.sorted.allowance[i] + others + (dot(v[i], v[i]).sqrt() + FAST) * HORIZON;
+        self.scan::<L, false>(i, x, v, reach, self.grid.after(x[i], range), found)
+    }
+
+    /// The grains on these lines of cells whose paths come near that of grain `i`: all of them, itself too, or those after it that are not
+    /// fast. The first line is its own, then.
+    #[inline(always)]
+    fn scan<L: Lanes, const ALL: bool>(
         &self,
         i: usize,
         x: &[Vector],
         v: &[Vector],
         reach: f32,
-        found: &mut [[u32; NEIGHBOURS_MAX + WIDTH]; 2],
+        mut lines: Lines,
+        found: &mut Found,
     ) -> [usize; 2] {
-        let Sorted { x: sx, v: sv, allowance } = &self.sorted;
-        let others = SKIN + SKIN_PER_PATH * FAST * HORIZON + self.widest;
-        let range = reach + allowance[i] + others + (dot(v[i], v[i]).sqrt() + FAST) * HORIZON;
+        let Sorted { x: sx, slow, v: sv, allowance } = &self.sorted;
+        let (first, earliest) = if ALL { (&sx[0], 0) } else { (slow, i + 1) };
         let (at, pace): (V3<L>, V3<L>) = (splat(x[i]), splat(v[i]));
         let (zero, horizon, hot2) = (L::splat(0.0), L::splat(HORIZON), L::splat(HOT2));
         let near = L::splat(reach + allowance[i]);
         let [mut hot_count, mut late_count] = [0, 0];
-        let mut lines = self.grid.after(x[i], range);
         while let Some(places) = lines.next(&self.grid) {
-            // The first line is the grain's own.
-            let mut j = places.start.max(i + 1);
+            let mut j = places.start.max(earliest);
             while j < places.end {
-                let r = sub(at, [sixteen(&sx[0], j), sixteen(&sx[1], j), sixteen(&sx[2], j)]);
+                let r = sub(at, [sixteen(first, j), sixteen(&sx[1], j), sixteen(&sx[2], j)]);
                 let u = sub(pace, [sixteen(&sv[0], j), sixteen(&sv[1], j), sixteen(&sv[2], j)]);
                 let near: L = near + sixteen(allowance, j);
                 let (near2, rr, ru, uu) = (near * near, inner(r, r), inner(r, u), inner(u, u));
@@ -354,77 +342,71 @@ impl Neighbours {
         [hot_count, late_count]
     }
 
-    /// Turn the lists of `n` grains into rows.
+    /// Put the pairs that may come near behind the near ones, and make room for what pairs remember.
     fn write_rows<const EXTENDED: bool>(&mut self, n: usize) {
         let padded = (n.div_ceil(WIDTH) * WIDTH) as u32;
-        let [near, later] = &self.listed;
-        let rows = near.rows() + later.rows();
-        self.pair.clear();
-        self.pair.resize(rows, [[padded; WIDTH], [padded + 1; WIDTH]]);
+        let [first, second] = &mut self.ends;
+        let fill_up = |first: &mut Vec<u32>, second: &mut Vec<u32>| {
+            first.resize(first.len().next_multiple_of(WIDTH), padded);
+            second.resize(second.len().next_multiple_of(WIDTH), padded + 1);
+        };
+        self.begins[0].push(second.len() as u32);
+        self.begins[1].push(self.later.len() as u32);
+        fill_up(first, second);
+        self.middle = second.len();
+        for (i, end) in self.begins[1][1..].iter().enumerate() {
+            first.resize(self.middle + *end as usize, i as u32);
+        }
+        second.extend_from_slice(&self.later);
+        fill_up(first, second);
+        let rows = second.len() / WIDTH;
         self.touching.clear();
         self.touching.resize(rows, 0);
-        if self.anchor.len() < rows {
-            self.anchor.resize(rows, [[0.0; WIDTH]; 3]);
-        }
+        self.anchor.resize(rows, [[0.0; WIDTH]; 3]);
         if EXTENDED {
             self.linked.clear();
             self.linked.resize(rows, 0);
             self.memory.clear();
             self.memory.resize(rows, [[0.0; WIDTH]; SLOTS]);
         }
-        for (listed, at) in [(near, 0), (later, near.rows() * WIDTH)] {
-            for i in 0..n {
-                for place in listed.first[i] as usize..listed.first[i + 1] as usize {
-                    let [earlier, other] = &mut self.pair[(at + place) / WIDTH];
-                    earlier[place % WIDTH] = i as u32;
-                    other[place % WIDTH] = listed.other[place];
-                }
-            }
-        }
     }
 
     /// Bring back what was noted of the pairs that are still listed.
     fn remember<const EXTENDED: bool>(&mut self, was: &[u32]) {
-        let places = self.kept.iter().flat_map(|kept| kept.pair).max().map_or(0, |last| last as usize + 1);
         self.renamed.clear();
-        self.renamed.resize(places, NEW);
-        for (now, &was) in was.iter().enumerate().filter(|(_, was)| (**was as usize) < places) {
+        self.renamed.resize(self.grains, NEW);
+        for (now, &was) in was.iter().enumerate().filter(|(_, was)| **was != NEW) {
             self.renamed[was as usize] = now as u32;
         }
-        let [near, later] = &self.listed;
-        let begin = near.rows() * WIDTH;
-        for kept in &self.kept {
-            let [a, b] = kept.pair.map(|place| self.renamed[place as usize]);
+        for (k, kept) in self.kept.iter().enumerate() {
+            let [a, b] = kept.ends.map(|place| self.renamed[place as usize]);
             if a == NEW || b == NEW {
                 continue;
             }
-            let (i, j) = (a.min(b), a.max(b));
-            let Some(place) = near.place(i, j).or_else(|| later.place(i, j).map(|place| begin + place)) else {
-                continue;
-            };
+            let Some(place) = self.place(a.min(b) as usize, a.max(b)) else { continue };
             let sign = if a < b { 1.0 } else { -1.0 };
             let (row, lane) = (place / WIDTH, place % WIDTH);
-            for k in 0..3 {
-                self.anchor[row][k][lane] = sign * kept.anchor[k];
+            for axis in 0..3 {
+                self.anchor[row][axis][lane] = sign * kept.anchor[axis];
             }
             self.touching[row] |= Mask::from(kept.touched) << lane;
             if EXTENDED {
                 self.linked[row] |= Mask::from(kept.linked) << lane;
-                for k in 0..SLOTS {
-                    self.memory[row][k][lane] = if k < POINTING { sign * kept.memory[k] } else { kept.memory[k] };
+                for (slot, number) in self.kept_memory[k].iter().enumerate() {
+                    self.memory[row][slot][lane] = if slot < POINTING { sign * number } else { *number };
                 }
             }
         }
     }
-}
 
-/// Smallest squared distance of two grains on their paths.
-fn closest2(x: Vector, v: Vector, y: Vector, w: Vector) -> f32 {
-    let r: Vector = std::array::from_fn(|k| x[k] - y[k]);
-    let u: Vector = std::array::from_fn(|k| v[k] - w[k]);
-    let t = if dot(u, u) > 0.0 { (-dot(r, u) / dot(u, u)).clamp(0.0, HORIZON) } else { 0.0 };
-    let m: Vector = std::array::from_fn(|k| r[k] + u[k] * t);
-    dot(m, m)
+    /// Where the pair of grains `i` and `j > i` is listed.
+    fn place(&self, i: usize, j: u32) -> Option<usize> {
+        let among = |begin: usize, begins: &[u32]| {
+            let (first, end) = (begin + begins[i] as usize, begin + begins[i + 1] as usize);
+            self.ends[1][first..end].iter().position(|&other| other == j).map(|place| first + place)
+        };
+        among(0, &self.begins[0]).or_else(|| among(self.middle, &self.begins[1]))
+    }
 }
 
 /// Sixteen numbers of a column from place `j`; sixteen follow every grain.
@@ -438,6 +420,15 @@ mod tests {
     use super::super::lanes::Portable;
     use super::*;
     use crate::domain::seed::derive;
+
+    /// Smallest squared distance of two grains on their paths.
+    fn closest2(x: Vector, v: Vector, y: Vector, w: Vector) -> f32 {
+        let r: Vector = std::array::from_fn(|k| x[k] - y[k]);
+        let u: Vector = std::array::from_fn(|k| v[k] - w[k]);
+        let t = if dot(u, u) > 0.0 { (-dot(r, u) / dot(u, u)).clamp(0.0, HORIZON) } else { 0.0 };
+        let m: Vector = std::array::from_fn(|k| r[k] + u[k] * t);
+        dot(m, m)
+    }
 
     /// A grain of the mean size.
     fn grain(x: f32, y: f32, z: f32) -> Vector {
@@ -459,9 +450,7 @@ mod tests {
 
     fn pairs(list: &Neighbours, n: usize) -> Vec<(u32, u32)> {
         let mut pairs = Vec::new();
-        for row in &list.pair {
-            pairs.extend(row[0].iter().zip(row[1]).map(|(i, j)| (*i, j)).filter(|(i, _)| (*i as usize) < n));
-        }
+        pairs.extend(list.ends[0].iter().copied().zip(list.ends[1].iter().copied()).filter(|(i, _)| (*i as usize) < n));
         pairs.sort_unstable();
         pairs
     }

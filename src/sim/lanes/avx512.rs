@@ -100,6 +100,31 @@ impl Lanes for Avx512 {
         }
     }
     #[inline(always)]
+    unsafe fn exchange(components: [Self; 4], to: &mut [Vector], first: &[u32; WIDTH], second: &[u32; WIDTH]) {
+        let quads = transpose(components.map(|component| component.0));
+        let base = to.as_mut_ptr();
+        // SAFETY: the caller promises that every index is within `to`; `vectors` has four quads of sixteen numbers.
+        unsafe {
+            // Through memory, which takes no turn of the units that compute.
+            let mut vectors = [Self::splat(0.0); 4];
+            for r in 0..4 {
+                std::ptr::write_volatile(&raw mut vectors[r], quads[r]);
+            }
+            let vectors = (&raw const vectors).cast::<Vector>();
+            let minus = _mm_setr_ps(-0.0, -0.0, -0.0, 0.0);
+            for g in 0..4 {
+                for r in 0..4 {
+                    // Group g of `quads[r]` is vector 4 g + r.
+                    let (lane, vector) = (4 * g + r, _mm_loadu_ps(vectors.add(4 * r + g).cast()));
+                    let sum = base.add(first[lane] as usize).cast::<f32>();
+                    _mm_storeu_ps(sum, _mm_add_ps(_mm_loadu_ps(sum), vector));
+                    let sum = base.add(second[lane] as usize).cast::<f32>();
+                    _mm_storeu_ps(sum, _mm_add_ps(_mm_loadu_ps(sum), _mm_xor_ps(vector, minus)));
+                }
+            }
+        }
+    }
+    #[inline(always)]
     fn append(mask: Mask, first: u32, to: &mut [u32], at: usize) -> usize {
         let to: &mut [u32] = &mut to[at..at + WIDTH];
         // SAFETY: the slice has room for sixteen numbers.
