@@ -46,6 +46,9 @@ pub(super) struct Arguments {
     /// Coulomb coefficient of the base, 0 to 2.
     #[arg(long, value_name = "MU", default_value_t = 0.8, allow_negative_numbers = true)]
     base_friction: f64,
+    /// Height of the opening above the heap's apex, grain diameters, 1 to 20
+    #[arg(long, value_name = "D", default_value_t = Settings::default().funnel_clearance_diameters)]
+    funnel_clearance: f64,
     /// Write a picture (SVG) of the first heap with the fitted cone and the triangle of the apex.
     #[arg(long, value_name = "FILE")]
     view: Option<PathBuf>,
@@ -100,6 +103,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     };
     let settings = Settings {
         base_friction: bounded("base_friction", arguments.base_friction, 0.0, 2.0, "")?,
+        funnel_clearance_diameters: bounded("funnel_clearance", arguments.funnel_clearance, 1.0, 20.0, "d")?,
         rough_base: arguments.rough_base,
         extensions: parameters::extensions(&arguments.extension)?,
         compat,

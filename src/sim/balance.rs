@@ -32,7 +32,7 @@ impl Settings {
     /// m(t) = after + (before - after) exp(-t / tau) + noise, shown as the nearest multiple of the readability
     /// ```
     pub fn read(&self, before_mg: f64, after_mg: f64, seed: u64, index: u64) -> Reading {
-        let decay = (-self.wait_s / self.settling_tau_s).exp();
+        let decay = libm::exp(-self.wait_s / self.settling_tau_s);
         let mass = after_mg + (before_mg - after_mg) * decay + self.noise_mg * normal(seed, index);
         let shown = (mass / self.readability_mg).round() * self.readability_mg;
         // Rounding in decimal keeps 0.3 from being shown as 0.30000000000000004, and adding zero -0 from being shown at all.
@@ -46,7 +46,7 @@ impl Settings {
 /// A standard normal number from two derived uniform ones (Box and Muller 1958).
 fn normal(seed: u64, index: u64) -> f64 {
     let uniform = |k| ((derive(seed, &[index, k]) >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
-    (-2.0 * uniform(0).ln()).sqrt() * (std::f64::consts::TAU * uniform(1)).cos()
+    (-2.0 * libm::log(uniform(0))).sqrt() * libm::cos(std::f64::consts::TAU * uniform(1))
 }
 
 #[cfg(test)]

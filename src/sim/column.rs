@@ -135,7 +135,7 @@ impl Column {
 /// What made the simulation meaningless.
 pub fn bed(particles: u32) -> Result<Vec<[f64; 3]>, String> {
     // n (pi/6) d^3 = PACKING pi R^2 (SLENDERNESS R)
-    let radius = (f64::from(particles) / (6.0 * PACKING * SLENDERNESS)).cbrt();
+    let radius = libm::cbrt(f64::from(particles) / (6.0 * PACKING * SLENDERNESS));
     let beaker = Shape::Silo(Silo::closed(radius as f32));
     let mut column = Column::of(lattice(particles, radius as f32).into_iter());
     (column.law.grain.friction, column.law.wall.friction) = (0.0, 0.0);

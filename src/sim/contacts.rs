@@ -5,7 +5,7 @@ use super::constraints::{Grip, V3, Vector, add, attract, choose, cross, inner, s
 use super::lanes::{Lanes, Mask, WIDTH};
 use super::law::Law;
 use super::mechanisms::{AtWall, Pair};
-use super::neighbours::Neighbours;
+use super::pairs::Pairs;
 use super::walls::{Shape, Wall};
 
 /// Where everything would be without contacts: centre and radius, velocity and share of damping, spin (radians per substep).
@@ -58,14 +58,14 @@ fn carry<L: Lanes>(velocity: V3<L>, anchor: V3<L>, spins: V3<L>, normal: V3<L>) 
 
 /// Contacts of all listed pairs. Impulses on both grains of a pair are exactly opposite.
 #[inline(always)]
-pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(list: &mut Neighbours, law: &Law, at: Predicted, sums: &mut Sums) {
+pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(list: &mut Pairs, law: &Law, at: Predicted, sums: &mut Sums) {
     let c = &law.grain;
     let (one, zero) = (L::splat(1.0), L::splat(0.0));
     let reach = if EXTENDED { c.reach.max(law.mechanisms.pair_reach()) } else { c.reach };
     let near2 = L::splat((1.0 + reach) * (1.0 + reach));
     let (onset, inverse_ramp) = (L::splat(1.0 + c.onset), L::splat(1.0 / (c.reach - c.onset)));
     let (stiffness, looseness) = (L::splat(c.tangential), L::splat(1.0 / c.tangential));
-    let Neighbours { ends, anchor, touching, linked, memory, .. } = list;
+    let Pairs { ends, anchor, touching, linked, memory, .. } = list;
     let [firsts, seconds] = [ends[0].as_chunks::<WIDTH>().0, ends[1].as_chunks::<WIDTH>().0];
     for row in 0..firsts.len() {
         let (first, second) = (&firsts[row], &seconds[row]);
@@ -155,7 +155,6 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(list: &mut Neighbours, law: 
             linked[row] = touch;
             let mut pair = Pair {
                 gap,
-                normal,
                 radii: [radius, their_radius],
                 effective,
                 reduced_mass,
@@ -255,7 +254,6 @@ pub(super) fn wall<L: Lanes, const EXTENDED: bool>(
         pull = pull * lightness;
         let mut contact = AtWall {
             gap,
-            normal,
             radius: turn.radius,
             lightness,
             touch,

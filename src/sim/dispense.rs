@@ -215,7 +215,7 @@ impl Dispenser {
         let (start, change) = (self.pitch_deg.to_radians(), (pitch_deg - self.pitch_deg).to_radians());
         let duration = (pitch_deg - self.pitch_deg).abs() / self.settings.pitch_deg_s;
         self.run(duration, |t| {
-            let share = (1.0 - (std::f64::consts::PI * (t / duration).min(1.0)).cos()) / 2.0;
+            let share = (1.0 - libm::cos(std::f64::consts::PI * (t / duration).min(1.0))) / 2.0;
             (Pose { pitch_rad: start + change * share, ..Pose::default() }, 0.0)
         });
         self.pitch_deg = pitch_deg;
@@ -255,7 +255,7 @@ impl Dispenser {
         for substep in 0..self.law.substeps(duration_s) {
             let (pose, acceleration) = motion(f64::from(substep) * self.law.substep_s);
             let inertia = acceleration * self.law.substep_s * self.law.substep_s / self.law.diameter_m;
-            let (sin, cos) = pose.pitch_rad.sin_cos();
+            let (sin, cos) = libm::sincos(pose.pitch_rad);
             let gravity = f64::from(self.law.gravity);
             let body = vector((gravity * sin - inertia) as f32, 0.0, (-gravity * cos) as f32);
             self.grains.substep(&self.law, body, &Shape::Bowl(self.bowl));
@@ -286,7 +286,7 @@ impl Dispenser {
         let metres = |v: Vector| [0, 1, 2].map(|k| f64::from(v[k]) * self.law.diameter_m);
         let x = metres(departure.x);
         let v = metres(departure.v).map(|d| d / self.law.substep_s);
-        let (sin, cos) = pose.pitch_rad.sin_cos();
+        let (sin, cos) = libm::sincos(pose.pitch_rad);
         // The spoon's frame is turned about its width and shifted along its own axis.
         let room = |along: f64, up: f64| [along * cos + up * sin, -along * sin + up * cos];
         let [at_x, at_z] = room(x[0] + pose.shift_m, x[2]);
@@ -296,7 +296,7 @@ impl Dispenser {
         let fall = (speed_z + (speed_z * speed_z + 2.0 * g * height.max(0.0)).sqrt()) / g;
         let miss_x = at_x + speed_x * fall - self.settings.vial_offset_mm * 1e-3;
         let miss_y = x[1] + v[1] * fall;
-        miss_x.hypot(miss_y) <= self.settings.vial_radius_mm * 1e-3
+        libm::hypot(miss_x, miss_y) <= self.settings.vial_radius_mm * 1e-3
     }
 
     /// Pitch now, degrees, positive is tip down.

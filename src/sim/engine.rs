@@ -87,10 +87,10 @@ impl Physical {
 }
 
 /// Distance of close-packed layers, grain diameters: sqrt(2/3).
-const LAYER: f32 = 0.816_496_6;
+pub(super) const LAYER: f32 = 0.816_496_6;
 
 /// Centres of a close-packed layer that lies on a round base.
-fn close_packed(radius: f32) -> Vec<Vector> {
+pub(super) fn close_packed(radius: f32) -> Vec<Vector> {
     let rows = (radius / 0.75) as i32;
     let at = |row: i32, column: i32| [column as f32 + 0.5 * (row & 1) as f32, row as f32 * 0.866_025_4];
     let all = (-rows..=rows).flat_map(|row| (-rows..=rows).map(move |column| at(row, column)));

@@ -7,7 +7,7 @@ pub(super) const SECTORS: usize = 12;
 
 /// The sector of a position.
 pub(super) fn sector(at: [f64; 2]) -> usize {
-    let turn = at[1].atan2(at[0]) / std::f64::consts::TAU + 0.5;
+    let turn = libm::atan2(at[1], at[0]) / std::f64::consts::TAU + 0.5;
     ((turn * SECTORS as f64) as usize).min(SECTORS - 1)
 }
 
@@ -22,7 +22,7 @@ pub(super) fn cone_deg(x: &[Vector], base_radius: f64) -> f64 {
     let mut profile = vec![Ring::default(); SECTORS * rings];
     let mut apex = 0.0f64;
     for (at, height) in surface(x, base_radius) {
-        let r = at[0].hypot(at[1]);
+        let r = libm::hypot(at[0], at[1]);
         if (r as usize) < rings {
             let ring = &mut profile[sector(at) * rings + r as usize];
             *ring = Ring { pixels: ring.pixels + 1.0, radius: ring.radius + r, height: ring.height + height };
@@ -37,7 +37,7 @@ pub(super) fn cone_deg(x: &[Vector], base_radius: f64) -> f64 {
     };
     let slopes: Vec<f64> = profile.chunks(rings).filter_map(|sector| slope(&means(sector))).collect();
     let mean = slopes.iter().sum::<f64>() / slopes.len().max(1) as f64;
-    (-mean).atan().to_degrees()
+    libm::atan(-mean).to_degrees()
 }
 
 /// Sums over the pixels of one ring in one sector.

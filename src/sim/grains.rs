@@ -5,7 +5,8 @@ use super::contacts::{self, Predicted, Sums, Turn};
 use super::grid::held;
 use super::lanes::{Avx2, Avx512, Counting, Lanes, Mask, Path, Portable, WIDTH, block, block_mut};
 use super::law::Law;
-use super::neighbours::{FAR, NEW, Neighbours};
+use super::neighbours::{FAR, Neighbours};
+use super::pairs::NEW;
 use super::walls::{Shape, Wall};
 
 /// Grains at one moment. Lengths in grain diameters, velocities in diameters per substep.
@@ -181,12 +182,12 @@ impl Grains {
         self.advance::<Counting, false>(law, acceleration, wall);
     }
 
-    #[target_feature(enable = "avx2")]
+    #[target_feature(enable = "avx2,popcnt,bmi1,bmi2")]
     fn advance_avx2(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
         self.advance_any::<Avx2>(law, acceleration, wall);
     }
 
-    #[target_feature(enable = "avx512f")]
+    #[target_feature(enable = "avx512f,popcnt,bmi1,bmi2")]
     fn advance_avx512(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
         self.advance_any::<Avx512>(law, acceleration, wall);
     }
@@ -216,7 +217,7 @@ impl Grains {
         }
         let at = Predicted { p: &self.p, u: &self.u, spin: &self.turning };
         let mut sums = Sums { impulse: &mut self.impulse, torque: &mut self.torque };
-        contacts::pairs::<L, EXTENDED>(&mut self.neighbours, law, at, &mut sums);
+        contacts::pairs::<L, EXTENDED>(&mut self.neighbours.pairs, law, at, &mut sums);
         for b in 0..self.x.len() / WIDTH {
             self.advance_block::<L, EXTENDED>(b, law, wall);
         }
@@ -377,16 +378,16 @@ impl Grains {
         self.centres().iter().zip(&self.spin).filter(|(_, spin)| spin[3] > 0.0).map(|(x, _)| x)
     }
 
-    /// Largest and root-mean-square speed, diameters per substep.
+    /// Largest and root-mean-square speed of the grains that can move, diameters per substep.
     pub(super) fn speeds(&self) -> (f32, f32) {
-        let mut largest = 0.0f32;
-        let mut sum = 0.0f64;
-        for v in self.velocities() {
+        let (mut largest, mut sum, mut mobile) = (0.0f32, 0.0f64, 0u32);
+        for (v, _) in self.velocities().iter().zip(&self.spin).filter(|(_, spin)| spin[3] > 0.0) {
+            mobile += 1;
             let speed2 = dot(*v, *v);
             largest = largest.max(speed2);
             sum += f64::from(speed2);
         }
-        (largest.sqrt(), (sum / self.n.max(1) as f64).sqrt() as f32)
+        (largest.sqrt(), (sum / f64::from(mobile.max(1))).sqrt() as f32)
     }
 
     /// Have the next substep build the neighbour list again.

@@ -36,8 +36,9 @@
 //!
 //! # How it runs
 //!
-//! Sixteen grains of a block are solved at once, each from its own full list of neighbours (`neighbours`), so that no two write to the
-//! same place and every sum has a fixed order. `lanes` is the one file that knows the processor; its two paths give the same bits.
+//! Every pair of near grains is listed once (`neighbours`, `pairs`). Sixteen pairs are solved at once and their impulses added to their
+//! grains one after the other, so that every sum has a fixed order. `lanes` is the one file that knows the processor; its paths give the
+//! same bits.
 //!
 //! # Another solver
 //!
@@ -63,6 +64,7 @@ pub mod law;
 pub mod mechanisms;
 pub mod motion;
 mod neighbours;
+mod pairs;
 mod physx;
 pub mod repose;
 pub mod scoop;
@@ -77,4 +79,4 @@ pub use lanes::Work;
 mod tests;
 
 /// Version of the simulator's physics: results of different versions are never mixed.
-pub const VERSION: &str = "pbd-2";
+pub const VERSION: &str = "pbd-3";

@@ -48,7 +48,7 @@ impl Move {
         let MotionLimits { velocity_m_s: v_max, acceleration_m_s2: a, jerk_m_s3: j } = limits;
         let s = distance_m;
         let (peak, mut speed) = if s < 2.0 * a.powi(3) / (j * j) {
-            let peak = (s * j * j / 2.0).cbrt();
+            let peak = libm::cbrt(s * j * j / 2.0);
             (peak, peak * peak / j)
         } else {
             let ramp = a / j;

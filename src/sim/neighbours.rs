@@ -2,8 +2,8 @@
 
 use super::constraints::{V3, Vector, dot, inner, splat, sub};
 use super::grid::{Grid, Lines, held};
-use super::lanes::{Lanes, Mask, WIDTH, block};
-use super::mechanisms::{Memory, SLOTS};
+use super::lanes::{Lanes, WIDTH, block};
+use super::pairs::Pairs;
 
 /// How far any grain may stray from its path before the list is built again.
 const SKIN: f32 = 0.14;
@@ -22,31 +22,15 @@ const HOT2: f32 = 1.1;
 const NEIGHBOURS_MAX: usize = 112;
 /// Where nothing is.
 pub(super) const FAR: f32 = 1e6;
-/// A grain that was not in the last list.
-pub(super) const NEW: u32 = u32::MAX;
-/// Numbers of a memory that point from one grain of a pair to the other, and turn round with it: the first ones.
-const POINTING: usize = 3;
-
-/// The pairs of grains that are near each other, each once, with a memory for each.
-///
-/// Sixteen pairs are a row, solved at once. First come the pairs that were near when the list was built, so that in most of their rows all
-/// lanes have work, then those that may come near; in both, pairs of one grain follow each other.
+/// Finds the pairs of grains that may touch before it is asked again.
 ///
 /// A grain's path goes from where it was, at the velocity it had, when the list was built. Every pair that can come closer than the reach
 /// of a contact is listed as long as no grain has strayed from its path by more than its allowance, `SKIN + SKIN_PER_PATH * path`.
 /// Grains that move together, as in a falling stream, have parallel paths and are not listed with each other for being fast.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Neighbours {
-    /// The earlier and the later grain of each pair, row after row. Where a row is not full, two places after the last grain.
-    pub ends: [Vec<u32>; 2],
-    /// By component: position of the first grain relative to the second where the contact stuck. Means something only where `touching`
-    /// says so.
-    pub anchor: Vec<[[f32; WIDTH]; 3]>,
-    /// Lanes of a row that touch.
-    pub touching: Vec<Mask>,
-    /// Lanes of a row that have a memory beside the anchor, and what they remember; of use to mechanisms only.
-    pub linked: Vec<Mask>,
-    pub memory: Vec<Memory>,
+    /// What was found.
+    pub pairs: Pairs,
     /// Some grain once had more neighbours than the list takes: contacts were missing.
     pub overfull: bool,
     /// Lists built.
@@ -59,31 +43,11 @@ pub(super) struct Neighbours {
     age: f32,
     /// By how much the largest radius exceeds the mean.
     widest: f32,
-    /// Where each grain's pairs begin among the near ones, and among those that may come near.
-    begins: [Vec<u32>; 2],
-    /// Where those begin among all.
-    middle: usize,
-    later: Vec<u32>,
-    /// Grains of the last list.
-    grains: usize,
-    kept: Vec<Kept>,
-    /// Their memories, where mechanisms have any.
-    kept_memory: Vec<[f32; SLOTS]>,
     grid: Grid,
     sorted: Sorted,
     fast: Vec<u32>,
     /// Pairs with a fast grain.
     wide: Vec<(u32, u32)>,
-    renamed: Vec<u32>,
-}
-
-/// A pair that goes on from one list to the next.
-#[derive(Debug, Clone)]
-struct Kept {
-    ends: [u32; 2],
-    touched: bool,
-    linked: bool,
-    anchor: [f32; 3],
 }
 
 /// Those that are near, and those that may come near, with room to write whole lanes.
@@ -134,15 +98,12 @@ impl Neighbours {
         reach: f32,
     ) {
         let n = x.len();
-        self.keep::<EXTENDED>();
+        self.pairs.keep::<EXTENDED>();
         self.set_out(x, v);
         let mut found: Found = [[0; NEIGHBOURS_MAX + WIDTH]; 2];
         self.search_wide::<L>(x, v, reach, &mut found);
-        self.ends.iter_mut().chain(&mut self.begins).chain([&mut self.later]).for_each(Vec::clear);
         let mut next_wide = 0;
         for i in 0..n {
-            self.begins[0].push(self.ends[1].len() as u32);
-            self.begins[1].push(self.later.len() as u32);
             let mut counts = [0; 2];
             if self.sorted.slow[i] < FAR {
                 counts = self.search::<L>(i, x, v, reach, &mut found);
@@ -155,81 +116,24 @@ impl Neighbours {
                 next_wide += 1;
             }
             self.overfull |= counts[0] == NEIGHBOURS_MAX || counts[1] == NEIGHBOURS_MAX;
-            self.ends[1].extend_from_slice(&found[0][..counts[0]]);
-            self.ends[0].resize(self.ends[1].len(), i as u32);
-            self.later.extend_from_slice(&found[1][..counts[1]]);
+            self.pairs.push(&found[0][..counts[0]], &found[1][..counts[1]]);
         }
-        self.write_rows::<EXTENDED>(n);
-        self.remember::<EXTENDED>(was);
-        self.grains = n;
+        self.pairs.finish::<EXTENDED>(was);
         self.age = 0.0;
         self.builds += 1;
     }
 
     /// Memory held, bytes. Names every field, so that none is forgotten.
     pub(super) fn bytes(&self) -> usize {
-        let Self {
-            ends,
-            anchor,
-            touching,
-            linked,
-            memory,
-            overfull: _,
-            builds: _,
-            start,
-            pace,
-            age: _,
-            widest: _,
-            begins,
-            middle: _,
-            later,
-            grains: _,
-            kept,
-            kept_memory,
-            grid,
-            sorted,
-            fast,
-            wide,
-            renamed,
-        } = self;
-        ends.iter().chain(begins).chain([later]).map(held).sum::<usize>()
-            + held(anchor)
-            + held(touching)
-            + held(linked)
-            + held(memory)
+        let Self { pairs, overfull: _, builds: _, start, pace, age: _, widest: _, grid, sorted, fast, wide } = self;
+        let Sorted { x, slow, v, allowance } = sorted;
+        pairs.bytes()
             + held(start)
             + held(pace)
-            + held(kept)
-            + held(kept_memory)
             + grid.bytes()
-            + sorted.x.iter().chain(&sorted.v).chain([&sorted.slow, &sorted.allowance]).map(held).sum::<usize>()
+            + x.iter().chain(v).chain([slow, allowance]).map(held).sum::<usize>()
             + held(fast)
             + held(wide)
-            + held(renamed)
-    }
-
-    /// Note what has to go on from the list as it is.
-    fn keep<const EXTENDED: bool>(&mut self) {
-        self.kept.clear();
-        self.kept_memory.clear();
-        for row in 0..self.touching.len() {
-            let touching = self.touching[row];
-            let linked = if EXTENDED { self.linked[row] } else { 0 };
-            let mut left = touching | linked;
-            while left != 0 {
-                let lane = left.trailing_zeros() as usize;
-                left &= left - 1;
-                self.kept.push(Kept {
-                    ends: [self.ends[0][row * WIDTH + lane], self.ends[1][row * WIDTH + lane]],
-                    touched: touching >> lane & 1 == 1,
-                    linked: linked >> lane & 1 == 1,
-                    anchor: std::array::from_fn(|k| self.anchor[row][k][lane]),
-                });
-                if EXTENDED {
-                    self.kept_memory.push(std::array::from_fn(|k| self.memory[row][k][lane]));
-                }
-            }
-        }
     }
 
     /// Begin every grain's path.
@@ -342,71 +246,6 @@ impl Neighbours {
         [hot_count, late_count]
     }
 
-    /// Put the pairs that may come near behind the near ones, and make room for what pairs remember.
-    fn write_rows<const EXTENDED: bool>(&mut self, n: usize) {
-        let padded = (n.div_ceil(WIDTH) * WIDTH) as u32;
-        let [first, second] = &mut self.ends;
-        let fill_up = |first: &mut Vec<u32>, second: &mut Vec<u32>| {
-            first.resize(first.len().next_multiple_of(WIDTH), padded);
-            second.resize(second.len().next_multiple_of(WIDTH), padded + 1);
-        };
-        self.begins[0].push(second.len() as u32);
-        self.begins[1].push(self.later.len() as u32);
-        fill_up(first, second);
-        self.middle = second.len();
-        for (i, end) in self.begins[1][1..].iter().enumerate() {
-            first.resize(self.middle + *end as usize, i as u32);
-        }
-        second.extend_from_slice(&self.later);
-        fill_up(first, second);
-        let rows = second.len() / WIDTH;
-        self.touching.clear();
-        self.touching.resize(rows, 0);
-        self.anchor.resize(rows, [[0.0; WIDTH]; 3]);
-        if EXTENDED {
-            self.linked.clear();
-            self.linked.resize(rows, 0);
-            self.memory.clear();
-            self.memory.resize(rows, [[0.0; WIDTH]; SLOTS]);
-        }
-    }
-
-    /// Bring back what was noted of the pairs that are still listed.
-    fn remember<const EXTENDED: bool>(&mut self, was: &[u32]) {
-        self.renamed.clear();
-        self.renamed.resize(self.grains, NEW);
-        for (now, &was) in was.iter().enumerate().filter(|(_, was)| **was != NEW) {
-            self.renamed[was as usize] = now as u32;
-        }
-        for (k, kept) in self.kept.iter().enumerate() {
-            let [a, b] = kept.ends.map(|place| self.renamed[place as usize]);
-            if a == NEW || b == NEW {
-                continue;
-            }
-            let Some(place) = self.place(a.min(b) as usize, a.max(b)) else { continue };
-            let sign = if a < b { 1.0 } else { -1.0 };
-            let (row, lane) = (place / WIDTH, place % WIDTH);
-            for axis in 0..3 {
-                self.anchor[row][axis][lane] = sign * kept.anchor[axis];
-            }
-            self.touching[row] |= Mask::from(kept.touched) << lane;
-            if EXTENDED {
-                self.linked[row] |= Mask::from(kept.linked) << lane;
-                for (slot, number) in self.kept_memory[k].iter().enumerate() {
-                    self.memory[row][slot][lane] = if slot < POINTING { sign * number } else { *number };
-                }
-            }
-        }
-    }
-
-    /// Where the pair of grains `i` and `j > i` is listed.
-    fn place(&self, i: usize, j: u32) -> Option<usize> {
-        let among = |begin: usize, begins: &[u32]| {
-            let (first, end) = (begin + begins[i] as usize, begin + begins[i + 1] as usize);
-            self.ends[1][first..end].iter().position(|&other| other == j).map(|place| first + place)
-        };
-        among(0, &self.begins[0]).or_else(|| among(self.middle, &self.begins[1]))
-    }
 }
 
 /// Sixteen numbers of a column from place `j`; sixteen follow every grain.
@@ -418,6 +257,7 @@ fn sixteen<L: Lanes>(column: &[f32], j: usize) -> L {
 #[cfg(test)]
 mod tests {
     use super::super::lanes::Portable;
+    use super::super::pairs::NEW;
     use super::*;
     use crate::domain::seed::derive;
 
@@ -450,7 +290,7 @@ mod tests {
 
     fn pairs(list: &Neighbours, n: usize) -> Vec<(u32, u32)> {
         let mut pairs = Vec::new();
-        pairs.extend(list.ends[0].iter().copied().zip(list.ends[1].iter().copied()).filter(|(i, _)| (*i as usize) < n));
+        pairs.extend(list.pairs.ends[0].iter().copied().zip(list.pairs.ends[1].iter().copied()).filter(|(i, _)| (*i as usize) < n));
         pairs.sort_unstable();
         pairs
     }
@@ -513,8 +353,8 @@ mod tests {
         list.build::<Portable, false>(&x, &v, &[NEW; 4], 1.05);
         assert_eq!(pairs(&list, 4), [(0, 1), (2, 3)]);
         // Only the pair (2, 3) sticks.
-        list.touching[0] = 0b10;
-        list.anchor[0][0][1] = -0.9;
+        list.pairs.touching[0] = 0b10;
+        list.pairs.anchor[0][0][1] = -0.9;
         // Grain 0 leaves, and 2 and 3, which share a cell, come in the other order.
         let (mut y, mut was) = (vec![x[3], x[2], x[1]], vec![3, 2, 1]);
         let order = list.order(&y).to_vec();
@@ -524,6 +364,6 @@ mod tests {
         list.build::<Portable, false>(&y, &v[1..], &was, 1.05);
         assert_eq!(pairs(&list, 3), [(1, 2)]);
         // What was the second grain of the pair is now the first.
-        assert_eq!((list.touching[0], list.anchor[0][0][0]), (0b1, 0.9));
+        assert_eq!((list.pairs.touching[0], list.pairs.anchor[0][0][0]), (0b1, 0.9));
     }
 }

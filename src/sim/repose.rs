@@ -86,7 +86,7 @@ impl Settings {
     /// as the default's do. The stream stays as it is.
     pub fn with_particles(particles: u32) -> Self {
         let default = Self::default();
-        let scale = (f64::from(particles) / f64::from(default.particles)).cbrt();
+        let scale = libm::cbrt(f64::from(particles) / f64::from(default.particles));
         Self { particles, base_radius_diameters: default.base_radius_diameters * scale, ..default }
     }
 }
@@ -280,7 +280,7 @@ impl<E: Engine> Heap<'_, E> {
         let height = heap.iter().fold(0.0f64, |top, x| top.max(f64::from(x[2]) + f64::from(x[3])));
         let (overlap_mean, overlap_max) = self.engine.overlaps();
         Ok(Repose {
-            tip_deg: (2.0 * height / (2.0 * base)).atan().to_degrees(),
+            tip_deg: libm::atan(2.0 * height / (2.0 * base)).to_degrees(),
             cone_deg: cone,
             creep_deg_per_s: (cone - before) / HOLD_S,
             speed_rms_mm_s: scales.speed_m_s(self.engine.speed_rms()) * 1e3,
@@ -308,7 +308,7 @@ impl<E: Engine> Heap<'_, E> {
 /// Positions of one layer: a hexagonal lattice over the opening, turned and shifted at random.
 pub(super) fn layer(rng: &mut Pcg64Mcg, radius: f32, height: f32) -> Vec<Vector> {
     let spacing = 1.12f32;
-    let (sin, cos) = rng.random_range(0.0..std::f32::consts::TAU).sin_cos();
+    let (sin, cos) = libm::sincosf(rng.random_range(0.0..std::f32::consts::TAU));
     let shift = [rng.random_range(0.0..spacing), rng.random_range(0.0..spacing)];
     let mut positions = Vec::new();
     let rows = (radius / spacing) as i32 + 2;

@@ -13,7 +13,7 @@ pub struct Work {
     pub slow_flops: u64,
     /// Bytes read or written in order, with the indices of what is gathered.
     pub streamed_bytes: u64,
-    /// Bytes read by index.
+    /// Bytes read or written by index.
     pub gathered_bytes: u64,
 }
 
@@ -47,6 +47,15 @@ fn slow_flop() {
 
 fn stream<T>(_: &[T; WIDTH]) {
     tally(|work| work.streamed_bytes += size_of::<[T; WIDTH]>() as u64);
+}
+
+/// Sixteen vectors are read by index, added to and written back.
+fn scattered(index: &[u32; WIDTH]) {
+    stream(index);
+    tally(|work| {
+        work.flops += 4 * WIDTH as u64;
+        work.gathered_bytes += 2 * size_of::<[Vector; WIDTH]>() as u64;
+    });
 }
 
 /// Sixteen numbers that count what is done with them.
@@ -109,6 +118,17 @@ impl Lanes for Counting {
         tally(|work| work.gathered_bytes += size_of::<[Vector; WIDTH]>() as u64);
         // SAFETY: the caller promises that every index is below `from.len()`.
         unsafe { Portable::gather(from, index) }.map(Self)
+    }
+    unsafe fn scatter(components: [Self; 4], to: &mut [Vector], index: &[u32; WIDTH]) {
+        scattered(index);
+        // SAFETY: the caller promises that every index is below `to.len()`.
+        unsafe { Portable::scatter(components.map(|component| component.0), to, index) }
+    }
+    unsafe fn exchange(components: [Self; 4], to: &mut [Vector], first: &[u32; WIDTH], second: &[u32; WIDTH]) {
+        scattered(first);
+        scattered(second);
+        // SAFETY: as above.
+        unsafe { Portable::exchange(components.map(|component| component.0), to, first, second) }
     }
 }
 

@@ -122,8 +122,6 @@ pub(super) type Memory = [[f32; WIDTH]; SLOTS];
 pub(super) struct Pair<'a, L> {
     /// Distance between the surfaces, beyond the onset of contact.
     pub gap: L,
-    /// From the second grain to the first.
-    pub normal: V3<L>,
     /// Radii of both.
     pub radii: [L; 2],
     /// Effective diameter, `4 r_1 r_2 / (r_1 + r_2)`: attraction grows with it.
@@ -150,8 +148,6 @@ pub(super) struct Pair<'a, L> {
 pub(super) struct AtWall<'a, L> {
     /// Distance between the surfaces.
     pub gap: L,
-    /// From the wall to the grain.
-    pub normal: V3<L>,
     /// The grain's radius.
     pub radius: L,
     /// Acceleration of the grain by one unit of force.

@@ -1,4 +1,4 @@
-//! Rolling resistance: a torque against the rolling of grains over each other and over walls.
+//! Rolling resistance: a torque against the turning of grains on each other and on walls.
 
 use super::{AtWall, Extensions, Mechanism, Pair, Scene};
 use crate::sim::constraints::{V3, add, choose, inner, scale, sub};
@@ -7,13 +7,14 @@ use crate::sim::lanes::{Lanes, Mask};
 /// An elastic-plastic spring, the model that holds heaps still (type C in Ai, Chen, Rotter and Ooi 2011):
 ///
 /// ```text
-/// w = (I - n n^T) (w_i - w_j)          rolling velocity, radians per substep
-/// s <- (I - n n^T) (s + w)             rolling stretch since the contact stuck
+/// w = w_i - w_j                        rolling and twisting velocity, radians per substep
+/// s <- s + w                           stretch since the contact stuck
 /// M = m r^2 (k_t s + c_t w)            torque, m = 2 m_i m_j / (m_i + m_j)
 /// M' = M min(1, mu_r r push / |M|)     and s follows so that the next substep begins at the limit
 /// ```
 ///
-/// with r = 2 r_i r_j / (r_i + r_j), at a wall the grain's own. Twisting about the normal is not resisted.
+/// with r = 2 r_i r_j / (r_i + r_j), at a wall the grain's own. Twisting about the normal is resisted as rolling is: a contact
+/// that is flat enough to resist one resists the other.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Rolling {
     friction: f32,
@@ -40,17 +41,14 @@ impl Rolling {
         &self,
         stretch: V3<L>,
         turning: V3<L>,
-        normal: V3<L>,
         radius: L,
         side: L,
         push: L,
     ) -> [V3<L>; 2] {
-        let w = sub(turning, scale(normal, inner(turning, normal)));
-        let s = add(stretch, w);
-        let s = sub(s, scale(normal, inner(s, normal)));
+        let s = add(stretch, turning);
         let r2 = radius * radius * side;
         let (k, c) = (L::splat(self.stiffness) * r2, L::splat(self.damping) * r2);
-        let torque = add(scale(s, k), scale(w, c));
+        let torque = add(scale(s, k), scale(turning, c));
         let limit = L::splat(self.friction) * radius * push;
         let size2 = inner(torque, torque);
         let slips = (limit * limit).below(size2);
@@ -74,7 +72,7 @@ impl Mechanism for Rolling {
         let [mine, theirs] = pair.radii;
         let radius = (mine + mine) * theirs / (mine + theirs);
         let stretch = [L::load(&pair.memory[0]), L::load(&pair.memory[1]), L::load(&pair.memory[2])];
-        let [torque, stretch] = self.resist(stretch, pair.turning, pair.normal, radius, pair.reduced_mass, pair.push);
+        let [torque, stretch] = self.resist(stretch, pair.turning, radius, pair.reduced_mass, pair.push);
         let kept: [L; 3] = choose(pair.touch, stretch, [zero; 3]);
         kept[0].store(&mut pair.memory[0]);
         kept[1].store(&mut pair.memory[1]);
@@ -91,7 +89,7 @@ impl Mechanism for Rolling {
         // A wall does not give way: the whole stretch is the grain's.
         let side = L::splat(2.0);
         let [torque, stretch] =
-            self.resist(*contact.stretch, contact.spin, contact.normal, contact.radius, side, contact.push);
+            self.resist(*contact.stretch, contact.spin, contact.radius, side, contact.push);
         let touch: Mask = contact.touch;
         *contact.stretch = choose(touch, stretch, [zero; 3]);
         contact.torque = sub(contact.torque, choose(touch, torque, [zero; 3]));

@@ -15,7 +15,7 @@ const CLEARANCE: f32 = 2.0;
 
 /// Gravity that leans from straight down towards +x by an angle.
 pub(super) fn leaning(law: &Law, degrees: f64) -> Vector {
-    let (sin, cos) = degrees.to_radians().sin_cos();
+    let (sin, cos) = libm::sincos(degrees.to_radians());
     vector(law.gravity * sin as f32, 0.0, -law.gravity * cos as f32)
 }
 

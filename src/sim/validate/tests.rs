@@ -113,7 +113,7 @@ fn a_cubic_lattice_is_packed_by_pi_over_six() {
 #[test]
 fn the_front_of_a_round_layer_is_its_radius() {
     let layer = lattice().filter(|x| x[2] == 0.5 && x[0].hypot(x[1]) < 12.0);
-    let front = front(&at_rest(&Suite::default().law(SMOOTH), layer));
+    let front = front(at_rest(&Suite::default().law(SMOOTH), layer).centres());
     assert!((front - 12.0).abs() < 0.5, "{front}");
 }
 
