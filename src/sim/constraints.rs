@@ -262,7 +262,12 @@ mod tests {
     const GRIP: Grip<f32> = Grip { stiffness: 0.1, looseness: 10.0, damping: 0.0, limit: 1.0 };
 
     fn hold(offset: [f32; 3], anchor: [f32; 3], normal: [f32; 3], grip: Grip<f32>) -> ([f32; 3], [f32; 3]) {
-        let grip = Grip { stiffness: splat(grip.stiffness), looseness: splat(grip.looseness), damping: splat(grip.damping), limit: splat(grip.limit) };
+        let grip = Grip {
+            stiffness: splat(grip.stiffness),
+            looseness: splat(grip.looseness),
+            damping: splat(grip.damping),
+            limit: splat(grip.limit),
+        };
         let still = [0.0; 3].map(splat);
         let held = stick(offset.map(splat), anchor.map(splat), still, normal.map(splat), splat(0.0), grip);
         (firsts(held.correction), firsts(held.anchor))

@@ -313,8 +313,7 @@ impl Grains {
         let [ix, iy, iz, contacts] = L::rows(block(&self.impulse, b));
         block_mut(&mut self.impulse, b).fill([0.0; 4]);
         let (p, u, still) = ([px, py, pz], [ux, uy, uz], [zero; 3]);
-        let mut turn =
-            Turn { p, u, radius, share, spin: still, correction: [ix, iy, iz], torque: still, contacts };
+        let mut turn = Turn { p, u, radius, share, spin: still, correction: [ix, iy, iz], torque: still, contacts };
         let mut free = self.inhabited(b);
         let mut mobile = zero;
         if EXTENDED {
@@ -424,7 +423,10 @@ impl Grains {
             scratch,
             numbers,
         } = self;
-        [x, v, wall_anchor, spin, wall_stretch, p, u, turning, impulse, torque, scratch].into_iter().map(held).sum::<usize>()
+        [x, v, wall_anchor, spin, wall_stretch, p, u, turning, impulse, torque, scratch]
+            .into_iter()
+            .map(held)
+            .sum::<usize>()
             + [id, listed, numbers].into_iter().map(held).sum::<usize>()
             + neighbours.bytes()
     }

@@ -245,7 +245,6 @@ impl Neighbours {
         }
         [hot_count, late_count]
     }
-
 }
 
 /// Sixteen numbers of a column from place `j`; sixteen follow every grain.
@@ -290,7 +289,13 @@ mod tests {
 
     fn pairs(list: &Neighbours, n: usize) -> Vec<(u32, u32)> {
         let mut pairs = Vec::new();
-        pairs.extend(list.pairs.ends[0].iter().copied().zip(list.pairs.ends[1].iter().copied()).filter(|(i, _)| (*i as usize) < n));
+        pairs.extend(
+            list.pairs.ends[0]
+                .iter()
+                .copied()
+                .zip(list.pairs.ends[1].iter().copied())
+                .filter(|(i, _)| (*i as usize) < n),
+        );
         pairs.sort_unstable();
         pairs
     }
@@ -345,25 +350,30 @@ mod tests {
     }
 
     #[test]
-    fn anchors_follow_their_pair_when_grains_leave_and_are_reordered() {
+    fn what_a_pair_remembers_follows_it_when_grains_leave_and_are_reordered() {
         let x = vec![grain(0.0, 0.0, 0.0), grain(0.9, 0.0, 0.0), grain(5.0, 0.0, 0.0), grain(5.9, 0.0, 0.0)];
         let v = vec![[0.0; 4]; 4];
         let mut list = Neighbours::default();
         assert_eq!(list.order(&x), [0, 1, 2, 3]);
-        list.build::<Portable, false>(&x, &v, &[NEW; 4], 1.05);
+        list.build::<Portable, true>(&x, &v, &[NEW; 4], 1.05);
         assert_eq!(pairs(&list, 4), [(0, 1), (2, 3)]);
         // Only the pair (2, 3) sticks.
         list.pairs.touching[0] = 0b10;
         list.pairs.anchor[0][0][1] = -0.9;
+        list.pairs.linked[0] = 0b10;
+        list.pairs.memory[0][0][1] = 0.3;
+        list.pairs.memory[0][3][1] = 7.0;
         // Grain 0 leaves, and 2 and 3, which share a cell, come in the other order.
         let (mut y, mut was) = (vec![x[3], x[2], x[1]], vec![3, 2, 1]);
         let order = list.order(&y).to_vec();
         assert_eq!(order, [2, 0, 1]);
         y = order.iter().map(|&i| y[i as usize]).collect();
         was = order.iter().map(|&i| was[i as usize]).collect();
-        list.build::<Portable, false>(&y, &v[1..], &was, 1.05);
+        list.build::<Portable, true>(&y, &v[1..], &was, 1.05);
         assert_eq!(pairs(&list, 3), [(1, 2)]);
         // What was the second grain of the pair is now the first.
         assert_eq!((list.pairs.touching[0], list.pairs.anchor[0][0][0]), (0b1, 0.9));
+        let memory = &list.pairs.memory[0];
+        assert_eq!((list.pairs.linked[0], memory[0][0], memory[3][0]), (0b1, -0.3, 7.0));
     }
 }

@@ -287,6 +287,15 @@ mod tests {
         let mut written = [[0.0; 4]; WIDTH];
         L::write_rows(gathered, &mut written);
         assert_eq!(written, index.map(|i| vectors[i as usize]));
+        // Places that occur twice, within one call and between both.
+        let mut sums = vectors.clone();
+        let first = std::array::from_fn(|l| (derive(seed, &[8, l as u64]) % 5) as u32);
+        // SAFETY: the indices are below forty.
+        unsafe {
+            L::exchange(gathered, &mut sums, &first, &index);
+            L::scatter(gathered, &mut sums, &first);
+        }
+        out.extend(sums.iter().flatten().map(|x| x.to_bits()));
         let mut list = [0; 2 * WIDTH];
         let end = L::append(mask, 5, &mut list, 3);
         out.extend(&list[3..end]);
@@ -321,6 +330,17 @@ mod tests {
         if Path::available().count() == 1 {
             println!("skipped: this processor has neither AVX2 nor AVX-512F, so there is only the portable path");
         }
+    }
+
+    #[test]
+    fn what_is_exchanged_is_taken_from_one_and_given_to_the_other() {
+        let components = [1.0, 2.0, 3.0, 1.0].map(Portable::splat);
+        let mut first = [2; WIDTH];
+        first[0] = 0;
+        let mut sums = [[0.0; 4]; 3];
+        // SAFETY: the indices are below three.
+        unsafe { Portable::exchange(components, &mut sums, &first, &[1; WIDTH]) };
+        assert_eq!(sums, [[1.0, 2.0, 3.0, 1.0], [-16.0, -32.0, -48.0, 16.0], [15.0, 30.0, 45.0, 15.0]]);
     }
 
     #[test]

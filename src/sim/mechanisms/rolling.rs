@@ -37,14 +37,7 @@ impl Rolling {
     /// Torque against `turning` and the stretch afterwards, for contacts of this radius and share.
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
-    fn resist<L: Lanes>(
-        &self,
-        stretch: V3<L>,
-        turning: V3<L>,
-        radius: L,
-        side: L,
-        push: L,
-    ) -> [V3<L>; 2] {
+    fn resist<L: Lanes>(&self, stretch: V3<L>, turning: V3<L>, radius: L, side: L, push: L) -> [V3<L>; 2] {
         let s = add(stretch, turning);
         let r2 = radius * radius * side;
         let (k, c) = (L::splat(self.stiffness) * r2, L::splat(self.damping) * r2);
@@ -88,8 +81,7 @@ impl Mechanism for Rolling {
         let zero = L::splat(0.0);
         // A wall does not give way: the whole stretch is the grain's.
         let side = L::splat(2.0);
-        let [torque, stretch] =
-            self.resist(*contact.stretch, contact.spin, contact.radius, side, contact.push);
+        let [torque, stretch] = self.resist(*contact.stretch, contact.spin, contact.radius, side, contact.push);
         let touch: Mask = contact.touch;
         *contact.stretch = choose(touch, stretch, [zero; 3]);
         contact.torque = sub(contact.torque, choose(touch, torque, [zero; 3]));

@@ -116,7 +116,7 @@ fn collapse(suite: &Suite, aspects: &[f64]) -> Vec<Deposit> {
         // Three free falls from the column's height is the time the front takes; it is given twice that to come to rest.
         let time = 6.0 * (aspect * RADIUS).sqrt() * fall_time(&law);
         settle(&mut grains, &law, down(&law), &Shape::FLAT, time as u32);
-        let lying: Vec<Vector> = grains.free().map(|x| vector(x[0], x[1], x[2] - LAYER)).collect();
+        let lying: Vec<Vector> = grains.free().map(|x| [x[0], x[1], x[2] - LAYER, x[3]]).collect();
         Deposit { aspect, runout: front(&lying) / RADIUS - 1.0, height: height(&lying) / RADIUS }
     };
     aspects.iter().map(|aspect| release(*aspect)).collect()

@@ -22,6 +22,8 @@ const ORIFICES: [f64; 4] = [6.0, 8.0, 10.0, 12.0];
 /// Radius of the discharged silo and height of its filling, two and a half of the widest orifice, grain diameters.
 const RADIUS: f64 = 15.0;
 const HEIGHT: f64 = 30.0;
+/// Beds over which each rate is averaged: of one bed alone 600 grains leave through the narrowest orifice, and the offset is uncertain by 0.1.
+const BEDS: u64 = 4;
 /// Offset of spheres in the fit of the exponent (Beverloo et al. 1961).
 const OFFSET: f64 = 1.4;
 
@@ -31,9 +33,15 @@ const OFFSET: f64 = 1.4;
 /// the line assumed.
 fn beverloo(suite: &Suite) -> Vec<Check> {
     let law = suite.law_of_deep_bed(SMOOTH);
-    let bed = rain(&law, &Silo::closed(RADIUS as f32), 1.0, 1, |grains| f64::from(top(grains)) > HEIGHT + 1.0);
-    let bulk = packing_fraction(&bed, RADIUS - 3.0, [3.0, HEIGHT - 4.0]);
-    let rate = |orifice: f64, height: f64| discharge(&law, &cut(&law, &bed, height), orifice) / bulk;
+    let full = |grains: &Grains| f64::from(top(grains)) > HEIGHT + 1.0;
+    let beds: Vec<Grains> = (1..=BEDS).map(|seed| rain(&law, &Silo::closed(RADIUS as f32), 1.0, seed, full)).collect();
+    let rate = |orifice: f64, height: f64| {
+        let of = |bed: &Grains| {
+            let bulk = packing_fraction(bed, RADIUS - 3.0, [3.0, HEIGHT - 4.0]);
+            discharge(&law, &cut(&law, bed, height), orifice) / bulk
+        };
+        beds.iter().map(of).sum::<f64>() / beds.len() as f64
+    };
     let rates: Vec<[f64; 2]> = ORIFICES.iter().map(|&orifice| [orifice, rate(orifice, HEIGHT)]).collect();
     let [exponent, _] = power_law(&rates.iter().map(|[d, w]| [d - OFFSET, *w]).collect::<Vec<_>>());
     let [slope, at_zero] = line(&rates.iter().map(|[d, w]| [*d, w.powf(0.4)]).collect::<Vec<_>>());
