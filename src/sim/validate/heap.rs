@@ -95,7 +95,6 @@ fn difference(means: &[Mean]) -> [f64; 2] {
     largest
 }
 
-/// The noise of an angle of repose is the spread of heaps that differ by their seed alone.
 fn funnel(suite: &Suite) -> Vec<Check> {
     const HEAPS: u64 = 24;
     let at = |clearance: f64| {
@@ -104,10 +103,8 @@ fn funnel(suite: &Suite) -> Vec<Check> {
     };
     let means = [2.0, 3.0, 5.0].map(at);
     let [degrees, error] = difference(&means);
-    // The error is that of a difference of two means.
-    let noise = error * (HEAPS as f64 / 2.0).sqrt();
-    let source = "an angle of repose belongs to the powder, within the standard deviation of one heap";
-    vec![Check::near("repose_funnel", degrees, [0.0, noise], "deg", source)]
+    let source = "an angle of repose belongs to the powder, within two standard errors";
+    vec![Check::near("repose_funnel", degrees, [0.0, SIGNIFICANT * error], "deg", source)]
 }
 
 fn size(suite: &Suite) -> Vec<Check> {
