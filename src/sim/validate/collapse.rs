@@ -10,7 +10,8 @@
 //!
 //! and glass beads at `1.35 a` up to a = 3, `2.0 a^(1/2)` above, and `h_inf / r0 = 0.74` above a = 0.74 (Lajeunesse et al. 2004, Phys. Fluids
 //! 16, 2371). The run-outs agree within the tolerances here and the first are taken. The heights do not: angular grains stand higher the
-//! taller the column was, `0.88 a^(1/6)`, and beads do not; both are checked.
+//! taller the column was, `0.88 a^(1/6)`, and beads, the spheres of a laboratory, do not. The simulator's grains are spheres and are
+//! held to the beads' law; how far they are from sand's is printed beside it.
 //!
 //! Columns have r0 = 20 d, above which the run-out no longer depends on it (Warnett et al. 2014, Granular Matter 16, 115). All columns
 //! of one experiment are cut from one bed that rained into a container without wall friction, and stand on a plane that is rough with a
@@ -34,7 +35,8 @@ pub(super) const EXPERIMENTS: &[Experiment] = &[
             "collapse_tall_runout_prefactor",
             "collapse_height_exponent",
             "collapse_height_prefactor",
-            "collapse_height",
+            "collapse_height_sand_exponent",
+            "collapse_height_sand_prefactor",
         ],
         run: tall,
     },
@@ -72,16 +74,16 @@ fn tall(suite: &Suite) -> Vec<Check> {
     let deposits = collapse(suite, &TALL);
     let [exponent, prefactor] = law_of(&deposits, |deposit| deposit.runout);
     let [height_exponent, height_prefactor] = law_of(&deposits, |deposit| deposit.height);
-    let height = deposits.iter().map(|deposit| deposit.height).sum::<f64>() / deposits.len() as f64;
     let runout = "Lube et al. 2004: (r_inf - r0) / r0 = 1.6 a^(1/2), a > 1.7";
-    let law = "Lube et al. 2004: h_inf / r0 = 0.88 a^(1/6), a > 1.7";
-    let plateau = "Lajeunesse et al. 2004: h_inf / r0 = 0.74 whatever a > 0.74";
+    let beads = "Lajeunesse et al. 2004, glass beads: h_inf / r0 = 0.74 whatever a > 0.74";
+    let sand = "Lube et al. 2004, sand: h_inf / r0 = 0.88 a^(1/6), a > 1.7";
     vec![
         Check::near("collapse_tall_runout_exponent", exponent, [0.5, 0.1], "", runout),
         Check::near("collapse_tall_runout_prefactor", prefactor, [1.6, 0.4], "", runout),
-        Check::near("collapse_height_exponent", height_exponent, [1.0 / 6.0, 0.1], "", law),
-        Check::near("collapse_height_prefactor", height_prefactor, [0.88, 0.22], "", law),
-        Check::near("collapse_height", height, [0.74, 0.185], "", plateau),
+        Check::near("collapse_height_exponent", height_exponent, [0.0, 0.1], "", beads),
+        Check::near("collapse_height_prefactor", height_prefactor, [0.74, 0.185], "", beads),
+        Check::near("collapse_height_sand_exponent", height_exponent, [1.0 / 6.0, 0.1], "", sand),
+        Check::near("collapse_height_sand_prefactor", height_prefactor, [0.88, 0.22], "", sand),
     ]
 }
 
