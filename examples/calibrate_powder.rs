@@ -24,12 +24,12 @@ fn main() -> anyhow::Result<()> {
 
 fn search(powder: &Published, settings: &Settings) -> Result<Calibration, Error> {
     let heap_settings = HeapSettings::with_particles(settings.particles);
-    let simulate = |set: &_, seed| {
+    let simulate = |set: &_, _readings, seed| {
         let pile = repose(set, &heap_settings, seed)?;
         let (tip_deg, cone_deg, creep_deg_per_s) = (pile.tip_deg, pile.cone_deg, pile.creep_deg_per_s);
-        Ok::<_, flip::sim::repose::Refusal>(Heap { tip_deg, cone_deg, creep_deg_per_s })
+        Ok::<_, flip::sim::repose::Refusal>(Heap { tip_deg, tip_sd_deg: None, cone_deg, creep_deg_per_s })
     };
-    calibrate(&powder.automated, settings, &[], simulate, |trial, progress| {
+    calibrate(&powder.automated, settings, None, &[], simulate, |trial, progress| {
         let phase = if trial.phase == Phase::Search { "search" } else { "verify" };
         match &trial.outcome {
             Outcome::Heap(heap) => eprintln!("{}: {phase} {:.2} deg", progress.message, heap.tip_deg),

@@ -112,7 +112,7 @@ async fn ten_kills_during_a_calibration_and_a_training_lose_nothing_and_repeat_n
     let (service, token) = Service::start(folder.path());
     let token = token.expect("the first start prints a token");
 
-    let request = json!({"powder": "sand", "sets": 2, "seed": 3});
+    let request = json!({"powder": "sand", "method": "sequential", "sets": 2, "seed": 3});
     let calibration = service.post("/v1/calibrations", &token, &request).await["id"].as_str().unwrap().to_owned();
     let trials = format!("/v1/calibrations/{calibration}/trials");
     let service = torment(service, folder.path(), &calibration, &trials).await;

@@ -5,7 +5,7 @@ use super::{App, Error, Result};
 use crate::domain::FieldError;
 use crate::domain::job::JobKind;
 use crate::domain::powder::Flowability;
-use crate::jobs::calibrate::{CalibrationResult, Settings};
+use crate::jobs::calibrate::{CalibrationResult, Design, Method, Posterior, Settings};
 use crate::jobs::{CalibrationSpec, JobSpec, SIMULATOR};
 use crate::store::jobs::{Job, JobRow};
 use crate::store::page::{Page, PageQuery, SERIES_LIMIT_MAX};
@@ -20,14 +20,25 @@ pub struct CalibrationRequest {
     pub powder: Option<String>,
     /// Target angle of repose instead of a powder, degrees.
     pub repose_deg: Option<f64>,
+    /// Standard deviation of the repeats behind `repose_deg`, 0 to 45 degrees; default 0, an exact target.
+    pub sd_deg: Option<f64>,
+    /// Repeats behind `repose_deg`, 1 to 10000; default 1.
+    pub n: Option<u32>,
+    /// How sets are looked for; default `emulator`.
+    pub method: Option<Method>,
     /// Parameter sets to find, 1 to 100; default 10.
     pub sets: Option<u32>,
-    /// Accepted difference between simulated and measured angle, 0.1 to 10 degrees; default 1.5.
+    /// Accepted difference between simulated and measured angle, 0.1 to 10 degrees; default 0.5, with the other methods 1.5.
     pub tolerance_deg: Option<f64>,
     /// Grains in a simulated heap, 100 to 100000; default 2000.
     pub particles: Option<u32>,
-    /// Most simulations, search and verification together, 1 to 500; default 150.
+    /// Most simulations, search and verification together, 1 to 1000; default 300, with the other methods 150. With the published method,
+    /// which verifies afterwards, of the search alone.
     pub trials_max: Option<u32>,
+    /// Heaps by which each set is verified, 1 to 50; default 8, with the method `sequential` 2.
+    pub verify_repeats: Option<u32>,
+    /// Readings of each of these heaps, 1 to 64; default 16, with the method `sequential` 1.
+    pub readings: Option<u32>,
     /// Seed; default 1.
     pub seed: Option<u64>,
 }
@@ -55,23 +66,32 @@ impl App {
     /// `Invalid`; `Conflict` (`measurement_missing`) for a powder that nobody has measured.
     pub async fn start_calibration(&self, request: CalibrationRequest) -> Result<(Job, bool)> {
         let (powder, target) = self.target_of(&request).await?;
-        let defaults = Settings::default();
+        let defaults = Settings::of(request.method.unwrap_or(Method::Emulator));
         let settings = Settings {
             sets: request.sets.unwrap_or(defaults.sets),
             tolerance_deg: request.tolerance_deg.unwrap_or(defaults.tolerance_deg),
             particles: request.particles.unwrap_or(defaults.particles),
             trials_max: request.trials_max.unwrap_or(defaults.trials_max),
+            verify_repeats: request.verify_repeats.unwrap_or(defaults.verify_repeats),
+            readings: request.readings.unwrap_or(defaults.readings),
             seed: request.seed.unwrap_or(defaults.seed),
             ..defaults
         };
-        let spec = CalibrationSpec { powder, target, settings: settings.checked()?, simulator: SIMULATOR.to_owned() };
+        let settings = settings.checked()?;
+        let design = (settings.method == Method::Emulator).then(|| Design::with_particles(settings.particles));
+        let spec = CalibrationSpec { powder, target, settings, design, simulator: SIMULATOR.to_owned() };
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Calibration(spec)).await?)
     }
 
     /// What to aim at: a powder's measurement, or a bare angle.
     async fn target_of(&self, request: &CalibrationRequest) -> Result<(Option<String>, Flowability)> {
         let only_one = "name a powder, or a `repose_deg` to aim at without one, and not both";
+        let stray = request.sd_deg.map(|_| "sd_deg").or(request.n.map(|_| "n"));
         match (&request.powder, request.repose_deg) {
+            (Some(_), None) if stray.is_some() => {
+                let advice = "belongs to a bare `repose_deg`; a powder's measurement has its own";
+                Err(FieldError::new(stray.unwrap_or_default(), advice).into())
+            }
             (Some(id), None) => {
                 let powder = self.powder_of("powder", id).await?;
                 let target = powder.flowability.ok_or_else(|| {
@@ -80,7 +100,9 @@ impl App {
                 })?;
                 Ok((Some(powder.id), target))
             }
-            (None, Some(repose_deg)) => Ok((None, Flowability::new(repose_deg, 0.0, 1)?)),
+            (None, Some(repose_deg)) => 
+                Ok((None, Flowability::new(repose_deg, request.sd_deg.unwrap_or(0.0), request.n.unwrap_or(1))?))
+            ,
             _ => Err(FieldError::new("powder", only_one).into()),
         }
     }
@@ -94,6 +116,20 @@ impl App {
     /// Calibrations, newest first.
     pub async fn calibrations(&self, page: PageQuery) -> Result<Page<Calibration>> {
         self.jobs_as(JobKind::Calibration, page, calibration).await
+    }
+
+    /// The posterior over the parameters that a calibration ended with.
+    ///
+    /// # Errors
+    /// `NotFound` without such a calibration; `Conflict` (`posterior_missing`) while it runs, and for a method that has none.
+    pub async fn posterior(&self, id: &str) -> Result<Posterior> {
+        let found = self.calibration(id).await?;
+        let sha256 = found.result.and_then(|result| result.posterior).ok_or_else(|| {
+            let advice = "a calibration has a posterior when it has succeeded with the method `emulator`";
+            Error::conflict("posterior_missing", advice.to_owned())
+        })?;
+        let bytes = self.store().artifacts().get(&sha256)?;
+        serde_json::from_slice(&bytes).map_err(|_| corrupt("a posterior"))
     }
 
     /// Trials of a calibration in order; pages of up to 5000.

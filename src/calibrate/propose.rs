@@ -21,14 +21,14 @@ const REACHES: [f64; 3] = [0.2, 0.05, 0.01];
 const ALIKE: f64 = 0.5;
 
 /// What the trials so far say about the whole box: the angle everywhere, and where a simulation is refused.
-pub(super) struct Emulator {
+pub(super) struct Belief {
     angle: GaussianProcess<COUNT>,
     /// Regression on 1 (heap) and 0 (refused); none while nothing was refused.
     heaps: Option<GaussianProcess<COUNT>>,
     target_deg: f64,
 }
 
-impl Emulator {
+impl Belief {
     /// Fitted to every trial of both phases. None while no trial has an angle.
     pub fn of(trials: &[Trial], target_deg: f64) -> Option<Self> {
         let points: Vec<Point> = trials.iter().map(|t| t.parameters.to_unit()).collect();
@@ -82,7 +82,7 @@ impl Emulator {
 /// The incumbent of the expected improvement is the least error so far, but never below the tolerance: once a set
 /// within it is known, another one elsewhere is worth as much as the first.
 pub(super) fn propose(
-    mut emulator: Emulator,
+    mut belief: Belief,
     trials: &[Trial],
     mut taken: Vec<Point>,
     settings: &Settings,
@@ -93,8 +93,8 @@ pub(super) fn propose(
     let incumbent = least.max(settings.tolerance_deg);
     (0..count)
         .map(|_| {
-            let best = most_worth(&emulator, incumbent, &taken, rng);
-            emulator.angle = emulator.angle.believe(&best);
+            let best = most_worth(&belief, incumbent, &taken, rng);
+            belief.angle = belief.angle.believe(&best);
             taken.push(best);
             best
         })
@@ -103,10 +103,10 @@ pub(super) fn propose(
 
 /// The point of most worth in a random pool, then in smaller and smaller boxes around the best so far. Where nothing has
 /// any worth to rounding (a target far out of reach) the point expected nearest to the target.
-fn most_worth(emulator: &Emulator, incumbent_deg: f64, taken: &[Point], rng: &mut impl Rng) -> Point {
+fn most_worth(belief: &Belief, incumbent_deg: f64, taken: &[Point], rng: &mut impl Rng) -> Point {
     let rated = |point: Point| {
-        let worth = emulator.worth(&point, incumbent_deg, taken);
-        (point, worth, -emulator.expected_error_deg(&point))
+        let worth = belief.worth(&point, incumbent_deg, taken);
+        (point, worth, -belief.expected_error_deg(&point))
     };
     let better = |a: &(Point, f64, f64), b: &(Point, f64, f64)| a.1.total_cmp(&b.1).then(a.2.total_cmp(&b.2));
     let pool = latin_hypercube(POOL, rng).into_iter().map(rated);

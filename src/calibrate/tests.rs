@@ -6,7 +6,7 @@ use std::sync::Mutex;
 
 /// A formula shaped like the real simulator: friction raises the angle with falling slope, cohesion over gravity
 /// raises it, six parameters do nothing, each seed adds noise of SD 1 deg.
-fn formula(set: &ParameterSet, seed: u64) -> Result<Heap, String> {
+fn formula(set: &ParameterSet, _: u32, seed: u64) -> Result<Heap, String> {
     let uniform = ((derive(seed, &[1]) >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
     heap(clean_deg(set) + quantile(uniform))
 }
@@ -16,7 +16,7 @@ fn clean_deg(set: &ParameterSet) -> f64 {
 }
 
 fn heap(tip_deg: f64) -> Result<Heap, String> {
-    Ok(Heap { tip_deg, cone_deg: tip_deg - 2.0, creep_deg_per_s: 0.0 })
+    Ok(Heap { tip_deg, tip_sd_deg: None, cone_deg: tip_deg - 2.0, creep_deg_per_s: 0.0 })
 }
 
 fn target(repose_deg: f64) -> Flowability {
@@ -29,16 +29,16 @@ fn few() -> Settings {
 }
 
 fn run(deg: f64, settings: &Settings) -> Result<Calibration, Error> {
-    calibrate(&target(deg), settings, &[], formula, |_, _| ControlFlow::Continue(()))
+    calibrate(&target(deg), settings, None, &[], formula, |_, _| ControlFlow::Continue(()))
 }
 
 /// The result and every trial that was heard.
 fn recorded(
     settings: &Settings,
-    simulate: impl Fn(&ParameterSet, u64) -> Result<Heap, String> + Sync,
+    simulate: impl Fn(&ParameterSet, u32, u64) -> Result<Heap, String> + Sync,
 ) -> (Vec<Trial>, Result<Calibration, Error>) {
     let mut trials = Vec::new();
-    let result = calibrate(&target(36.03), settings, &[], simulate, |trial, _| {
+    let result = calibrate(&target(36.03), settings, None, &[], simulate, |trial, _| {
         trials.push(trial.clone());
         ControlFlow::Continue(())
     });
@@ -89,7 +89,7 @@ fn random_search_needs_several_times_as_many_simulations() {
     let (mut spent, mut sets) = (0, 0);
     for (i, point) in latin_hypercube(10_000, &mut Pcg64::seed_from_u64(1)).iter().enumerate() {
         let set = ParameterSet::from_unit(*point);
-        let tip = |repeat| formula(&set, derive(9, &[i as u64, repeat])).unwrap().tip_deg;
+        let tip = |repeat| formula(&set, 1, derive(9, &[i as u64, repeat])).unwrap().tip_deg;
         spent += 1;
         if (tip(0) - powder.repose_deg).abs() <= settings.tolerance_deg {
             spent += 2;
@@ -115,15 +115,15 @@ fn a_run_cut_after_any_trial_and_resumed_ends_with_the_same_bytes_at_any_number_
             let history: Vec<Trial> = serde_json::from_str(&text).unwrap();
             let asked = Mutex::new(Vec::new());
             let mut heard = history.clone();
-            let counted = |set: &ParameterSet, seed| {
+            let counted = |set: &ParameterSet, _: u32, seed| {
                 asked.lock().unwrap().push(seed);
-                formula(set, seed)
+                formula(set, 1, seed)
             };
             let hear = |trial: &Trial, _: &Progress| {
                 heard.push(trial.clone());
                 ControlFlow::Continue(())
             };
-            let resumed = pool.install(|| calibrate(&target(36.03), &few(), &history, counted, hear)).unwrap();
+            let resumed = pool.install(|| calibrate(&target(36.03), &few(), None, &history, counted, hear)).unwrap();
             assert_eq!(serde_json::to_string(&resumed).unwrap(), expected, "cut after {cut}");
             assert!(heard == whole, "another history after a cut at {cut}");
             let asked = asked.into_inner().unwrap();
@@ -138,7 +138,7 @@ fn a_stop_after_any_trial_keeps_what_was_heard_and_the_rest_follows_from_it() {
     let (whole, _) = recorded(&few(), formula);
     for stop in [1, 5, whole.len() / 2, whole.len()] {
         let mut heard = Vec::new();
-        let stopped = calibrate(&target(36.03), &few(), &[], formula, |trial, _| {
+        let stopped = calibrate(&target(36.03), &few(), None, &[], formula, |trial, _| {
             heard.push(trial.clone());
             if heard.len() == stop { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
@@ -189,10 +189,10 @@ fn of_good_candidates_those_far_apart_are_verified_first() {
         .zip(points)
         .map(|(index, point)| {
             let tip = heap(36.0 + 40.0 * (point[0] - 0.5));
-            Planned::search(index, at(point), 1).concluded(index, Outcome::of(tip), &powder)
+            Planned::search(index, at(point), 1).concluded(index, Outcome::of(tip), Some(&powder))
         })
         .collect();
-    let emulator = Emulator::of(&trials, powder.repose_deg).unwrap();
+    let emulator = Belief::of(&trials, powder.repose_deg).unwrap();
     let candidates = verify::candidates(&trials, &emulator, &settings);
     assert_eq!(candidates.iter().map(|c| c.index).collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
     let first = verify::choose(candidates, Vec::new(), 3, &emulator, &settings);
@@ -209,16 +209,16 @@ fn progress_never_goes_back_and_ends_at_one() {
         last = progress.fraction;
         ControlFlow::Continue(())
     };
-    calibrate(&target(31.41), &few(), &[], formula, hear).unwrap();
+    calibrate(&target(31.41), &few(), None, &[], formula, hear).unwrap();
     assert_eq!(last, 1.0);
 }
 
 #[test]
 fn refused_simulations_are_recorded_and_then_avoided() {
     // Gravity below 0.7 of the published range never gives a heap: half of the box.
-    let picky = |set: &ParameterSet, seed| match set.gravity_scale() < 0.7 {
+    let picky = |set: &ParameterSet, _: u32, seed| match set.gravity_scale() < 0.7 {
         true => Err("the base is not covered".to_owned()),
-        false => formula(set, seed),
+        false => formula(set, 1, seed),
     };
     let (mut early, mut late) = ((0, 0), (0, 0));
     for seed in 1..=4 {
@@ -262,21 +262,21 @@ fn a_small_budget_is_kept_to_the_last_run() {
 fn a_simulator_that_always_refuses_or_answers_nonsense_ends_in_an_explanation() {
     let settings = Settings { trials_max: 20, ..Settings::default() };
     for answer in [Err("diverged".to_owned()), heap(f64::NAN), heap(f64::INFINITY)] {
-        let (trials, result) = recorded(&settings, |_, _| answer.clone());
+        let (trials, result) = recorded(&settings, |_, _, _| answer.clone());
         let Err(Error::TooFew(short)) = result else { panic!("{result:?}") };
         assert_eq!((trials.len(), short.refused, short.nearest_deg), (20, 20, None));
         assert!(short.to_string().contains("no simulation gave an angle"));
         assert!(!serde_json::to_string(&trials).unwrap().contains("null,"), "a number was lost");
     }
     // Angles that do not depend on anything, and an emulator with nothing to learn.
-    let (_, flat) = recorded(&few(), |_, _| heap(36.0));
+    let (_, flat) = recorded(&few(), |_, _, _| heap(36.0));
     assert_eq!(flat.unwrap().sets.len(), 4);
 }
 
 #[test]
 fn a_number_that_is_none_now_and_then_never_reaches_a_result() {
     let broken =
-        |set: &ParameterSet, seed: u64| if seed.is_multiple_of(5) { heap(f64::NAN) } else { formula(set, seed) };
+        |set: &ParameterSet, _: u32, seed: u64| if seed.is_multiple_of(5) { heap(f64::NAN) } else { formula(set, 1, seed) };
     let (trials, result) = recorded(&few(), broken);
     assert!(trials.iter().any(|t| t.error_deg.is_none()), "the test needs a refusal");
     let result = result.unwrap();
@@ -287,7 +287,7 @@ fn a_number_that_is_none_now_and_then_never_reaches_a_result() {
 fn a_history_of_another_calibration_is_refused_by_its_first_foreign_trial() {
     let (trials, _) = recorded(&few(), formula);
     let resume = |deg, settings: &Settings, history: &[Trial]| {
-        calibrate(&target(deg), settings, history, formula, |_, _| ControlFlow::Continue(()))
+        calibrate(&target(deg), settings, None, history, formula, |_, _| ControlFlow::Continue(()))
     };
     assert_eq!(resume(36.03, &Settings { seed: 4, ..few() }, &trials), Err(Error::History { index: 0 }));
     // The first design is the same for every target, what follows is not.

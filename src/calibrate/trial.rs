@@ -3,6 +3,7 @@
 use crate::domain::parameters::ParameterSet;
 use crate::domain::powder::Flowability;
 use crate::domain::seed::derive;
+use super::settings::Settings;
 use serde::{Deserialize, Serialize};
 
 /// Why a simulation ran.
@@ -20,6 +21,9 @@ pub enum Phase {
 pub struct Heap {
     /// Angle of repose from the apex, atan(2 h / d_base), degrees; the one that calibration compares.
     pub tip_deg: f64,
+    /// Standard deviation of that angle over the readings of the heap, degrees; none for one reading.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tip_sd_deg: Option<f64>,
     /// Slope of a cone fitted between 20 % and 80 % of the height, degrees.
     pub cone_deg: f64,
     /// Change of the cone's slope over the last 0.2 s, degrees per second.
@@ -45,6 +49,7 @@ impl Outcome {
         match answer {
             Ok(h) if [h.tip_deg, h.cone_deg, h.creep_deg_per_s].iter().all(|v| v.is_finite()) => Self::Heap(Heap {
                 tip_deg: micro(h.tip_deg),
+                tip_sd_deg: h.tip_sd_deg.filter(|sd| sd.is_finite()).map(micro),
                 cone_deg: micro(h.cone_deg),
                 creep_deg_per_s: micro(h.creep_deg_per_s),
             }),
@@ -60,6 +65,10 @@ impl Outcome {
             Self::Refused(_) => None,
         }
     }
+}
+
+fn one() -> u32 {
+    1
 }
 
 /// Rounded to six decimals.
@@ -80,6 +89,9 @@ pub struct Trial {
     pub parameters: ParameterSet,
     /// Seed of the simulation: derived from the calibration's seed, the candidate and the repeat.
     pub seed: u64,
+    /// Readings of the heap, over which its angle is the mean.
+    #[serde(default = "one")]
+    pub readings: u32,
     /// What came.
     pub outcome: Outcome,
     /// |tip angle - target|, degrees, rounded as the angle is; none if refused.
@@ -93,31 +105,44 @@ pub(super) struct Planned {
     pub candidate: u32,
     pub parameters: ParameterSet,
     pub seed: u64,
+    pub readings: u32,
 }
 
 impl Planned {
     /// A search trial; `index` will be its own.
     pub fn search(index: u32, parameters: ParameterSet, seed: u64) -> Self {
-        Self { phase: Phase::Search, candidate: index, parameters, seed: derive(seed, &[u64::from(index), 0]) }
+        let seed = derive(seed, &[u64::from(index), 0]);
+        Self { phase: Phase::Search, candidate: index, parameters, seed, readings: 1 }
+    }
+
+    /// The same, its heap read so often.
+    pub fn read(self, readings: u32) -> Self {
+        Self { readings, ..self }
     }
 
     /// The `repeat`-th verification, from 1, of a search trial.
-    pub fn verification(of: &Trial, repeat: u32, seed: u64) -> Self {
-        let seed = derive(seed, &[u64::from(of.index), u64::from(repeat)]);
-        Self { phase: Phase::Verification, candidate: of.index, parameters: of.parameters, seed }
+    pub fn verification(of: &Trial, repeat: u32, settings: &Settings) -> Self {
+        Self::fresh(of.index, of.parameters, repeat, settings)
+    }
+
+    /// The `repeat`-th verification, from 1, of candidate `index`, which need not have been simulated before.
+    pub fn fresh(candidate: u32, parameters: ParameterSet, repeat: u32, settings: &Settings) -> Self {
+        let seed = derive(settings.seed, &[u64::from(candidate), u64::from(repeat)]);
+        Self { phase: Phase::Verification, candidate, parameters, seed, readings: settings.readings }
     }
 
     /// Whether `trial` is this simulation's record.
     pub fn is(&self, trial: &Trial) -> bool {
-        (trial.phase, trial.candidate, trial.seed) == (self.phase, self.candidate, self.seed)
+        (trial.phase, trial.candidate, trial.seed, trial.readings)
+            == (self.phase, self.candidate, self.seed, self.readings)
             && trial.parameters == self.parameters
     }
 
     /// The record of this simulation.
-    pub fn concluded(self, index: u32, outcome: Outcome, target: &Flowability) -> Trial {
-        let error_deg = outcome.tip_deg().map(|tip| micro((tip - target.repose_deg).abs()));
-        let Self { phase, candidate, parameters, seed } = self;
-        Trial { index, phase, candidate, parameters, seed, outcome, error_deg }
+    pub fn concluded(self, index: u32, outcome: Outcome, target: Option<&Flowability>) -> Trial {
+        let error_deg = target.zip(outcome.tip_deg()).map(|(target, tip)| micro((tip - target.repose_deg).abs()));
+        let Self { phase, candidate, parameters, seed, readings } = self;
+        Trial { index, phase, candidate, parameters, seed, readings, outcome, error_deg }
     }
 }
 
@@ -133,8 +158,10 @@ pub struct CalibratedSet {
     pub repose_sd_deg: Option<f64>,
     /// Verification runs.
     pub runs: u32,
-    /// |repose_deg - target|, degrees.
+    /// The error by which the method chose the set, degrees: |repose_deg - target|, with the published method that of the search run.
     pub error_deg: f64,
+    /// |repose_deg - target|, degrees.
+    pub verified_error_deg: f64,
 }
 
 /// A finished calibration.
@@ -142,7 +169,7 @@ pub struct CalibratedSet {
 pub struct Calibration {
     /// What was to be met.
     pub target: Flowability,
-    /// Search simulations.
+    /// Search simulations of this calibration; those of a shared emulator are counted with the emulator.
     pub evaluations: u32,
     /// Verification simulations.
     pub verification_runs: u32,
@@ -152,4 +179,18 @@ pub struct Calibration {
     pub mean_error_deg: Option<f64>,
     /// SD of the sets' errors, degrees; none below two sets.
     pub sd_error_deg: Option<f64>,
+    /// Mean of the sets' verified errors, degrees; none without sets.
+    pub verified_error_deg: Option<f64>,
+    /// Why there are fewer sets than wanted, if there are.
+    pub shortfall: Option<Shortfall>,
+}
+
+/// What stands between a target and a simulated powder.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Shortfall {
+    /// The simulated angle nearest to the target, degrees: the mean of verification runs where there are some.
+    pub nearest_repose_deg: f64,
+    /// The parameter at one of its bounds whose further change would bring the angle nearest to the target; none when the target is within reach
+    /// and only the budget was too small.
+    pub limiting_parameter: Option<String>,
 }

@@ -5,36 +5,74 @@ use super::session::with_app;
 use super::table::table;
 use super::watch::Watch;
 use super::{Common, FIRST_PAGE};
-use crate::app::{App, Calibration, CalibrationRequest};
+use crate::app::{App, Calibration, CalibrationMethod, CalibrationRequest, EmulatorUse};
 use crate::domain::parameters::ParameterSet;
+use clap::ValueEnum;
 use futures::future::try_join_all;
 use serde::Serialize;
+use std::fmt::Write;
 
 /// Arguments of `flip calibrate`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     /// Powder id, or `all` for every powder.
-    #[arg(long, value_name = "ID")]
-    powder: String,
+    #[arg(long, value_name = "ID", required_unless_present = "repose_deg", conflicts_with = "repose_deg")]
+    powder: Option<String>,
+    /// Angle of repose to aim at instead of a powder's, degrees; several, separated by commas, make a data set of flowabilities.
+    #[arg(long, value_name = "DEG", value_delimiter = ',', allow_negative_numbers = true)]
+    repose_deg: Vec<f64>,
+    /// Standard deviation of the repeats behind `--repose-deg`, degrees; left out, the angle is exact.
+    #[arg(long, value_name = "DEG", requires = "repose_deg", allow_negative_numbers = true)]
+    sd_deg: Option<f64>,
+    /// Repeats behind `--repose-deg`.
+    #[arg(long, value_name = "N", requires = "repose_deg", allow_negative_numbers = true)]
+    n: Option<u32>,
     #[command(flatten)]
     search: Search,
 }
 
-/// How far a calibration looks.
+/// How sets are looked for, as typed.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(super) enum MethodFlag {
+    /// Read off one emulator of the angle that all calibrations share, then verified.
+    Emulator,
+    /// Algorithm 1 of the publication.
+    Paper,
+    /// Bayesian optimisation of the angle for one powder alone.
+    Sequential,
+}
+
+/// How far a calibration looks. What is left out has the method's default.
 #[derive(Debug, Clone, clap::Args)]
 pub(super) struct Search {
-    /// Parameter sets to find for each powder, 1 to 50.
+    /// How sets are looked for; by default `emulator` here, `sequential` on the way to a demonstration.
+    #[arg(long, value_enum)]
+    method: Option<MethodFlag>,
+    /// Parameter sets to find for each powder, 1 to 100.
     #[arg(long, value_name = "N", default_value_t = 10, allow_negative_numbers = true)]
     sets: u32,
-    /// Accepted difference between simulated and measured angle, degrees.
-    #[arg(long, value_name = "DEG", default_value_t = 1.5, allow_negative_numbers = true)]
-    tolerance_deg: f64,
+    /// Accepted difference between simulated and measured angle, degrees; by default 0.5, with the other methods 1.5.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    tolerance_deg: Option<f64>,
     /// Grains in a simulated heap.
     #[arg(long, value_name = "N", default_value_t = 2000, allow_negative_numbers = true)]
     particles: u32,
-    /// Most simulations of the search for each powder.
-    #[arg(long, value_name = "N", default_value_t = 150, allow_negative_numbers = true)]
-    trials_max: u32,
+    /// Most simulations for each powder; by default 300, with the other methods 150.
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    trials_max: Option<u32>,
+    /// Heaps by which each set is verified; by default 8, with the method `sequential` 2.
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    verify_repeats: Option<u32>,
+    /// Readings of each of these heaps; by default 16, with the method `sequential` 1.
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    readings: Option<u32>,
+}
+
+impl Search {
+    /// By this method unless another was asked for.
+    pub(super) fn by(self, method: MethodFlag) -> Self {
+        Self { method: self.method.or(Some(method)), ..self }
+    }
 }
 
 /// What is calibrated.
@@ -42,8 +80,8 @@ pub(super) struct Search {
 pub(super) enum Target {
     /// A powder's newest measurement.
     Powder(String),
-    /// A bare angle of repose, degrees.
-    Angle(f64),
+    /// A bare angle of repose, degrees, and the SD and number of the repeats behind it.
+    Angle(f64, Option<f64>, Option<u32>),
 }
 
 /// The document of `flip calibrate`.
@@ -56,8 +94,15 @@ struct Document {
 #[derive(Debug, Serialize)]
 struct Powder {
     powder: String,
+    method: CalibrationMethod,
     /// The measured angle that the sets reproduce, degrees.
     target_deg: f64,
+    /// Whether there are as many sets as were asked for; if not, the next two say why.
+    reached: bool,
+    /// The parameter whose bound is in the way.
+    limiting_parameter: Option<String>,
+    /// The nearest angle that was simulated, degrees.
+    nearest_repose_deg: Option<f64>,
     /// Simulations of the search.
     evaluations: u32,
     /// Simulations with fresh seeds that checked candidates.
@@ -65,6 +110,13 @@ struct Powder {
     sets: Vec<Set>,
     mean_error_deg: f64,
     sd_error_deg: Option<f64>,
+    /// Mean over the sets of |mean over fresh seeds - target|, degrees.
+    verified_error_deg: Option<f64>,
+    /// SD of that over the sets, degrees.
+    verified_sd_deg: Option<f64>,
+    /// Mean standard error of a set's mean over fresh seeds, degrees.
+    standard_error_deg: Option<f64>,
+    emulator: Option<EmulatorUse>,
 }
 
 #[derive(Debug, Serialize)]
@@ -76,13 +128,15 @@ struct Set {
     repose_sd_deg: Option<f64>,
     runs: u32,
     error_deg: f64,
+    verified_error_deg: f64,
 }
 
 /// Calibrate one powder or all, side by side, and print the sets.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    let search = arguments.search.clone().by(MethodFlag::Emulator);
     let done = with_app(common, async |app| {
-        let targets = targets(app, &arguments.powder).await?;
-        calibrate(app, &Watch::new(), &targets, Some(&arguments.search), common.seed).await
+        let targets = targets(app, arguments).await?;
+        calibrate(app, &Watch::new(), &targets, Some(&search), common.seed).await
     })?;
     let powders = done.into_iter().map(powder).collect::<Result<_, _>>()?;
     let document = Document { seed: common.seed, powders };
@@ -110,27 +164,40 @@ pub(super) async fn calibrate(
 }
 
 fn request(target: &Target, search: Option<&Search>, seed: u64) -> CalibrationRequest {
-    let (powder, repose_deg) = match target {
-        Target::Powder(powder) => (Some(powder.clone()), None),
-        Target::Angle(angle) => (None, Some(*angle)),
+    let bare = match target {
+        Target::Powder(powder) => CalibrationRequest { powder: Some(powder.clone()), ..Default::default() },
+        Target::Angle(angle, sd_deg, n) => {
+            CalibrationRequest { repose_deg: Some(*angle), sd_deg: *sd_deg, n: *n, ..Default::default() }
+        }
     };
     CalibrationRequest {
-        powder,
-        repose_deg,
+        // Calibrations on the way to something else need sets, not their angle to a tenth of a degree.
+        method: Some(match search.and_then(|s| s.method).unwrap_or(MethodFlag::Sequential) {
+            MethodFlag::Emulator => CalibrationMethod::Emulator,
+            MethodFlag::Paper => CalibrationMethod::Paper,
+            MethodFlag::Sequential => CalibrationMethod::Sequential,
+        }),
         sets: search.map(|s| s.sets),
-        tolerance_deg: search.map(|s| s.tolerance_deg),
+        tolerance_deg: search.and_then(|s| s.tolerance_deg),
         particles: search.map(|s| s.particles),
-        trials_max: search.map(|s| s.trials_max),
+        trials_max: search.and_then(|s| s.trials_max),
+        verify_repeats: search.and_then(|s| s.verify_repeats),
+        readings: search.and_then(|s| s.readings),
         seed: Some(seed),
+        ..bare
     }
 }
 
-async fn targets(app: &App, powder: &str) -> Result<Vec<Target>, Failure> {
-    if powder != "all" {
-        return Ok(vec![Target::Powder(powder.to_owned())]);
+async fn targets(app: &App, arguments: &Arguments) -> Result<Vec<Target>, Failure> {
+    let Arguments { powder, repose_deg, sd_deg, n, .. } = arguments;
+    match powder.as_deref() {
+        None => Ok(repose_deg.iter().map(|angle| Target::Angle(*angle, *sd_deg, *n)).collect()),
+        Some("all") => {
+            let powders = app.powders(FIRST_PAGE).await?;
+            Ok(powders.items.into_iter().map(|powder| Target::Powder(powder.id)).collect())
+        }
+        Some(powder) => Ok(vec![Target::Powder(powder.to_owned())]),
     }
-    let powders = app.powders(FIRST_PAGE).await?;
-    Ok(powders.items.into_iter().map(|powder| Target::Powder(powder.id)).collect())
 }
 
 fn powder(calibration: Calibration) -> Result<Powder, Failure> {
@@ -143,39 +210,92 @@ fn powder(calibration: Calibration) -> Result<Powder, Failure> {
         repose_sd_deg: set.repose_sd_deg,
         runs: set.runs,
         error_deg: set.error_deg,
+        verified_error_deg: set.verified_error_deg,
     };
+    let errors: Vec<f64> = result.sets.iter().map(|set| set.verified_error_deg).collect();
+    let standard = result.sets.iter().filter_map(|set| Some(set.repose_sd_deg? / f64::from(set.runs).sqrt()));
+    let standard: Vec<f64> = standard.collect();
+    let method = calibration.settings.get("method").cloned().unwrap_or_default();
     Ok(Powder {
         powder: calibration.powder.unwrap_or_default(),
+        method: serde_json::from_value(method).map_err(|error| anyhow::anyhow!(error))?,
         target_deg: calibration.target.repose_deg,
+        reached: result.reached,
+        limiting_parameter: result.shortfall.as_ref().and_then(|shortfall| shortfall.limiting_parameter.clone()),
+        nearest_repose_deg: result.shortfall.as_ref().map(|shortfall| shortfall.nearest_repose_deg),
         evaluations: result.evaluations,
         verification_runs: result.verification_runs,
         sets: result.sets.into_iter().map(set).collect(),
         mean_error_deg: result.mean_error_deg,
         sd_error_deg: result.sd_error_deg,
+        verified_error_deg: result.verified_error_deg,
+        verified_sd_deg: spread(&errors),
+        standard_error_deg: mean(&standard),
+        emulator: result.emulator,
     })
 }
 
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+fn spread(values: &[f64]) -> Option<f64> {
+    let (n, centre) = (values.len() as f64, mean(values)?);
+    (n > 1.0).then(|| (values.iter().map(|value| (value - centre).powi(2)).sum::<f64>() / (n - 1.0)).sqrt())
+}
+
 fn text(document: &Document) -> String {
+    let two = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
     let row = |p: &Powder| {
         vec![
             p.powder.clone(),
             format!("{:.2}", p.target_deg),
             p.sets.len().to_string(),
             format!("{:.2}", p.mean_error_deg),
-            p.sd_error_deg.map_or("-".to_owned(), |sd| format!("{sd:.2}")),
-            p.evaluations.to_string(),
+            two(p.sd_error_deg),
+            two(p.verified_error_deg),
+            two(p.verified_sd_deg),
+            two(p.standard_error_deg),
+            (p.evaluations + p.emulator.as_ref().map_or(0, |used| used.built)).to_string(),
             p.verification_runs.to_string(),
         ]
     };
-    let header = ["powder", "AoR deg", "sets", "mean error deg", "sd deg", "trials", "verification runs"];
-    table(&header, &document.powders.iter().map(row).collect::<Vec<_>>())
+    let header = [
+        "powder",
+        "AoR deg",
+        "sets",
+        "mean error deg",
+        "sd deg",
+        "verified error deg",
+        "sd deg",
+        "standard error deg",
+        "evaluations",
+        "verification runs",
+    ];
+    let mut text = table(&header, &document.powders.iter().map(row).collect::<Vec<_>>());
+    for p in document.powders.iter().filter(|p| !p.reached) {
+        let nearest = two(p.nearest_repose_deg);
+        let _ = match &p.limiting_parameter {
+            Some(key) => write!(
+                text,
+                "\n{:.2} deg is out of reach: the nearest simulated angle is {nearest} deg, and the bound of {key} stands in the way",
+                p.target_deg
+            ),
+            None => write!(
+                text,
+                "\n{:.2} deg: fewer sets than wanted; the nearest simulated angle is {nearest} deg; allow more trials",
+                p.target_deg
+            ),
+        };
+    }
+    text
 }
 
 impl std::fmt::Display for Target {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Powder(powder) => f.write_str(powder),
-            Self::Angle(angle) => write!(f, "{angle} deg"),
+            Self::Angle(angle, ..) => write!(f, "{angle} deg"),
         }
     }
 }

@@ -117,7 +117,7 @@ async fn start(app: &App, request: &TrainingRequest) -> Result<Job, Error> {
 
 fn levels(request: &TrainingRequest) -> Vec<Target> {
     match (request.preset, &request.powders) {
-        (Preset::Paper, _) => PAPER_LEVELS_DEG.map(Target::Angle).into(),
+        (Preset::Paper, _) => PAPER_LEVELS_DEG.map(|angle| Target::Angle(angle, None, None)).into(),
         (Preset::Flip, None) => POWDERS.map(|powder| Target::Powder(powder.to_owned())).into(),
         (Preset::Flip, Some(powders)) => powders.iter().cloned().map(Target::Powder).collect(),
     }

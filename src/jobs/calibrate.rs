@@ -1,21 +1,31 @@
-//! The calibration job: every trial is saved as it comes, and a resumed job replays them.
+//! The calibration job: every trial is saved as it comes, and a resumed job replays them. So is every heap of the emulator that
+//! calibrations share; the first that needs it builds it.
 
 use super::context::{JobContext, JobError};
 use super::spec::CalibrationSpec;
-use crate::calibrate::{self, CalibratedSet, Calibration, Heap, Outcome, Phase};
+use crate::calibrate::{self, CalibratedSet, Calibration, Emulator, Heap, Outcome, Phase};
+use crate::domain::job::Progress;
 use crate::domain::parameters::ParameterSet;
-use crate::sim::repose;
+use crate::sim::{self, repose};
 use crate::store::parameter_sets::NewSet;
 use crate::store::trials::{Trial, TrialPhase};
+use crate::store::{self, Tx};
 use serde::{Deserialize, Serialize};
-use std::ops::ControlFlow;
+use std::ops::{AsyncFnOnce, ControlFlow};
 
-pub use crate::calibrate::Settings;
+pub use crate::calibrate::posterior::Posterior;
+pub use crate::calibrate::{Design, Method, Settings, Shortfall};
+
+/// Draws from a posterior that are kept.
+const DRAWS: usize = 400;
 
 /// What a calibration found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CalibrationResult {
-    /// Simulations of the search.
+    /// Whether there are as many sets as were wanted.
+    #[serde(default = "yes")]
+    pub reached: bool,
+    /// Simulations of the search, without those of a shared emulator.
     pub evaluations: u32,
     /// Simulations with fresh seeds that checked candidates.
     pub verification_runs: u32,
@@ -25,6 +35,35 @@ pub struct CalibrationResult {
     pub mean_error_deg: f64,
     /// Standard deviation of the sets' errors, degrees; absent for a single set.
     pub sd_error_deg: Option<f64>,
+    /// Mean of the sets' verified errors, degrees; absent without sets.
+    #[serde(default)]
+    pub verified_error_deg: Option<f64>,
+    /// What stood in the way; absent when the target was reached.
+    #[serde(default)]
+    pub shortfall: Option<Shortfall>,
+    /// The emulator it used; absent with a method that has none.
+    #[serde(default)]
+    pub emulator: Option<EmulatorUse>,
+    /// SHA-256 of the posterior over the parameters; absent with a method that has none.
+    #[serde(default)]
+    pub posterior: Option<String>,
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// The emulator that a calibration used.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct EmulatorUse {
+    /// Content address of its design and of the simulator's version.
+    pub id: String,
+    /// SHA-256 of its heaps.
+    pub sha256: String,
+    /// Its heaps.
+    pub runs: u32,
+    /// How many of them this calibration simulated; the others were there.
+    pub built: u32,
 }
 
 /// One set that a calibration kept.
@@ -40,50 +79,114 @@ pub struct CalibrationSet {
     pub repose_sd_deg: Option<f64>,
     /// Simulations behind the mean.
     pub runs: u32,
-    /// Absolute difference between mean and target, degrees.
+    /// The error by which the method chose it, degrees: with the published method that of its search run, else the verified one.
     pub error_deg: f64,
+    /// Absolute difference between mean and target, degrees.
+    #[serde(default)]
+    pub verified_error_deg: f64,
 }
 
 pub(super) fn perform(context: &JobContext, spec: &CalibrationSpec) -> Result<(), JobError> {
     let history = context.read(context.store.all_trials(context.id()))?;
     let history: Vec<calibrate::Trial> = history.into_iter().map(from_row).collect();
-    let heap = repose::Settings::with_particles(spec.settings.particles);
-    let simulate = |set: &ParameterSet, seed: u64| {
-        let repose = (context.functions.simulate)(set, &heap, seed)?;
-        let (tip_deg, cone_deg, creep_deg_per_s) = (repose.tip_deg, repose.cone_deg, repose.creep_deg_per_s);
-        Ok::<_, repose::Refusal>(Heap { tip_deg, cone_deg, creep_deg_per_s })
+    let heap = |readings| repose::Settings { readings, ..repose::Settings::with_particles(spec.settings.particles) };
+    let simulate = |set: &ParameterSet, readings: u32, seed: u64| {
+        let repose = (context.functions.simulate)(set, &heap(readings), seed)?;
+        let repose::Repose { tip_deg, tip_sd_deg, cone_deg, creep_deg_per_s, .. } = repose;
+        Ok::<_, repose::Refusal>(Heap { tip_deg, tip_sd_deg, cone_deg, creep_deg_per_s })
     };
+    let shared = spec.design.as_ref().map(|design| emulator(context, design, &spec.simulator, simulate)).transpose()?;
+    let emulator = shared.as_ref().map(|(emulator, _)| emulator);
     let mut unsaved = None;
-    let found = calibrate::calibrate(&spec.target, &spec.settings, &history, simulate, |trial, progress| {
+    let found = calibrate::calibrate(&spec.target, &spec.settings, emulator, &history, simulate, |trial, progress| {
         let row = to_row(trial);
-        let saved = context.save(async |tx| {
+        let saved = keep(context, progress, async |tx| {
             tx.insert_trial(context.id(), &row).await?;
-            context.tell(tx, "trial", &row).await?;
-            Ok(true)
+            context.tell(tx, "trial", &row).await
         });
-        match saved.and_then(|()| context.report(progress)) {
-            Ok(()) => context.flow(),
-            Err(error) => {
-                unsaved = Some(error);
-                ControlFlow::Break(())
-            }
-        }
+        unless(saved, &mut unsaved, context)
     });
     match (found, unsaved) {
         (_, Some(error)) => Err(error.into()),
-        (Ok(calibration), None) => finish(context, spec, calibration),
+        (Ok(calibration), None) => finish(context, spec, calibration, shared),
         (Err(calibrate::Error::Stopped), None) => Err(JobError::Stopped),
         (Err(error), None) => Err(JobError::Fail(error.to_string())),
     }
 }
 
-fn finish(context: &JobContext, spec: &CalibrationSpec, calibration: Calibration) -> Result<(), JobError> {
+/// The emulator of a design, with the heaps that are stored and those that are still missing.
+fn emulator(
+    context: &JobContext,
+    design: &Design,
+    simulator: &str,
+    simulate: impl Fn(&ParameterSet, u32, u64) -> Result<Heap, repose::Refusal> + Sync,
+) -> Result<(Emulator, EmulatorUse), JobError> {
+    let id = design.id(simulator);
+    let stored = context.read(context.store.emulator_runs(&id))?;
+    let stored: Vec<calibrate::Trial> = stored.into_iter().map(from_row).collect();
+    let mut unsaved = None;
+    let built = calibrate::build(design, sim::directions, &stored, simulate, |run, progress| {
+        let row = to_row(run);
+        let saved = keep(context, progress, async |tx| tx.insert_emulator_run(&id, &row).await);
+        unless(saved, &mut unsaved, context)
+    });
+    match (built, unsaved) {
+        (_, Some(error)) => Err(error.into()),
+        (Ok(emulator), None) => {
+            let (sha256, runs) = (emulator.hash().to_owned(), emulator.runs());
+            Ok((emulator, EmulatorUse { id, sha256, runs, built: runs - stored.len() as u32 }))
+        }
+        (Err(calibrate::Error::Stopped), None) => Err(JobError::Stopped),
+        (Err(error), None) => Err(JobError::Fail(error.to_string())),
+    }
+}
+
+/// Save something new and say how far the job is.
+fn keep(
+    context: &JobContext,
+    progress: &Progress,
+    save: impl AsyncFnOnce(&mut Tx) -> store::Result<()>,
+) -> store::Result<()> {
+    context.save(async |tx| save(tx).await.map(|()| true))?;
+    context.report(progress)
+}
+
+/// Go on unless the job was asked to stop or what came last could not be saved, which is left in `unsaved`.
+fn unless(saved: store::Result<()>, unsaved: &mut Option<store::Error>, context: &JobContext) -> ControlFlow<()> {
+    match saved {
+        Ok(()) => context.flow(),
+        Err(error) => {
+            *unsaved = Some(error);
+            ControlFlow::Break(())
+        }
+    }
+}
+
+fn finish(
+    context: &JobContext,
+    spec: &CalibrationSpec,
+    calibration: Calibration,
+    shared: Option<(Emulator, EmulatorUse)>,
+) -> Result<(), JobError> {
+    let posterior = match &shared {
+        Some((emulator, _)) => {
+            let posterior = Posterior::of(emulator, &spec.target, DRAWS, spec.settings.seed);
+            let text = serde_json::to_vec(&posterior).map_err(|error| JobError::Fail(error.to_string()))?;
+            Some(context.store.artifacts().put(&text)?)
+        }
+        None => None,
+    };
     let result = CalibrationResult {
+        reached: calibration.shortfall.is_none(),
         evaluations: calibration.evaluations,
         verification_runs: calibration.verification_runs,
         sets: calibration.sets.iter().map(kept).collect(),
         mean_error_deg: calibration.mean_error_deg.unwrap_or(0.0),
         sd_error_deg: calibration.sd_error_deg,
+        verified_error_deg: calibration.verified_error_deg,
+        shortfall: calibration.shortfall,
+        emulator: shared.map(|(_, used)| used),
+        posterior,
     };
     context.succeed(&result, async |tx| {
         for (position, set) in (0..).zip(calibration.sets) {
@@ -92,7 +195,7 @@ fn finish(context: &JobContext, spec: &CalibrationSpec, calibration: Calibration
                 repose_deg: set.repose_deg,
                 repose_sd_deg: set.repose_sd_deg,
                 runs: set.runs,
-                error_deg: set.error_deg,
+                error_deg: set.verified_error_deg,
             };
             tx.insert_parameter_set(context.id(), spec.powder.as_deref(), position, &new).await?;
         }
@@ -109,6 +212,7 @@ fn kept(set: &CalibratedSet) -> CalibrationSet {
         repose_sd_deg: set.repose_sd_deg,
         runs: set.runs,
         error_deg: set.error_deg,
+        verified_error_deg: set.verified_error_deg,
     }
 }
 
@@ -126,6 +230,8 @@ fn to_row(trial: &calibrate::Trial) -> Trial {
         candidate: trial.candidate,
         parameters: trial.parameters,
         seed: trial.seed,
+        readings: trial.readings,
+        tip_sd_deg: heap.and_then(|h| h.tip_sd_deg),
         tip_deg: heap.map(|h| h.tip_deg),
         cone_deg: heap.map(|h| h.cone_deg),
         creep_deg_per_s: heap.map(|h| h.creep_deg_per_s),
@@ -137,7 +243,7 @@ fn to_row(trial: &calibrate::Trial) -> Trial {
 fn from_row(row: Trial) -> calibrate::Trial {
     let outcome = match (row.tip_deg, row.cone_deg, row.creep_deg_per_s) {
         (Some(tip_deg), Some(cone_deg), Some(creep_deg_per_s)) => {
-            Outcome::Heap(Heap { tip_deg, cone_deg, creep_deg_per_s })
+            Outcome::Heap(Heap { tip_deg, tip_sd_deg: row.tip_sd_deg, cone_deg, creep_deg_per_s })
         }
         _ => Outcome::Refused(row.refusal.unwrap_or_default()),
     };
@@ -150,30 +256,9 @@ fn from_row(row: Trial) -> calibrate::Trial {
         candidate: row.candidate,
         parameters: row.parameters,
         seed: row.seed,
+        readings: row.readings,
         outcome,
         error_deg: row.error_deg,
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_trial_survives_the_database_exactly() {
-        let heap = Outcome::Heap(Heap { tip_deg: 31.25, cone_deg: 30.5, creep_deg_per_s: 0.001 });
-        for outcome in [heap, Outcome::Refused("too few grains".into())] {
-            let trial = calibrate::Trial {
-                index: 7,
-                phase: Phase::Verification,
-                candidate: 3,
-                parameters: ParameterSet::default(),
-                seed: u64::MAX - 5,
-                error_deg: outcome.tip_deg().map(|_| 0.75),
-                outcome,
-            };
-            let text = serde_json::to_string(&to_row(&trial)).unwrap();
-            assert_eq!(from_row(serde_json::from_str(&text).unwrap()), trial);
-        }
-    }
-}

@@ -34,6 +34,9 @@ pub struct CalibrationSpec {
     pub target: Flowability,
     /// Settings of the search.
     pub settings: calibrate::Settings,
+    /// The design of the emulator it reads sets off; none with a method that has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub design: Option<calibrate::Design>,
     /// Version of the simulator: [`SIMULATOR`].
     pub simulator: String,
 }

@@ -54,6 +54,7 @@ pub mod balance;
 pub mod column;
 mod constraints;
 mod contacts;
+mod directions;
 pub mod dispense;
 mod engine;
 mod flank;
@@ -73,6 +74,7 @@ pub mod snapshot;
 pub mod validate;
 mod walls;
 
+pub use directions::{DIRECTIONS, directions};
 pub use lanes::Work;
 
 #[cfg(test)]

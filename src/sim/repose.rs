@@ -48,6 +48,10 @@ pub struct Settings {
     pub substep_s: f64,
     /// Longest wait for rest after the last grain, s. Default 1. With `compat` physx, whose heaps creep, always the whole of it.
     pub settle_max_s: f64,
+    /// Times the angle of each heap is read, 1 to 64. Between two readings [`RENEWAL`] more grains are poured on the heap: they knock as
+    /// many off the base and leave another top. Default 1.
+    #[serde(skip_serializing_if = "is_one")]
+    pub readings: u32,
     /// Whether a layer of fixed grains covers the base. Default no: a smooth plate.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub rough_base: bool,
@@ -62,6 +66,11 @@ pub struct Settings {
     pub iterations: u32,
 }
 
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
+fn is_one(readings: &u32) -> bool {
+    *readings == 1
+}
+
 impl Default for Settings {
     fn default() -> Self {
         Self {
@@ -72,6 +81,7 @@ impl Default for Settings {
             funnel_radius_diameters: 1.8,
             substep_s: SUBSTEP_S,
             settle_max_s: 1.0,
+            readings: 1,
             rough_base: false,
             extensions: Extensions::default(),
             compat: Compat::Physical,
@@ -94,9 +104,12 @@ impl Settings {
 /// One simulated heap.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Repose {
-    /// atan(2 h / d_base) from the apex, degrees.
+    /// atan(2 h / d_base) from the apex, degrees; mean over the readings.
     pub tip_deg: f64,
-    /// Slope of a cone fitted between 20 % and 80 % of the height over 12 sectors, degrees.
+    /// Standard deviation of the tip angle over the readings of this heap, degrees; absent for one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tip_sd_deg: Option<f64>,
+    /// Slope of a cone fitted between 20 % and 80 % of the height over 12 sectors, degrees; mean over the readings.
     pub cone_deg: f64,
     /// Change of the cone angle over the last 0.2 s, degrees per second.
     pub creep_deg_per_s: f64,
@@ -140,6 +153,9 @@ const HOLD_S: f64 = 0.2;
 /// Grains slower than this (root mean square) count as resting, m/s.
 const REST_RMS_M_S: f64 = 0.0005;
 
+/// Grains poured between two readings of a heap: a third of those that lie on it. With fewer, later readings are steeper than the first, as
+/// after a pour that trickles out; with these by 0.1 to 0.4 deg.
+const RENEWAL: usize = 300;
 /// Share of the grains that come through the wide opening.
 const QUICK: f64 = 0.6;
 /// Steps between two looks for grains that fell off the base.
@@ -195,10 +211,24 @@ struct Heap<'a, E> {
 
 impl<E: Engine> Heap<'_, E> {
     fn run(mut self, seed: u64) -> Result<Pile, Refusal> {
-        self.pour(seed)?;
+        let mut rng = self.pour(seed)?;
         self.settle()?;
-        let repose = self.measure()?;
-        Ok(Pile { repose, snapshot: self.engine.snapshot(repose.simulated_s) })
+        let mut repose = self.measure()?;
+        let mut angles = vec![[repose.tip_deg, repose.cone_deg]];
+        for _ in 1..self.settings.readings {
+            self.stream(&mut rng, RENEWAL, RENEWAL, self.settings.funnel_radius_diameters as f32)?;
+            self.settle()?;
+            angles.push(self.angles());
+        }
+        if self.settings.readings > 1 {
+            let n = angles.len() as f64;
+            let sum = |of: &dyn Fn(&[f64; 2]) -> f64| angles.iter().map(of).sum::<f64>();
+            repose.tip_deg = sum(&|angle| angle[0]) / n;
+            repose.cone_deg = sum(&|angle| angle[1]) / n;
+            repose.tip_sd_deg = Some((sum(&|angle| (angle[0] - repose.tip_deg).powi(2)) / (n - 1.0)).sqrt());
+            repose.simulated_s = self.elapsed_s();
+        }
+        Ok(Pile { repose, snapshot: self.engine.snapshot(self.elapsed_s()) })
     }
 
     fn advance(&mut self, steps: u32) -> Result<(), Refusal> {
@@ -227,24 +257,31 @@ impl<E: Engine> Heap<'_, E> {
     /// The first grains, which end up inside or below, come quickly through a wide opening; those that shape the heap through the narrow
     /// one. Layers leave the opening at the speed of a free-flowing orifice, sqrt(g D). The opening rises with the apex: grains that fall
     /// far would dig into a heap that is only tens of grains wide, which a heap of hundreds does not feel.
-    fn pour(&mut self, seed: u64) -> Result<(), Refusal> {
+    fn pour(&mut self, seed: u64) -> Result<Pcg64Mcg, Refusal> {
         let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[0x0EAF]));
         let narrow = self.settings.funnel_radius_diameters as f32;
         let wide = narrow.max(self.settings.base_radius_diameters as f32 / 3.0);
-        let mut left = self.settings.particles as usize;
-        let fill = left - (QUICK * left as f64) as usize;
-        while left > 0 {
-            let radius = if left > fill { wide } else { narrow };
-            let speed = (self.engine.scales().gravity * 2.0 * radius).sqrt();
-            let per_layer = (1.15 / speed).ceil() as u32;
+        let all = self.settings.particles as usize;
+        let quick = (QUICK * all as f64) as usize;
+        let poured = self.stream(&mut rng, quick, all, wide)?;
+        self.stream(&mut rng, all - poured, all - poured, narrow)?;
+        Ok(rng)
+    }
+
+    /// Pour layer after layer until at least `grains` have left the opening, `most` at most; how many that were.
+    fn stream(&mut self, rng: &mut Pcg64Mcg, grains: usize, most: usize, radius: f32) -> Result<usize, Refusal> {
+        let speed = (self.engine.scales().gravity * 2.0 * radius).sqrt();
+        let per_layer = (1.15 / speed).ceil() as u32;
+        let mut poured = 0;
+        while poured < grains {
             let height = self.apex() + self.settings.funnel_clearance_diameters as f32;
-            for position in layer(&mut rng, radius, height).into_iter().take(left) {
+            for position in layer(rng, radius, height).into_iter().take(most - poured) {
                 self.engine.pour(position, vector(0.0, 0.0, -speed));
-                left -= 1;
+                poured += 1;
             }
             self.advance(per_layer)?;
         }
-        Ok(())
+        Ok(poured)
     }
 
     /// Height of the highest grain that rests on others, or of the base.
@@ -275,20 +312,26 @@ impl<E: Engine> Heap<'_, E> {
         let before = cone_deg(&self.engine.heap(), base);
         self.advance(scales.steps(HOLD_S))?;
         self.check_cover()?;
-        let heap = self.engine.heap();
-        let cone = cone_deg(&heap, base);
-        let height = heap.iter().fold(0.0f64, |top, x| top.max(f64::from(x[2]) + f64::from(x[3])));
+        let [tip_deg, cone] = self.angles();
         let (overlap_mean, overlap_max) = self.engine.overlaps();
         Ok(Repose {
-            tip_deg: libm::atan(2.0 * height / (2.0 * base)).to_degrees(),
+            tip_deg,
+            tip_sd_deg: None,
             cone_deg: cone,
             creep_deg_per_s: (cone - before) / HOLD_S,
             speed_rms_mm_s: scales.speed_m_s(self.engine.speed_rms()) * 1e3,
-            particles_on_base: heap.len() as u32,
+            particles_on_base: self.engine.heap().len() as u32,
             overlap_mean,
             overlap_max,
             simulated_s: self.elapsed_s(),
         })
+    }
+
+    /// Tip angle and cone angle of the heap as it lies, degrees.
+    fn angles(&self) -> [f64; 2] {
+        let (heap, base) = (self.engine.heap(), self.settings.base_radius_diameters);
+        let height = heap.iter().fold(0.0f64, |top, x| top.max(f64::from(x[2]) + f64::from(x[3])));
+        [libm::atan(2.0 * height / (2.0 * base)).to_degrees(), cone_deg(&heap, base)]
     }
 
     /// Every sector of the outermost two diameters must hold a grain, or the heap is not as wide as its base.

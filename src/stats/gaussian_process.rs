@@ -1,9 +1,9 @@
 //! Gaussian process regression with the Matern-5/2 kernel: theory here, fitting in [`evidence`].
 //!
 //! ```text
-//! y_i = f(x_i) + e_i,   e_i ~ N(0, sn^2),   f ~ GP(m, k)
+//! y_i = f(x_i) + e_i,   e_i ~ N(0, q_i sn^2),   f ~ GP(m, k)
 //! k(x, x') = sf^2 (1 + a + a^2 / 3) exp(-a),   a = sqrt(5) r,   r^2 = sum_j (x_j - x'_j)^2 / l_j^2
-//! K = [k(x_i, x_j)] + (sn^2 + jitter) I,   w = K^-1 (y - m)
+//! K = [k(x_i, x_j)] + diag(q_i sn^2 + jitter),   w = K^-1 (y - m)
 //! mean(x) = m + k(x)^T w          var(x) = sf^2 - k(x)^T K^-1 k(x)
 //! ```
 //!
@@ -12,6 +12,7 @@
 //! | l_j | `lengthscales` | `[D]` | of input j |
 //! | sf, sn | `signal_sd`, `noise_sd` | | of the output |
 //! | m | `mean` | | of the output |
+//! | q_i | `noise` | `[n]` | 1; the mean of four observations has 1/4 |
 //!
 //! Numerics: Cholesky factor of K; the jitter starts at 1e-10 sf^2 and grows tenfold until the factor exists.
 //! Cost: n^3 / 6 for a factor, n D for a mean, n^2 for a variance; meant for n up to a few hundred.
@@ -77,6 +78,7 @@ pub struct GaussianProcess<const D: usize> {
     hyperparameters: Hyperparameters<D>,
     inputs: Vec<[f64; D]>,
     outputs: Vec<f64>,
+    noise: Vec<f64>,
     factor: Cholesky<f64, Dyn>,
     /// K^-1 (y - m), `[n]`.
     weights: DVector<f64>,
@@ -92,18 +94,33 @@ impl<const D: usize> GaussianProcess<D> {
         outputs: &[f64],
         hyperparameters: Hyperparameters<D>,
     ) -> Result<Self, GaussianProcessError> {
-        if inputs.is_empty() || inputs.len() != outputs.len() {
+        Self::with_noise(inputs, outputs, &vec![1.0; inputs.len()], hyperparameters)
+    }
+
+    /// As [`Self::new`] where observation `i` has the variance `noise[i]` times `noise_sd` squared.
+    ///
+    /// # Errors
+    /// [`GaussianProcessError`]
+    pub fn with_noise(
+        inputs: &[[f64; D]],
+        outputs: &[f64],
+        noise: &[f64],
+        hyperparameters: Hyperparameters<D>,
+    ) -> Result<Self, GaussianProcessError> {
+        if inputs.is_empty() || inputs.len() != outputs.len() || inputs.len() != noise.len() {
             return Err(GaussianProcessError::Shape);
         }
         let h = &hyperparameters;
-        let positive = h.lengthscales.iter().chain([&h.signal_sd]).all(|v| v.is_finite() && *v > 0.0);
+        let positive = h.lengthscales.iter().chain([&h.signal_sd]).chain(noise).all(|v| v.is_finite() && *v > 0.0);
         let finite = inputs.iter().flatten().chain(outputs).chain([&h.mean, &h.noise_sd]).all(|v| v.is_finite());
         if !positive || !finite {
             return Err(GaussianProcessError::NotFinite);
         }
-        let factor = factorise(covariance(inputs, h), h.signal_sd.powi(2)).ok_or(GaussianProcessError::Singular)?;
+        let covariance = covariance(inputs, noise, h);
+        let factor = factorise(covariance, h.signal_sd.powi(2)).ok_or(GaussianProcessError::Singular)?;
         let weights = factor.solve(&DVector::from_iterator(outputs.len(), outputs.iter().map(|y| y - h.mean)));
-        Ok(Self { hyperparameters, inputs: inputs.to_vec(), outputs: outputs.to_vec(), factor, weights })
+        let (inputs, outputs, noise) = (inputs.to_vec(), outputs.to_vec(), noise.to_vec());
+        Ok(Self { hyperparameters, inputs, outputs, noise, factor, weights })
     }
 
     /// Posterior at `x`.
@@ -126,10 +143,20 @@ impl<const D: usize> GaussianProcess<D> {
     ///
     /// Source: Ginsbourger, Le Riche, Carraro, Computational Intelligence in Expensive Optimization Problems (2010).
     pub fn believe(&self, x: &[f64; D]) -> Self {
-        let (mut inputs, mut outputs) = (self.inputs.clone(), self.outputs.clone());
-        inputs.push(*x);
-        outputs.push(self.predict(x).mean);
-        Self::new(&inputs, &outputs, self.hyperparameters.clone()).unwrap_or_else(|_| self.clone())
+        self.observe(&[(*x, self.predict(x).mean, 1.0)])
+    }
+
+    /// This process with more observations, each an input, an output and its noise as in [`Self::with_noise`], and the same
+    /// hyperparameters. Unchanged if they cannot be added.
+    pub fn observe(&self, more: &[([f64; D], f64, f64)]) -> Self {
+        let (mut inputs, mut outputs, mut noise) = (self.inputs.clone(), self.outputs.clone(), self.noise.clone());
+        for (x, y, q) in more {
+            inputs.push(*x);
+            outputs.push(*y);
+            noise.push(*q);
+        }
+        let grown = Self::with_noise(&inputs, &outputs, &noise, self.hyperparameters.clone());
+        grown.unwrap_or_else(|_| self.clone())
     }
 
     /// The hyperparameters in use.
@@ -139,8 +166,8 @@ impl<const D: usize> GaussianProcess<D> {
 }
 
 /// `K` above without jitter, `[n, n]`.
-fn covariance<const D: usize>(inputs: &[[f64; D]], h: &Hyperparameters<D>) -> DMatrix<f64> {
-    let (variance, noise) = (h.signal_sd.powi(2), h.noise_sd.powi(2));
+fn covariance<const D: usize>(inputs: &[[f64; D]], noise: &[f64], h: &Hyperparameters<D>) -> DMatrix<f64> {
+    let (variance, unit) = (h.signal_sd.powi(2), h.noise_sd.powi(2));
     let n = inputs.len();
     let mut k = DMatrix::zeros(n, n);
     for i in 0..n {
@@ -148,7 +175,7 @@ fn covariance<const D: usize>(inputs: &[[f64; D]], h: &Hyperparameters<D>) -> DM
             let value = variance * h.correlation(&inputs[i], &inputs[j]);
             (k[(i, j)], k[(j, i)]) = (value, value);
         }
-        k[(i, i)] = variance + noise;
+        k[(i, i)] = variance + unit * noise[i];
     }
     k
 }

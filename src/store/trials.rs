@@ -30,8 +30,14 @@ pub struct Trial {
     pub parameters: ParameterSet,
     /// Seed of the simulation.
     pub seed: u64,
+    /// Readings of the heap, over which its angles are means.
+    #[serde(default = "one")]
+    pub readings: u32,
     /// Angle of repose by the tip formula, degrees; absent when the heap has none.
     pub tip_deg: Option<f64>,
+    /// Standard deviation of that angle over the readings, degrees; absent for one reading.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tip_sd_deg: Option<f64>,
     /// Slope of the fitted cone, degrees.
     pub cone_deg: Option<f64>,
     /// Creep of the resting heap, degrees per second.
@@ -40,6 +46,10 @@ pub struct Trial {
     pub refusal: Option<String>,
     /// Absolute difference to the target, degrees.
     pub error_deg: Option<f64>,
+}
+
+fn one() -> u32 {
+    1
 }
 
 /// One simulated dose of a training.
@@ -84,6 +94,13 @@ impl Store {
         rows.fetch_all(&self.reader).await?.iter().map(|row| row.json("body")).collect()
     }
 
+    /// Every heap of an emulator so far, in order.
+    pub(crate) async fn emulator_runs(&self, emulator: &str) -> Result<Vec<Trial>> {
+        let rows =
+            sqlx::query("SELECT body FROM emulator_run WHERE emulator = ?1 ORDER BY position").bind(emulator);
+        rows.fetch_all(&self.reader).await?.iter().map(|row| row.json("body")).collect()
+    }
+
     /// Episodes of a training, in order.
     pub(crate) async fn episodes(&self, job: &str, window: Window) -> Result<Page<Episode>> {
         let sql =
@@ -102,6 +119,13 @@ impl Tx {
     pub(crate) async fn insert_trial(&mut self, job: &str, trial: &Trial) -> Result<()> {
         let sql = "INSERT INTO trial (job, position, body) VALUES (?1, ?2, ?3)";
         sqlx::query(sql).bind(job).bind(trial.index).bind(json(trial)?).execute(&mut *self.inner).await?;
+        Ok(())
+    }
+
+    /// Append a heap to an emulator. The key refuses one that is already stored.
+    pub(crate) async fn insert_emulator_run(&mut self, emulator: &str, run: &Trial) -> Result<()> {
+        let sql = "INSERT INTO emulator_run (emulator, position, body) VALUES (?1, ?2, ?3)";
+        sqlx::query(sql).bind(emulator).bind(run.index).bind(json(run)?).execute(&mut *self.inner).await?;
         Ok(())
     }
 

@@ -87,6 +87,7 @@ fn heap(set: &ParameterSet, _settings: &Settings, _seed: u64) -> Result<Repose, 
     let angle = 20.0 + 30.0 * unit[4] + 15.0 * unit[7];
     Ok(Repose {
         tip_deg: angle,
+        tip_sd_deg: None,
         cone_deg: angle,
         creep_deg_per_s: 0.0,
         speed_rms_mm_s: 0.0,

@@ -1,6 +1,6 @@
 //! One application for each test, and the formulas it computes with.
 
-use flip::app::{App, CalibrationRequest, Functions, Job, JobState, Options, Topic, TrainingRequest};
+use flip::app::{App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Topic, TrainingRequest};
 use flip::domain::bench::{Action, Reading, Tick};
 use flip::domain::parameters::ParameterSet;
 use flip::domain::weighing::Outcome;
@@ -28,6 +28,7 @@ pub fn heap(set: &ParameterSet, settings: &repose::Settings, seed: u64) -> Resul
     let (cone_deg, creep_deg_per_s) = (tip_deg - 2.0, 0.0);
     Ok(Repose {
         tip_deg,
+        tip_sd_deg: None,
         cone_deg,
         creep_deg_per_s,
         speed_rms_mm_s,
@@ -83,7 +84,8 @@ pub async fn open_in(folder: &Path, functions: Functions) -> App {
 
 /// A calibration of a powder to three sets.
 pub fn calibration_of(powder: &str, seed: u64) -> CalibrationRequest {
-    CalibrationRequest { powder: Some(powder.into()), sets: Some(3), seed: Some(seed), ..Default::default() }
+    let method = Some(CalibrationMethod::Sequential);
+    CalibrationRequest { powder: Some(powder.into()), method, sets: Some(3), seed: Some(seed), ..Default::default() }
 }
 
 /// The job once it has ended.

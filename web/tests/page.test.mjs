@@ -32,7 +32,7 @@ after(async () => {
 })
 
 /** Few grains make quick heaps, but only flat ones: sand and sugar. */
-const SMALL_CALIBRATION = (powder) => ({ powder, sets: 2, tolerance_deg: 5, trials_max: 60, particles: 400 })
+const SMALL_CALIBRATION = (powder) => ({ powder, method: 'sequential', sets: 2, tolerance_deg: 5, trials_max: 60, particles: 400 })
 const table = (caption) => page.getByRole('table', { name: caption, exact: true })
 const row = (caption, name) => table(caption).getByRole('row').filter({ hasText: name })
 const degrees = (value) => value.toFixed(2)
@@ -103,6 +103,7 @@ describe('a calibration', () => {
   it('is started from the form and watched until it has converged', async () => {
     await chromium.open(page, 'powders?calibrate=sand')
     await unlock(page, service.token)
+    await page.getByLabel('Method').selectOption('sequential')
     await page.getByLabel('Sets to keep').fill('1')
     await page.getByLabel('Tolerance (°)').fill('5')
     await page.getByLabel('Most trials').fill('40')
@@ -263,7 +264,7 @@ describe('jobs', () => {
   it('are watched live and cancelled, and the cancellation is announced', async () => {
     await chromium.open(page, 'jobs?kind=calibration')
     await unlock(page, service.token)
-    const { id } = await service.post('/v1/calibrations', { powder: 'semolina', sets: 50, tolerance_deg: 0.1, trials_max: 500 })
+    const { id } = await service.post('/v1/calibrations', { powder: 'semolina', method: 'sequential', sets: 50, tolerance_deg: 0.1, trials_max: 500 })
     const name = new RegExp(`Cancel Calibration ${id.slice(-8)}`)
     await row('Jobs', id.slice(-8)).getByText('Running').waitFor({ timeout: 120_000 })
     await page.getByRole('button', { name }).click()

@@ -1,6 +1,6 @@
 //! `flip.v1.Calibrations`.
 
-use super::convert::{all, page};
+use super::convert::{all, named, page};
 use super::proto::*;
 use super::{Service, read, write};
 use crate::app::CalibrationRequest;
@@ -12,9 +12,24 @@ impl calibrations_server::Calibrations for Service {
         &self,
         request: Request<StartCalibrationRequest>,
     ) -> Result<Response<StartJobResponse>, Status> {
-        let StartCalibrationRequest { powder, repose_deg, sets, tolerance_deg, particles, trials_max, seed } =
-            write(request)?;
-        let request = CalibrationRequest { powder, repose_deg, sets, tolerance_deg, particles, trials_max, seed };
+        let request = write(request)?;
+        let method = named::<CalibrationMethod, _>("method", request.method)?;
+        let StartCalibrationRequest { powder, repose_deg, sd_deg, n, sets, tolerance_deg, particles, .. } = request;
+        let StartCalibrationRequest { trials_max, verify_repeats, readings, seed, .. } = request;
+        let request = CalibrationRequest {
+            powder,
+            repose_deg,
+            sd_deg,
+            n,
+            method,
+            sets,
+            tolerance_deg,
+            particles,
+            trials_max,
+            verify_repeats,
+            readings,
+            seed,
+        };
         Ok(Response::new(self.app.start_calibration(request).await?.into()))
     }
 

@@ -37,6 +37,7 @@ same_names! {
     JobState = JobState { Queued Running Succeeded Failed Cancelled }
     Outcome = Outcome { Within Under Over Stopped Aborted Unknown }
     WeighingState = WeighingState { Planned Armed Dosing Done Aborted Unknown }
+    app::CalibrationMethod = CalibrationMethod { Emulator Paper Sequential }
     app::TrialPhase = TrialPhase { Search Verification }
     app::Order = Order { Curriculum Random Reverse DomainRandomisation }
     app::Preset = Preset { Flip Paper }
@@ -92,10 +93,16 @@ same_fields! {
         settings_json: c.settings.to_string(),
         result: c.result.map(Into::into),
     }
-    r: app::CalibrationResult => CalibrationResult { evaluations verification_runs mean_error_deg sd_error_deg } {
+    r: app::CalibrationResult => CalibrationResult {
+        evaluations verification_runs mean_error_deg sd_error_deg verified_error_deg reached
+    } {
         sets: all(r.sets),
+        shortfall: r.shortfall.map(Into::into),
+        emulator: r.emulator.map(Into::into),
     }
-    s: app::CalibrationSet => CalibrationSet { id repose_deg repose_sd_deg runs error_deg } {
+    s: app::Shortfall => Shortfall { nearest_repose_deg limiting_parameter } {}
+    e: app::EmulatorUse => EmulatorUse { id sha256 runs built } {}
+    s: app::CalibrationSet => CalibrationSet { id repose_deg repose_sd_deg runs error_deg verified_error_deg } {
         parameters: Some(s.parameters.into()),
     }
     t: app::Trial => Trial { index seed tip_deg cone_deg creep_deg_per_s refusal error_deg } {

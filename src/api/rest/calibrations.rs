@@ -6,7 +6,7 @@ use super::started;
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::App;
-use crate::app::{Calibration, CalibrationRequest, Job, Page, Trial};
+use crate::app::{Calibration, CalibrationRequest, Job, Page, Posterior, Trial};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
@@ -48,6 +48,20 @@ pub async fn get_calibration(
     Path(id): Path<String>,
 ) -> Result<Json<Calibration>, Problem> {
     Ok(Json(app.calibration(&id).await?))
+}
+
+/// The posterior over the nine parameters: draws, what was learnt of each, and which are known only together.
+#[utoipa::path(get, path = "/v1/calibrations/{id}/posterior", tag = "calibrations",
+    params(("id" = String, Path, description = "Id of the calibration")),
+    responses((status = 200, description = "The posterior", body = Posterior),
+        (status = 409, description = "It has none, or none yet", body = Problem,
+            content_type = "application/problem+json")))]
+pub async fn get_posterior(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Json<Posterior>, Problem> {
+    Ok(Json(app.posterior(&id).await?))
 }
 
 /// List the trials of a calibration in order, also while it runs.

@@ -35,6 +35,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(parameters::get_parameter_set))
         .routes(routes!(calibrations::list_calibrations, calibrations::start_calibration))
         .routes(routes!(calibrations::get_calibration))
+        .routes(routes!(calibrations::get_posterior))
         .routes(routes!(calibrations::list_trials))
         .routes(routes!(trainings::list_trainings, trainings::start_training))
         .routes(routes!(trainings::get_training))

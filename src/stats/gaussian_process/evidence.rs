@@ -48,10 +48,23 @@ impl<const D: usize> GaussianProcess<D> {
     /// # Errors
     /// [`GaussianProcessError`]
     pub fn fit(inputs: &[[f64; D]], outputs: &[f64], prior: &Prior) -> Result<Self, GaussianProcessError> {
-        if inputs.is_empty() || inputs.len() != outputs.len() {
+        Self::fit_with_noise(inputs, outputs, &vec![1.0; inputs.len()], prior)
+    }
+
+    /// As [`Self::fit`] where observation `i` has `noise[i]` times the variance of the noise, which is known only up to one factor.
+    ///
+    /// # Errors
+    /// [`GaussianProcessError`]
+    pub fn fit_with_noise(
+        inputs: &[[f64; D]],
+        outputs: &[f64],
+        noise: &[f64],
+        prior: &Prior,
+    ) -> Result<Self, GaussianProcessError> {
+        if inputs.is_empty() || inputs.len() != outputs.len() || inputs.len() != noise.len() {
             return Err(GaussianProcessError::Shape);
         }
-        if !inputs.iter().flatten().chain(outputs).all(|v| v.is_finite()) {
+        if !inputs.iter().flatten().chain(outputs).chain(noise).all(|v| v.is_finite()) {
             return Err(GaussianProcessError::NotFinite);
         }
         let centre = summary::mean(outputs).unwrap_or(0.0);
@@ -61,7 +74,7 @@ impl<const D: usize> GaussianProcess<D> {
             let start =
                 prior.entries::<D>().enumerate().map(|(j, (median, _))| if j < D { median * stretch } else { median });
             let start = DVector::from_iterator(D + 2, start.map(f64::ln));
-            minimise(|theta| objective(inputs, &scaled, theta, prior), start, 1.0, 60)
+            minimise(|theta| objective(inputs, &scaled, noise, theta, prior), start, 1.0, 60)
         });
         let finite = ends.into_iter().filter(|end| end.1.is_finite());
         let best = finite.min_by(|a, b| a.1.total_cmp(&b.1)).ok_or(GaussianProcessError::Singular)?;
@@ -69,7 +82,7 @@ impl<const D: usize> GaussianProcess<D> {
         h.signal_sd *= spread;
         h.noise_sd *= spread;
         h.mean = centre;
-        Self::new(inputs, outputs, h)
+        Self::with_noise(inputs, outputs, noise, h)
     }
 }
 
@@ -78,27 +91,28 @@ impl<const D: usize> GaussianProcess<D> {
 /// ```text
 /// J = y^T w / 2 + ln|K| / 2 + n ln(2 pi) / 2 + sum_j (theta_j - ln median_j)^2 / (2 s_j^2)
 /// dJ/dtheta_j = -tr((w w^T - K^-1) dK/dtheta_j) / 2 + (theta_j - ln median_j) / s_j^2
-/// dk/d ln l_j = sf^2 (5/3) (1 + a) exp(-a) (x_j - x'_j)^2 / l_j^2      dk/d ln sf = 2 k      dK/d ln sn = 2 sn^2 I
+/// dk/d ln l_j = sf^2 (5/3) (1 + a) exp(-a) (x_j - x'_j)^2 / l_j^2      dk/d ln sf = 2 k      dK/d ln sn = 2 sn^2 diag(q)
 /// ```
 ///
 /// Source: Rasmussen and Williams (2006), eq. 5.8-5.9; the kernel's derivative is elementary.
 pub fn objective<const D: usize>(
     inputs: &[[f64; D]],
     scaled: &[f64],
+    noise: &[f64],
     theta: &DVector<f64>,
     prior: &Prior,
 ) -> Evaluated {
     let n = inputs.len();
     let h = from_theta::<D>(theta);
     let undefined = (f64::INFINITY, DVector::zeros(D + 2));
-    let Some(factor) = factorise(super::covariance(inputs, &h), h.signal_sd.powi(2)) else { return undefined };
+    let Some(factor) = factorise(super::covariance(inputs, noise, &h), h.signal_sd.powi(2)) else { return undefined };
     let y = DVector::from_column_slice(scaled);
     let weights = factor.solve(&y);
     let log_determinant = 2.0 * factor.l_dirty().diagonal().iter().map(|d| d.ln()).sum::<f64>();
     let mut value = 0.5 * (y.dot(&weights) + log_determinant + n as f64 * TAU.ln());
 
     let excess = &weights * weights.transpose() - factor.inverse();
-    let mut gradient = evidence_gradient(inputs, &h, &excess);
+    let mut gradient = evidence_gradient(inputs, noise, &h, &excess);
     for (j, (median, log_sd)) in prior.entries::<D>().enumerate() {
         let off = theta[j] - median.ln();
         value += 0.5 * (off / log_sd).powi(2);
@@ -110,6 +124,7 @@ pub fn objective<const D: usize>(
 /// The trace terms; `excess` is `w w^T - K^-1`, symmetric, `[n, n]`. Each pair counts twice, which cancels the half.
 fn evidence_gradient<const D: usize>(
     inputs: &[[f64; D]],
+    noise: &[f64],
     h: &Hyperparameters<D>,
     excess: &DMatrix<f64>,
 ) -> DVector<f64> {
@@ -125,7 +140,7 @@ fn evidence_gradient<const D: usize>(
             gradient[D] -= excess[(i, j)] * 2.0 * variance * h.correlation(xi, xj);
         }
         gradient[D] -= excess[(i, i)] * variance;
-        gradient[D + 1] -= excess[(i, i)] * h.noise_sd.powi(2);
+        gradient[D + 1] -= excess[(i, i)] * noise[i] * h.noise_sd.powi(2);
     }
     gradient
 }

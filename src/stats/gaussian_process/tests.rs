@@ -59,14 +59,15 @@ fn the_gradient_of_the_evidence_is_that_of_central_differences() {
     let mut rng = Pcg64::seed_from_u64(8);
     let x: Vec<[f64; 4]> = latin_hypercube(15, &mut rng);
     let y: Vec<f64> = x.iter().map(|p| p[0].sin() * 2.0 + p[1] * p[2] + 0.1 * rng.random::<f64>() - 1.0).collect();
+    let noise: Vec<f64> = x.iter().map(|p| 0.2 + p[3]).collect();
     for spread in [0.3, 1.0] {
         let theta = DVector::from_fn(6, |_, _| spread * (rng.random::<f64>() - 0.5) * 2.0 - 0.5);
-        let (_, gradient) = objective(&x, &y, &theta, &Prior::default());
+        let (_, gradient) = objective(&x, &y, &noise, &theta, &Prior::default());
         for j in 0..6 {
             let step = |h: f64| {
                 let mut moved = theta.clone();
                 moved[j] += h;
-                objective(&x, &y, &moved, &Prior::default()).0
+                objective(&x, &y, &noise, &moved, &Prior::default()).0
             };
             let numeric = (step(1e-5) - step(-1e-5)) / 2e-5;
             assert!((gradient[j] - numeric).abs() < 1e-5 * numeric.abs().max(1.0), "{j}: {} {numeric}", gradient[j]);
@@ -86,7 +87,7 @@ fn the_evidence_is_the_density_of_a_multivariate_normal() {
     let determinant = v * v - c * c;
     let quadratic = (v * y[0] * y[0] - 2.0 * c * y[0] * y[1] + v * y[1] * y[1]) / determinant;
     let minus_log_density = 0.5 * quadratic + 0.5 * determinant.ln() + std::f64::consts::TAU.ln();
-    assert!((objective(&x, &y, &theta, &wide).0 - minus_log_density).abs() < 1e-8);
+    assert!((objective(&x, &y, &[1.0; 2], &theta, &wide).0 - minus_log_density).abs() < 1e-8);
 }
 
 #[test]
@@ -122,4 +123,18 @@ fn repeated_and_constant_observations_are_no_trouble_and_nonsense_is_refused() {
     let nan = GaussianProcess::fit(&[[0.0], [f64::NAN]], &[1.0, 2.0], &Prior::default()).unwrap_err();
     assert_eq!(nan, GaussianProcessError::NotFinite);
     assert!(GaussianProcess::new(&[[0.0]], &[1.0], known(-1.0, 0.1)).is_err());
+}
+
+#[test]
+fn the_mean_of_four_observations_is_as_good_as_the_four() {
+    let h = known::<1>(0.5, 0.6);
+    let four = GaussianProcess::new(&[[0.2], [0.2], [0.2], [0.2], [0.9]], &[7.0, 6.0, 6.5, 6.1, 4.0], h.clone()).unwrap();
+    let mean = GaussianProcess::with_noise(&[[0.2], [0.9]], &[6.4, 4.0], &[0.25, 1.0], h.clone()).unwrap();
+    let grown = GaussianProcess::new(&[[0.9]], &[4.0], h).unwrap().observe(&[([0.2], 6.4, 0.25)]);
+    for x in [[0.1], [0.5], [1.4]] {
+        for other in [mean.predict(&x), grown.predict(&x)] {
+            let of_four = four.predict(&x);
+            assert!((of_four.mean - other.mean).abs() < 1e-8 && (of_four.sd - other.sd).abs() < 1e-8);
+        }
+    }
 }

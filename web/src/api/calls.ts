@@ -33,6 +33,7 @@ export const addMeasurement = (powder: string, measurement: T.NewMeasurement) =>
 export const calibrations = (query: Query = {}) => body(client.GET('/v1/calibrations', { params: { query } }))
 export const calibration = (id: string) => body(client.GET('/v1/calibrations/{id}', { params: at(id) }))
 export const trials = (id: string, query: Query) => body(client.GET('/v1/calibrations/{id}/trials', { params: { ...at(id), query } }))
+export const posterior = (id: string) => body(client.GET('/v1/calibrations/{id}/posterior', { params: at(id) }))
 export const startCalibration = (request: T.CalibrationRequest) => body(client.POST('/v1/calibrations', { body: request }))
 
 export const trainings = (query: Query = {}) => body(client.GET('/v1/trainings', { params: { query } }))
