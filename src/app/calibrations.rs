@@ -37,7 +37,7 @@ pub struct CalibrationRequest {
     pub trials_max: Option<u32>,
     /// Heaps by which each set is verified, 1 to 50; default 8, with the method `sequential` 2.
     pub verify_repeats: Option<u32>,
-    /// Readings of each of these heaps, 1 to 64; default 16, with the method `sequential` 1.
+    /// Readings of each of these heaps, 1 to 64; default 4, with the method `sequential` 1.
     pub readings: Option<u32>,
     /// Seed; default 1.
     pub seed: Option<u64>,
@@ -100,9 +100,9 @@ impl App {
                 })?;
                 Ok((Some(powder.id), target))
             }
-            (None, Some(repose_deg)) => 
+            (None, Some(repose_deg)) => {
                 Ok((None, Flowability::new(repose_deg, request.sd_deg.unwrap_or(0.0), request.n.unwrap_or(1))?))
-            ,
+            }
             _ => Err(FieldError::new("powder", only_one).into()),
         }
     }

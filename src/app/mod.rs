@@ -18,7 +18,9 @@ pub use crate::domain::job::{JobKind, JobState, Progress};
 pub use crate::domain::powder::{Flowability, Method};
 pub use crate::domain::timestamp::Timestamp;
 pub use crate::jobs::Functions;
-pub use crate::jobs::calibrate::{CalibrationResult, CalibrationSet, EmulatorUse, Method as CalibrationMethod, Posterior, Shortfall};
+pub use crate::jobs::calibrate::{
+    CalibrationResult, CalibrationSet, EmulatorUse, Method as CalibrationMethod, Posterior, Shortfall,
+};
 pub use crate::jobs::evaluate::EvaluationResult;
 pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
 pub use crate::store::counts::Counts;

@@ -27,6 +27,8 @@ use rayon::prelude::*;
 const POOL: usize = 12_000;
 /// Points of the accepted region, per set wanted.
 const REGION: usize = 20;
+/// Points that the emulator's mean brings closest to the target, for each of the accepted region.
+const CLOSE: usize = 8;
 /// Seeds of the pool, which no trial has.
 const POINTS: u64 = u64::MAX - 1;
 /// Below this probability of passing, a point is simulated before it is verified.
@@ -60,7 +62,8 @@ pub(super) fn plan(trials: &[Trial], target: &Flowability, settings: &Settings, 
     }
     let region = region(&emulator, target, settings, pool);
     let of = |phase: Phase| trials.iter().filter(move |t| t.phase == phase).map(|t| t.parameters.to_unit());
-    let (searched, verified): (Vec<Point>, Vec<Point>) = (of(Phase::Search).collect(), of(Phase::Verification).collect());
+    let (searched, verified): (Vec<Point>, Vec<Point>) =
+        (of(Phase::Search).collect(), of(Phase::Verification).collect());
     let taken: Vec<Point> = sets.iter().map(|set| set.parameters.to_unit()).collect();
     let chosen = spread(region, taken, &verified, affordable);
     let doubtful = chosen.iter().filter(|rated| rated.passes < SURE && !searched.contains(&rated.set.to_unit()));
@@ -87,11 +90,13 @@ pub(super) fn shortfall(
         Some(nearest) => {
             let measured = verdict(0, trials, target, settings).map(|set| set.repose_deg);
             Some(Shortfall {
-                nearest_repose_deg: measured.unwrap_or_else(|| grown.expect(&nearest).mean.mean),
+                nearest_repose_deg: measured.unwrap_or_else(|| grown.mean_deg(&nearest)),
                 limiting_parameter: limiting(&grown, &nearest, target).map(str::to_owned),
             })
         }
-        None => super::nearest(trials).map(|nearest_repose_deg| Shortfall { nearest_repose_deg, limiting_parameter: None }),
+        None => {
+            super::nearest(trials).map(|nearest_repose_deg| Shortfall { nearest_repose_deg, limiting_parameter: None })
+        }
     }
 }
 
@@ -120,7 +125,12 @@ fn region(emulator: &Emulator, target: &Flowability, settings: &Settings, pool: 
         let passes = probability_within(verified, target.repose_deg, settings.tolerance_deg);
         Rated { set, error_deg: (mean - target.repose_deg).hypot(sd), passes }
     };
-    let mut rated: Vec<Rated> = pool.into_par_iter().map(rate).collect();
+    // Only what the mean leaves in question is asked for its doubt.
+    let mut near: Vec<(f64, ParameterSet)> =
+        pool.into_par_iter().map(|set| ((emulator.mean_deg(&set) - target.repose_deg).abs(), set)).collect();
+    near.sort_by(|a, b| a.0.total_cmp(&b.0));
+    near.truncate(CLOSE * REGION * settings.sets as usize);
+    let mut rated: Vec<Rated> = near.into_par_iter().map(|(_, set)| rate(set)).collect();
     rated.sort_by(|a, b| a.error_deg.total_cmp(&b.error_deg));
     rated.truncate(REGION * settings.sets as usize);
     rated
@@ -153,7 +163,7 @@ fn beyond_reach(
     settings: &Settings,
     pool: &[ParameterSet],
 ) -> Option<ParameterSet> {
-    let miss = |set: &ParameterSet| (emulator.expect(set).mean.mean - target.repose_deg).abs();
+    let miss = |set: &ParameterSet| (emulator.mean_deg(set) - target.repose_deg).abs();
     let start = pool.par_iter().map(|set| (miss(set), *set)).min_by(|a, b| a.0.total_cmp(&b.0))?;
     if start.0 <= settings.tolerance_deg {
         return None;
@@ -190,13 +200,13 @@ fn beyond_reach(
 /// steepest slope into the bound, by a difference over a twentieth of its range.
 fn limiting(emulator: &Emulator, set: &ParameterSet, target: &Flowability) -> Option<&'static str> {
     let at = set.to_unit();
-    let here = emulator.expect(set).mean.mean;
+    let here = emulator.mean_deg(set);
     let towards = (target.repose_deg - here).signum();
     let slope = |k: usize| {
         let at_bound = at[k] < 0.02 || at[k] > 0.98;
         let mut inward = at;
         inward[k] += if at[k] < 0.5 { 0.05 } else { -0.05 };
-        let gained = towards * (here - emulator.expect(&space::parameters_at(&inward)).mean.mean);
+        let gained = towards * (here - emulator.mean_deg(&space::parameters_at(&inward)));
         if at_bound { gained } else { 0.0 }
     };
     let steepest = (0..COUNT).map(|k| (slope(k), k)).max_by(|a, b| a.0.total_cmp(&b.0))?;

@@ -34,8 +34,9 @@ fn normal(seed: u64, k: u64) -> f64 {
 fn formula(set: &ParameterSet, readings: u32, seed: u64) -> Result<Heap, String> {
     let sd = noise_deg(set);
     let common = 0.3 * sd * normal(seed, 1000);
-    let tips: Vec<f64> =
-        (0..readings).map(|k| clean_deg(set) + common + sd * (1.0f64 - 0.09).sqrt() * normal(seed, u64::from(k))).collect();
+    let tips: Vec<f64> = (0..readings)
+        .map(|k| clean_deg(set) + common + sd * (1.0f64 - 0.09).sqrt() * normal(seed, u64::from(k)))
+        .collect();
     let tip_deg = summary::mean(&tips).unwrap();
     Ok(Heap { tip_deg, tip_sd_deg: summary::sd(&tips), cone_deg: tip_deg, creep_deg_per_s: 0.0 })
 }
@@ -97,7 +98,8 @@ fn an_interrupted_build_goes_on_and_ends_with_the_same_bytes_on_any_number_of_th
             simulated.fetch_add(1, Ordering::Relaxed);
             formula(set, readings, seed)
         };
-        let resumed = pool.install(|| build(&design, numbers, &heard, counted, |_, _| ControlFlow::Continue(()))).unwrap();
+        let resumed =
+            pool.install(|| build(&design, numbers, &heard, counted, |_, _| ControlFlow::Continue(()))).unwrap();
         assert_eq!(resumed.hash(), whole.hash());
         assert_eq!(simulated.load(Ordering::Relaxed) as usize, 70 - stop);
         let set = ParameterSet::default();
@@ -123,7 +125,7 @@ fn ten_different_verified_sets_are_read_off_the_emulator_for_every_powder() {
         let deg = powder.automated.repose_deg;
         let found = run(&emulator, deg, &settings(1));
         assert!(found.sets.len() == 10 && found.evaluations <= 10 && found.shortfall.is_none());
-        assert!(found.sets.iter().all(|set| set.runs == 10 && set.verified_error_deg <= 0.5));
+        assert!(found.sets.iter().all(|set| set.runs == 8 && set.verified_error_deg <= 0.5));
         // The truth, which no verification knows.
         let truth: Vec<f64> = found.sets.iter().map(|set| (clean_deg(&set.parameters) - deg).abs()).collect();
         assert!(summary::mean(&truth).unwrap() < 0.45, "{truth:?}");
@@ -173,13 +175,14 @@ fn a_target_out_of_reach_names_the_nearest_angle_and_the_bound_in_the_way() {
     let above = run(&emulator, 70.0, &settings(1));
     let steepest = clean_deg(&ParameterSet::from_unit([0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0]));
     let shortfall = above.shortfall.unwrap();
-    assert!(above.sets.is_empty() && (above.evaluations, above.verification_runs) == (0, 10));
+    assert!(above.sets.is_empty() && (above.evaluations, above.verification_runs) == (0, 8));
     assert!((shortfall.nearest_repose_deg - steepest).abs() < 2.0, "{shortfall:?} of {steepest}");
     let named = shortfall.limiting_parameter.unwrap();
     assert!(["friction", "cohesion", "gravity_scale"].contains(&named.as_str()), "{named}");
     let below = run(&emulator, 15.0, &settings(1)).shortfall.unwrap();
     assert!((below.nearest_repose_deg - 22.0).abs() < 2.0, "{below:?}");
-    assert_eq!(below.limiting_parameter.as_deref(), Some("friction"));
+    let named = below.limiting_parameter.unwrap();
+    assert!(["friction", "cohesion"].contains(&named.as_str()), "{named}");
 }
 
 #[test]
@@ -230,7 +233,10 @@ fn posterior_ranks_are_uniform_and_intervals_cover_what_they_say() {
         let name = PARAMETERS.get(j).map_or("angle", |p| p.key);
         let chi2: f64 = counts[j].iter().map(|c| (f64::from(*c) - expected).powi(2) / expected).sum();
         let share = f64::from(covered[j]) / POWDERS as f64;
-        println!("{name}: 68 % interval covers {:.1} % of {POWDERS} powders, chi2 of ranks {chi2:.1} of 9", 100.0 * share);
+        println!(
+            "{name}: 68 % interval covers {:.1} % of {POWDERS} powders, chi2 of ranks {chi2:.1} of 9",
+            100.0 * share
+        );
         // 99.9 % of chi^2_9 is 27.9; ten are looked at.
         assert!(chi2 < 30.0, "{name}: {:?}", counts[j]);
         assert!((0.60..=0.76).contains(&share), "{name}: {share}");
@@ -298,8 +304,8 @@ fn the_published_method_ends_with_ten_solutions_below_one_degree_and_verifies_wh
     let solutions = |trials: &[&Trial]| trials.iter().filter(|t| t.error_deg.unwrap() < 1.0).count();
     assert_eq!(solutions(&search), 10, "it ends with the tenth");
     assert!(search.last().unwrap().error_deg.unwrap() < 1.0 && search.len() <= 150);
-    assert!(found.sets.len() == 10 && found.sets.iter().all(|set| set.error_deg <= 1.5 && set.runs == 10));
-    assert_eq!(found.verification_runs, 100);
+    assert!(found.sets.len() == 10 && found.sets.iter().all(|set| set.error_deg <= 1.5 && set.runs == 8));
+    assert_eq!(found.verification_runs, 80);
     assert!(trials[search.len()..].iter().all(|t| t.phase == Phase::Verification));
     // One lucky heap chose each set; fresh heaps say what it is worth.
     assert!(found.verified_error_deg.unwrap() > found.mean_error_deg.unwrap());
@@ -310,7 +316,7 @@ fn the_published_method_ends_with_ten_solutions_below_one_degree_and_verifies_wh
 #[test]
 fn without_solutions_the_published_bounds_shrink_to_the_best_tenth_until_nothing_is_left() {
     // No angle of the formula is near 80 deg.
-    let settings = Settings { stagnation: 20, trials_max: 400, initial: 10, ..Settings::of(Method::Paper) };
+    let settings = Settings { stagnation: 15, trials_max: 90, initial: 10, ..Settings::of(Method::Paper) };
     let (trials, found) = published(&settings, 80.0);
     assert!(found.sets.is_empty() && found.shortfall.is_some());
     let range = |trials: &[Trial]| {
@@ -322,9 +328,9 @@ fn without_solutions_the_published_bounds_shrink_to_the_best_tenth_until_nothing
         std::array::from_fn::<[f64; 2], COUNT, _>(|k| [side(k).fold(1.0, f64::min), side(k).fold(0.0, f64::max)])
     };
     let mut shrunk = 0;
-    for after in (20..trials.len()).step_by(20) {
+    for after in (15..trials.len()).step_by(15) {
         let bounds = range(&trials[..after]);
-        for trial in &trials[after..(after + 20).min(trials.len())] {
+        for trial in &trials[after..(after + 15).min(trials.len())] {
             let point = trial.parameters.to_unit();
             assert!(point.iter().zip(bounds).all(|(x, [low, high])| (low - 1e-5..=high + 1e-5).contains(x)));
         }

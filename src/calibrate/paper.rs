@@ -44,7 +44,8 @@ pub(super) fn plan(trials: &[Trial], settings: &Settings) -> Vec<Planned> {
         return state.next(trials, settings).into_iter().collect();
     }
     let kept = kept(trials, settings).into_iter();
-    let runs = kept.flat_map(|trial| (1..=settings.verify_repeats).map(|repeat| Planned::verification(trial, repeat, settings)));
+    let runs = kept
+        .flat_map(|trial| (1..=settings.verify_repeats).map(|repeat| Planned::verification(trial, repeat, settings)));
     runs.collect()
 }
 
@@ -115,7 +116,9 @@ impl State {
     /// The point of largest expected improvement within the bounds.
     fn most_promising(&self, trials: &[Trial], settings: &Settings) -> Point {
         let mut rng = Pcg64::seed_from_u64(derive(settings.seed, &[super::PROPOSALS, trials.len() as u64]));
-        let within = |point: Point| std::array::from_fn(|k| self.bounds[k][0] + point[k] * (self.bounds[k][1] - self.bounds[k][0]));
+        let within = |point: Point| {
+            std::array::from_fn(|k| self.bounds[k][0] + point[k] * (self.bounds[k][1] - self.bounds[k][0]))
+        };
         let pool: Vec<Point> = latin_hypercube(POOL, &mut rng).into_iter().map(within).collect();
         let seen = ranked(trials);
         let inputs: Vec<Point> = seen.iter().map(|trial| trial.parameters.to_unit()).collect();

@@ -49,10 +49,10 @@ pub struct Settings {
     /// that the result does not depend on the machine. Default 4; the published method proposes one.
     pub batch: u32,
     /// Fresh simulations, with seeds the search has not seen, by which each candidate is verified, 1 to 50. Default 2, with the emulator and
-    /// the published method 10.
+    /// the published method 8.
     pub verify_repeats: u32,
-    /// Readings of each of these heaps, 1 to 64: see `sim/repose.rs`. Default 1, with the emulator and the published method 6, which tells most
-    /// for its price (docs/decisions.md).
+    /// Readings of each of these heaps, 1 to 64: see `sim/repose.rs`. Default 1, with the emulator and the published method 4, as the
+    /// emulator's own heaps have: later readings are a little steeper than the first.
     pub readings: u32,
     /// The published method accepts a set whose error is below this, degrees, 0.1 to 10, and ends when it has enough of them. Default 1 (the
     /// paper's).
@@ -90,8 +90,8 @@ impl Settings {
         let default = Self { method, ..Self::default() };
         match method {
             Method::Sequential => default,
-            Method::Paper => Self { verify_repeats: 10, readings: 6, batch: 1, ..default },
-            Method::Emulator => Self { tolerance_deg: 0.5, trials_max: 300, verify_repeats: 10, readings: 6, ..default },
+            Method::Paper => Self { verify_repeats: 8, readings: 4, batch: 1, ..default },
+            Method::Emulator => Self { tolerance_deg: 0.5, trials_max: 300, verify_repeats: 8, readings: 4, ..default },
         }
     }
 

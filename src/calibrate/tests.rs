@@ -275,8 +275,9 @@ fn a_simulator_that_always_refuses_or_answers_nonsense_ends_in_an_explanation() 
 
 #[test]
 fn a_number_that_is_none_now_and_then_never_reaches_a_result() {
-    let broken =
-        |set: &ParameterSet, _: u32, seed: u64| if seed.is_multiple_of(5) { heap(f64::NAN) } else { formula(set, 1, seed) };
+    let broken = |set: &ParameterSet, _: u32, seed: u64| {
+        if seed.is_multiple_of(5) { heap(f64::NAN) } else { formula(set, 1, seed) }
+    };
     let (trials, result) = recorded(&few(), broken);
     assert!(trials.iter().any(|t| t.error_deg.is_none()), "the test needs a refusal");
     let result = result.unwrap();

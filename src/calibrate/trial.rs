@@ -1,9 +1,9 @@
 //! One simulation of a calibration, and what the calibration ends with.
 
+use super::settings::Settings;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::powder::Flowability;
 use crate::domain::seed::derive;
-use super::settings::Settings;
 use serde::{Deserialize, Serialize};
 
 /// Why a simulation ran.

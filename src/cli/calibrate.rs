@@ -63,7 +63,7 @@ pub(super) struct Search {
     /// Heaps by which each set is verified; by default 8, with the method `sequential` 2.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     verify_repeats: Option<u32>,
-    /// Readings of each of these heaps; by default 16, with the method `sequential` 1.
+    /// Readings of each of these heaps; by default 4, with the method `sequential` 1.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     readings: Option<u32>,
 }

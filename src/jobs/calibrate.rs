@@ -261,4 +261,3 @@ fn from_row(row: Trial) -> calibrate::Trial {
         error_deg: row.error_deg,
     }
 }
-

@@ -123,6 +123,13 @@ impl<const D: usize> GaussianProcess<D> {
         Ok(Self { hyperparameters, inputs, outputs, noise, factor, weights })
     }
 
+    /// Posterior mean at `x`.
+    pub fn mean(&self, x: &[f64; D]) -> f64 {
+        let h = &self.hyperparameters;
+        let sum: f64 = self.inputs.iter().zip(&self.weights).map(|(xi, w)| h.correlation(xi, x) * w).sum();
+        h.mean + h.signal_sd.powi(2) * sum
+    }
+
     /// Posterior at `x`.
     pub fn predict(&self, x: &[f64; D]) -> Prediction {
         let h = &self.hyperparameters;

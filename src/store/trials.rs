@@ -96,8 +96,7 @@ impl Store {
 
     /// Every heap of an emulator so far, in order.
     pub(crate) async fn emulator_runs(&self, emulator: &str) -> Result<Vec<Trial>> {
-        let rows =
-            sqlx::query("SELECT body FROM emulator_run WHERE emulator = ?1 ORDER BY position").bind(emulator);
+        let rows = sqlx::query("SELECT body FROM emulator_run WHERE emulator = ?1 ORDER BY position").bind(emulator);
         rows.fetch_all(&self.reader).await?.iter().map(|row| row.json("body")).collect()
     }
 

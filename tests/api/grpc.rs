@@ -186,7 +186,14 @@ async fn watching_a_job_ends_with_the_job() {
     let service = Service::start().await;
     let token = service.token(Role::Operator).await;
     let request = service.request("POST", "/v1/calibrations").bearer_auth(&token);
-    let job: Value = request.json(&json!({ "powder": "salt", "sets": 1 })).send().await.unwrap().json().await.unwrap();
+    let job: Value = request
+        .json(&json!({ "powder": "salt", "method": "sequential", "sets": 1 }))
+        .send()
+        .await
+        .unwrap()
+        .json()
+        .await
+        .unwrap();
     let id = job["id"].as_str().unwrap().to_owned();
     let mut jobs = JobsClient::new(channel(&service).await);
     let watch = proto::WatchRequest { id: id.clone(), after_seq: 0 };

@@ -1,6 +1,8 @@
 //! One application for each test, and the formulas it computes with.
 
-use flip::app::{App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Topic, TrainingRequest};
+use flip::app::{
+    App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Topic, TrainingRequest,
+};
 use flip::domain::bench::{Action, Reading, Tick};
 use flip::domain::parameters::ParameterSet;
 use flip::domain::weighing::Outcome;

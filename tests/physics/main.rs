@@ -1,5 +1,6 @@
 //! Does nature hold? Bulk behaviour of the simulator through its public surface.
 
+mod emulator;
 mod validation;
 
 use flip::domain::parameters::ParameterSet;

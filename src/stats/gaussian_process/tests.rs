@@ -39,6 +39,7 @@ fn the_posterior_is_that_of_the_formula_with_an_explicit_inverse() {
         let mean = 4.5 + (c.transpose() * &inverse * DVector::from_fn(12, |i, _| y[i] - 4.5))[0];
         let sd = (1.7 * 1.7 - (c.transpose() * &inverse * &c)[0]).sqrt();
         let got = gp.predict(&q);
+        assert!((gp.mean(&q) - mean).abs() < 1e-7);
         assert!((got.mean - mean).abs() < 1e-7 && (got.sd - sd).abs() < 1e-7, "{got:?} {mean} {sd}");
     }
 }
@@ -128,7 +129,8 @@ fn repeated_and_constant_observations_are_no_trouble_and_nonsense_is_refused() {
 #[test]
 fn the_mean_of_four_observations_is_as_good_as_the_four() {
     let h = known::<1>(0.5, 0.6);
-    let four = GaussianProcess::new(&[[0.2], [0.2], [0.2], [0.2], [0.9]], &[7.0, 6.0, 6.5, 6.1, 4.0], h.clone()).unwrap();
+    let four =
+        GaussianProcess::new(&[[0.2], [0.2], [0.2], [0.2], [0.9]], &[7.0, 6.0, 6.5, 6.1, 4.0], h.clone()).unwrap();
     let mean = GaussianProcess::with_noise(&[[0.2], [0.9]], &[6.4, 4.0], &[0.25, 1.0], h.clone()).unwrap();
     let grown = GaussianProcess::new(&[[0.9]], &[4.0], h).unwrap().observe(&[([0.2], 6.4, 0.25)]);
     for x in [[0.1], [0.5], [1.4]] {
