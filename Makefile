@@ -1,12 +1,13 @@
 # make run    everything from a clean clone: fetch, build, and run the demonstration (ARGS=--exit ends it after the table)
 # make test   every test: Rust, page in a headless Chromium; prints how many ran
 # make bench-peers   the simulator's speed beside other simulators', which it installs (python3.11, PyPI)
+# make calibration-report   the published method and ours on the five powders, fifteen minutes on two cores
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test setup web chromium bench bench-peers lint
+.PHONY: run test setup web chromium bench bench-peers calibration-report lint
 
 ARGS ?=
 LOGS := target/test
@@ -54,6 +55,14 @@ bench: setup
 bench-peers: setup
 	benches/peers/run.sh setup
 	cargo run --quiet --release --locked -- bench sim --peers benches/peers $(ARGS)
+
+calibration-report: setup
+	cargo build --release --locked
+	folder=$$(mktemp -d); trap 'rm -rf "$$folder"' EXIT
+	for method in paper emulator; do
+		echo "--method $$method"
+		cargo run --quiet --release --locked -- calibrate --data-dir "$$folder" --powder all --method "$$method" $(ARGS)
+	done
 
 lint: setup
 	cargo fmt --check

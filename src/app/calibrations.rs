@@ -32,8 +32,8 @@ pub struct CalibrationRequest {
     pub tolerance_deg: Option<f64>,
     /// Grains in a simulated heap, 100 to 100000; default 2000.
     pub particles: Option<u32>,
-    /// Most simulations, search and verification together, 1 to 1000; default 300, with the other methods 150. With the published method,
-    /// which verifies afterwards, of the search alone.
+    /// Most simulations, search and verification together, 1 to 20000; default three times what the verification of all sets takes, with the
+    /// other methods 150. With the published method, which verifies afterwards, of the search alone.
     pub trials_max: Option<u32>,
     /// Heaps by which each set is verified, 1 to 50; default 8, with the method `sequential` 2.
     pub verify_repeats: Option<u32>,
@@ -71,13 +71,13 @@ impl App {
             sets: request.sets.unwrap_or(defaults.sets),
             tolerance_deg: request.tolerance_deg.unwrap_or(defaults.tolerance_deg),
             particles: request.particles.unwrap_or(defaults.particles),
-            trials_max: request.trials_max.unwrap_or(defaults.trials_max),
             verify_repeats: request.verify_repeats.unwrap_or(defaults.verify_repeats),
             readings: request.readings.unwrap_or(defaults.readings),
             seed: request.seed.unwrap_or(defaults.seed),
             ..defaults
         };
-        let settings = settings.checked()?;
+        let trials_max = request.trials_max.unwrap_or_else(|| settings.budget());
+        let settings = Settings { trials_max, ..settings }.checked()?;
         let design = (settings.method == Method::Emulator).then(|| Design::with_particles(settings.particles));
         let spec = CalibrationSpec { powder, target, settings, design, simulator: SIMULATOR.to_owned() };
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Calibration(spec)).await?)

@@ -190,6 +190,8 @@ fn a_budget_too_small_is_kept_and_said() {
     let emulator = emulator();
     let found = run(&emulator, 36.03, &Settings { trials_max: 40, ..settings(1) });
     assert!(found.evaluations + found.verification_runs <= 40 && found.sets.len() < 10);
+    let thorough = Settings { verify_repeats: 40, ..settings(1) };
+    assert_eq!((settings(1).budget(), thorough.budget()), (300, 1200), "three verifications of every set");
     let shortfall = found.shortfall.unwrap();
     assert!(shortfall.limiting_parameter.is_none() && (shortfall.nearest_repose_deg - 36.03).abs() < 2.0);
 }

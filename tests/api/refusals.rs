@@ -118,6 +118,7 @@ async fn things_that_do_not_exist_are_not_found() {
         "parameter-sets?powder=none",
         "calibrations/none",
         "calibrations/none/trials",
+        "calibrations/none/posterior",
         "trainings/none",
         "trainings/none/episodes",
         "policies/none",
