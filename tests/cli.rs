@@ -109,12 +109,13 @@ fn validate_prints_what_it_measured_and_knows_its_checks_by_name() {
 #[test]
 fn bad_input_exits_2_and_names_the_field() {
     let folder = tempfile::tempdir().unwrap();
-    let cases: [(&[&str], &str); 19] = [
+    let cases: [(&[&str], &str); 23] = [
         (&["repose", "--friction", "1.31"], "friction: must be a number from 0 to 1.3"),
         (&["repose", "--cohesion", "NaN"], "cohesion: must be a number from 0 to 1.2"),
         (&["repose", "--particle-diameter-mm", "-1"], "particle_diameter_mm"),
         (&["repose", "--damping", "soft"], "--damping"),
         (&["repose", "--repeats", "0"], "repeats"),
+        (&["repose", "--readings", "65"], "readings: must be from 1 to 64"),
         (&["repose", "--particles", "199"], "particles: must be from 200 to 20000"),
         (&["repose", "--weight", "3"], "--weight"),
         (&["repose", "--compat", "flex"], "--compat"),
@@ -124,6 +125,9 @@ fn bad_input_exits_2_and_names_the_field() {
         (&["calibrate", "--powder", "chalk"], "powder"),
         (&["calibrate", "--powder", "salt", "--sets", "0"], "sets"),
         (&["calibrate", "--powder", "salt", "--tolerance-deg", "inf"], "tolerance_deg"),
+        (&["calibrate", "--repose-deg", "90"], "repose_deg"),
+        (&["calibrate", "--repose-deg", "30", "--sd-deg", "2", "--n", "0"], "n: must be from 1"),
+        (&["calibrate", "--powder", "salt", "--repose-deg", "30"], "--repose-deg"),
         (&["train", "--order", "sideways"], "--order"),
         (&["train", "--order", "curriculum", "--episodes", "0"], "episodes"),
         (&["weigh", "--powder", "salt", "--target-mg", "-5"], "target_mg"),

@@ -187,3 +187,41 @@ async fn check_database(folder: &Path) {
     assert_eq!(successes, 2, "each job succeeds once");
     pool.close().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn killed_while_it_builds_an_emulator_the_service_goes_on_with_the_heaps_it_has() {
+    let folder = TempDir::new().unwrap();
+    let (mut service, token) = Service::start(folder.path());
+    let token = token.expect("the first start prints a token");
+    // Small heaps are quick; a wide tolerance is met at once.
+    let request = json!({
+        "repose_deg": 35.0, "particles": 300, "sets": 2, "verify_repeats": 2, "readings": 2, "tolerance_deg": 5.0
+    });
+    let calibration = service.post("/v1/calibrations", &token, &request).await["id"].as_str().unwrap().to_owned();
+    for kill in 0..3u64 {
+        tokio::time::sleep(Duration::from_millis(2500 + flip::domain::seed::derive(7, &[kill]) % 1000)).await;
+        service.kill();
+        service = Service::start(folder.path()).0;
+    }
+    let job = service.ended(&calibration).await;
+    assert_eq!(job["state"], "succeeded", "{job}");
+    let result = service.get(&format!("/v1/calibrations/{calibration}")).await["result"].clone();
+    let [runs, built] = ["runs", "built"].map(|key| result["emulator"][key].as_u64().unwrap());
+    assert!(runs == 240 && built < runs, "the last life built {built} of {runs} heaps, not all");
+    assert_eq!(result["reached"], true, "{result}");
+    service.kill();
+
+    let pool =
+        SqlitePool::connect_with(SqliteConnectOptions::new().filename(folder.path().join("flip.db"))).await.unwrap();
+    let distinct = "SELECT count(DISTINCT body ->> '$.seed' || body ->> '$.parameters') FROM";
+    for (table, rows) in [("emulator_run", 240), ("trial", -1)] {
+        let different: i64 =
+            sqlx::query_scalar(sqlx::AssertSqlSafe(format!("{distinct} {table}"))).fetch_one(&pool).await.unwrap();
+        let stored: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(format!("SELECT count(*) FROM {table}")))
+            .fetch_one(&pool)
+            .await
+            .unwrap();
+        assert!(different == stored && (rows < 0 || stored == rows), "{table}: {stored} heaps, {different} different");
+    }
+    pool.close().await;
+}
