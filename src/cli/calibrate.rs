@@ -108,7 +108,7 @@ struct Powder {
     /// Simulations with fresh seeds that checked candidates.
     verification_runs: u32,
     sets: Vec<Set>,
-    mean_error_deg: f64,
+    mean_error_deg: Option<f64>,
     sd_error_deg: Option<f64>,
     /// Mean over the sets of |mean over fresh seeds - target|, degrees.
     verified_error_deg: Option<f64>,
@@ -251,7 +251,7 @@ fn text(document: &Document) -> String {
             p.powder.clone(),
             format!("{:.2}", p.target_deg),
             p.sets.len().to_string(),
-            format!("{:.2}", p.mean_error_deg),
+            two(p.mean_error_deg),
             two(p.sd_error_deg),
             two(p.verified_error_deg),
             two(p.verified_sd_deg),

@@ -31,8 +31,8 @@ pub struct CalibrationResult {
     pub verification_runs: u32,
     /// The sets it kept.
     pub sets: Vec<CalibrationSet>,
-    /// Mean of the sets' errors, degrees.
-    pub mean_error_deg: f64,
+    /// Mean of the sets' errors, degrees; absent without sets.
+    pub mean_error_deg: Option<f64>,
     /// Standard deviation of the sets' errors, degrees; absent for a single set.
     pub sd_error_deg: Option<f64>,
     /// Mean of the sets' verified errors, degrees; absent without sets.
@@ -181,7 +181,7 @@ fn finish(
         evaluations: calibration.evaluations,
         verification_runs: calibration.verification_runs,
         sets: calibration.sets.iter().map(kept).collect(),
-        mean_error_deg: calibration.mean_error_deg.unwrap_or(0.0),
+        mean_error_deg: calibration.mean_error_deg,
         sd_error_deg: calibration.sd_error_deg,
         verified_error_deg: calibration.verified_error_deg,
         shortfall: calibration.shortfall,
