@@ -206,6 +206,11 @@ async fn calibrations_share_one_emulator_that_is_built_once_also_when_it_is_inte
     let posterior = app.posterior(&sugar).await.unwrap();
     assert_eq!((posterior.draws.len(), posterior.parameters.len()), (400, 9));
     assert!(posterior.repose_deg.iter().all(|deg| (25.0..38.0).contains(deg)));
+    // The next start sweeps what no row names.
+    app.shutdown().await.unwrap();
+    drop(app);
+    let app = open_in(folder.path(), functions()).await;
+    assert_eq!(app.posterior(&sugar).await.unwrap(), posterior);
     let without = calibrated(&app, "salt").await;
     assert!(matches!(app.posterior(&without.id).await, Err(Error::Conflict { code: "posterior_missing", .. })));
 
