@@ -103,7 +103,7 @@ describe('a calibration', () => {
   it('is started from the form and watched until it has converged', async () => {
     await chromium.open(page, 'powders?calibrate=sand')
     await unlock(page, service.token)
-    await page.getByLabel('Method').selectOption('sequential')
+    await page.getByLabel('How sets are found').selectOption('sequential')
     await page.getByLabel('Sets to keep').fill('1')
     await page.getByLabel('Tolerance (°)').fill('5')
     await page.getByLabel('Most trials').fill('40')
