@@ -213,7 +213,7 @@ async fn killed_while_it_builds_an_emulator_the_service_goes_on_with_the_heaps_i
 
     let pool =
         SqlitePool::connect_with(SqliteConnectOptions::new().filename(folder.path().join("flip.db"))).await.unwrap();
-    let distinct = "SELECT count(DISTINCT body ->> '$.seed' || body ->> '$.parameters') FROM";
+    let distinct = "SELECT count(DISTINCT (body ->> '$.seed') || (body ->> '$.parameters')) FROM";
     for (table, rows) in [("emulator_run", 240), ("trial", -1)] {
         let different: i64 =
             sqlx::query_scalar(sqlx::AssertSqlSafe(format!("{distinct} {table}"))).fetch_one(&pool).await.unwrap();
