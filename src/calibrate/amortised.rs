@@ -171,7 +171,7 @@ fn beyond_reach(
     // Coordinate descent with steps that halve: the angle is smooth and mostly monotone in each parameter.
     let (mut least, mut at) = (start.0, start.1.to_unit());
     let mut step = 0.5;
-    for k in 0..WALK {
+    for _ in 0..WALK {
         let before = least;
         for j in 0..COUNT {
             for sign in [-1.0, 1.0] {
@@ -189,7 +189,7 @@ fn beyond_reach(
         if before == least {
             step *= 0.5;
         }
-        if k + 1 == WALK || step < 1e-3 {
+        if step < 1e-3 {
             break;
         }
     }

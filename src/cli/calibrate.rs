@@ -128,7 +128,7 @@ struct Set {
     repose_sd_deg: Option<f64>,
     runs: u32,
     error_deg: f64,
-    verified_error_deg: f64,
+    verified_error_deg: Option<f64>,
 }
 
 /// Calibrate one powder or all, side by side, and print the sets.
@@ -212,7 +212,7 @@ fn powder(calibration: Calibration) -> Result<Powder, Failure> {
         error_deg: set.error_deg,
         verified_error_deg: set.verified_error_deg,
     };
-    let errors: Vec<f64> = result.sets.iter().map(|set| set.verified_error_deg).collect();
+    let errors: Vec<f64> = result.sets.iter().filter_map(|set| set.verified_error_deg).collect();
     let standard = result.sets.iter().filter_map(|set| Some(set.repose_sd_deg? / f64::from(set.runs).sqrt()));
     let standard: Vec<f64> = standard.collect();
     let method = calibration.settings.get("method").cloned().unwrap_or_default();

@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod job;
+pub mod observable;
 pub mod parameters;
 pub mod powder;
 pub mod seed;

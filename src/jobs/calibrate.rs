@@ -81,9 +81,9 @@ pub struct CalibrationSet {
     pub runs: u32,
     /// The error by which the method chose it, degrees: with the published method that of its search run, else the verified one.
     pub error_deg: f64,
-    /// Absolute difference between mean and target, degrees.
+    /// Absolute difference between mean and target, degrees; absent in results stored before it was told apart from `error_deg`.
     #[serde(default)]
-    pub verified_error_deg: f64,
+    pub verified_error_deg: Option<f64>,
 }
 
 pub(super) fn perform(context: &JobContext, spec: &CalibrationSpec) -> Result<(), JobError> {
@@ -212,7 +212,7 @@ fn kept(set: &CalibratedSet) -> CalibrationSet {
         repose_sd_deg: set.repose_sd_deg,
         runs: set.runs,
         error_deg: set.error_deg,
-        verified_error_deg: set.verified_error_deg,
+        verified_error_deg: Some(set.verified_error_deg),
     }
 }
 

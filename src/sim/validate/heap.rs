@@ -9,7 +9,7 @@ use crate::domain::parameters::ParameterSet;
 pub(super) const EXPERIMENTS: &[Experiment] = &[
     Experiment { name: "repose_size", checks: &["repose_size"], run: size },
     Experiment { name: "repose_substep", checks: &["repose_substep", "repose_substep_error"], run: substep },
-    Experiment { name: "repose_funnel", checks: &["repose_funnel", "repose_funnel_significance"], run: funnel },
+    Experiment { name: "repose_funnel", checks: &["repose_funnel", "repose_funnel_scatter"], run: funnel },
     Experiment { name: "repose_friction", checks: &["repose_friction", "repose_friction_rise"], run: friction },
     Experiment { name: "repose_cohesion", checks: &["repose_cohesion", "repose_cohesion_rise"], run: cohesion },
     Experiment { name: "repose_base_friction", checks: &["repose_base_friction"], run: base_friction },
@@ -95,8 +95,8 @@ fn difference(means: &[Mean]) -> [f64; 2] {
     largest
 }
 
-/// Does the angle depend on how far grains fall? An angle has the scatter of one heap as its noise: a difference below it cannot be told
-/// from two readings. Whether one is there at all, however small, is asked beside it: of the means of many heaps.
+/// Does the angle depend on how far grains fall? Asked of the means of many heaps, and beside it whether two heaps could tell: of their
+/// scatter.
 fn funnel(suite: &Suite) -> Vec<Check> {
     const HEAPS: u64 = 48;
     let at = |clearance: f64| {
@@ -107,11 +107,11 @@ fn funnel(suite: &Suite) -> Vec<Check> {
     let [degrees, error] = difference(&means);
     // The standard error of a mean of n is the scatter of one over the root of n.
     let scatter = means.iter().map(|mean| mean.error * mean.error * HEAPS as f64).sum::<f64>() / means.len() as f64;
-    let source = "an angle of repose belongs to the powder, within the scatter of one heap";
-    let beyond = "the same of the means of 48 heaps, within two standard errors";
+    let source = "an angle of repose belongs to the powder, within two standard errors";
+    let one = "an angle of repose belongs to the powder, within the scatter of one heap";
     vec![
-        Check::near("repose_funnel", degrees, [0.0, scatter.sqrt()], "deg", source),
-        Check::within("repose_funnel_significance", degrees / error, [0.0, SIGNIFICANT], "errors", beyond),
+        Check::near("repose_funnel", degrees, [0.0, SIGNIFICANT * error], "deg", source),
+        Check::near("repose_funnel_scatter", degrees, [0.0, scatter.sqrt()], "deg", one),
     ]
 }
 

@@ -1,0 +1,149 @@
+//! What a powder can be measured by beside its angle of repose.
+
+use super::{FieldError, bounded};
+use serde::{Deserialize, Serialize};
+
+/// A quantity that an experiment measures, with the settings of the experiment.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Observable {
+    /// Time in which a mass runs out of a flat-bottomed cup through a round hole, s. A Hall flow meter: 50 g, 2.54 mm (ASTM B213).
+    FlowTime {
+        /// Mass that runs out, 0.01 to 1000 g.
+        mass_g: f64,
+        /// Diameter of the hole, 1.5 to 4 mm.
+        orifice_mm: f64,
+    },
+    /// Mass that one shake of a full spoon lets fall, mg.
+    ShakeMass {
+        /// Pitch of the spoon, tip down, 0 to 50 deg.
+        pitch_deg: f64,
+        /// Amplitude of the shake along the spoon, 0.9 to 16 mm.
+        shake_mm: f64,
+    },
+    /// Slope of what stays in a flat-bottomed cup when the powder has run out of a hole in its middle, deg.
+    DrainedAngle {},
+    /// Height of a heap on a round base that it covers to the rim, mm.
+    PileHeight {
+        /// Diameter of the base, 5 to 500 mm.
+        base_diameter_mm: f64,
+        /// From the funnel's tip down to the apex of the finished heap, 0.05 to 0.5 diameters of the base, mm.
+        fall_mm: f64,
+    },
+}
+
+/// A measured quantity: the mean of `n` repeats and their standard deviation, in the quantity's unit.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Observation {
+    /// What was measured.
+    pub observable: Observable,
+    /// Mean over the repeats, in the observable's unit.
+    pub mean: f64,
+    /// Standard deviation over the repeats.
+    pub sd: f64,
+    /// Number of repeats, 2 to 10000: a single one says nothing of its own spread.
+    pub n: u32,
+}
+
+impl Observable {
+    /// Its unit.
+    pub fn unit(&self) -> &'static str {
+        match self {
+            Self::FlowTime { .. } => "s",
+            Self::ShakeMass { .. } => "mg",
+            Self::DrainedAngle {} => "deg",
+            Self::PileHeight { .. } => "mm",
+        }
+    }
+
+    /// The name of its kind, as in JSON.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::FlowTime { .. } => "flow_time",
+            Self::ShakeMass { .. } => "shake_mass",
+            Self::DrainedAngle {} => "drained_angle",
+            Self::PileHeight { .. } => "pile_height",
+        }
+    }
+
+    fn check(&self) -> Result<(), FieldError> {
+        match *self {
+            Self::FlowTime { mass_g, orifice_mm } => {
+                bounded("mass_g", mass_g, 0.01, 1000.0, "g")?;
+                bounded("orifice_mm", orifice_mm, 1.5, 4.0, "mm")?;
+            }
+            Self::ShakeMass { pitch_deg, shake_mm } => {
+                bounded("pitch_deg", pitch_deg, 0.0, 50.0, "deg")?;
+                bounded("shake_mm", shake_mm, 0.9, 16.0, "mm")?;
+            }
+            Self::DrainedAngle {} => {}
+            Self::PileHeight { base_diameter_mm, fall_mm } => {
+                bounded("base_diameter_mm", base_diameter_mm, 5.0, 500.0, "mm")?;
+                bounded("fall_mm", fall_mm, 0.05 * base_diameter_mm, 0.5 * base_diameter_mm, "mm")?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The range in which its mean can be.
+    fn range(&self) -> [f64; 2] {
+        match *self {
+            Self::FlowTime { .. } => [0.01, 1e5],
+            Self::ShakeMass { .. } => [0.0, 50.0],
+            Self::DrainedAngle {} => [5.0, 85.0],
+            Self::PileHeight { base_diameter_mm, .. } => [0.04, 5.0].map(|share| share * base_diameter_mm),
+        }
+    }
+}
+
+impl Observation {
+    /// The observation, if each of its numbers is possible.
+    ///
+    /// # Errors
+    /// The first that is not, by name.
+    pub fn checked(self) -> Result<Self, FieldError> {
+        self.observable.check()?;
+        let [lower, upper] = self.observable.range();
+        bounded("mean", self.mean, lower, upper, self.observable.unit())?;
+        bounded("sd", self.sd, 0.0, upper, self.observable.unit())?;
+        if !(2..=10_000).contains(&self.n) {
+            return Err(FieldError::new("n", format!("must be from 2 to 10000 repeats, got {}", self.n)));
+        }
+        Ok(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SHAKE: Observable = Observable::ShakeMass { pitch_deg: 30.0, shake_mm: 4.0 };
+
+    #[test]
+    fn impossible_observations_are_refused_by_field() {
+        let field = |observable, mean, sd, n| Observation { observable, mean, sd, n }.checked().unwrap_err().field;
+        assert_eq!(field(SHAKE, -1.0, 0.1, 5), "mean");
+        assert_eq!(field(SHAKE, 1.0, f64::NAN, 5), "sd");
+        assert_eq!(field(SHAKE, 1.0, 0.1, 1), "n");
+        assert_eq!(field(Observable::ShakeMass { pitch_deg: 30.0, shake_mm: 0.1 }, 1.0, 0.1, 5), "shake_mm");
+        assert_eq!(field(Observable::FlowTime { mass_g: 50.0, orifice_mm: 9.0 }, 30.0, 1.0, 5), "orifice_mm");
+        assert_eq!(field(Observable::DrainedAngle {}, 2.0, 1.0, 5), "mean");
+        let pile = |fall_mm| Observable::PileHeight { base_diameter_mm: 40.0, fall_mm };
+        assert_eq!(field(pile(1.0), 12.0, 1.0, 5), "fall_mm");
+        assert_eq!(field(pile(8.0), 0.0, 1.0, 5), "mean");
+    }
+
+    #[test]
+    fn an_observation_reads_as_it_is_written_and_nothing_more() {
+        let hall = Observable::FlowTime { mass_g: 50.0, orifice_mm: 2.54 };
+        for observable in [SHAKE, hall, Observable::DrainedAngle {}] {
+            let observation = Observation { observable, mean: 20.0, sd: 1.0, n: 5 }.checked().unwrap();
+            let text = serde_json::to_string(&observation).unwrap();
+            assert!(text.contains(observable.kind()), "{text}");
+            assert_eq!(serde_json::from_str::<Observation>(&text).unwrap(), observation);
+        }
+        let stray = r#"{"observable": {"kind": "drained_angle", "pitch_deg": 1}, "mean": 30, "sd": 1, "n": 5}"#;
+        assert!(serde_json::from_str::<Observation>(stray).is_err());
+    }
+}
