@@ -4,6 +4,7 @@ use super::jobs::{corrupt, stored};
 use super::{App, Error, Result};
 use crate::domain::FieldError;
 use crate::domain::job::JobKind;
+use crate::domain::observable::Observation;
 use crate::domain::powder::Flowability;
 use crate::jobs::calibrate::{CalibrationResult, Design, Method, Posterior, Settings};
 use crate::jobs::{CalibrationSpec, JobSpec, SIMULATOR};
@@ -41,7 +42,14 @@ pub struct CalibrationRequest {
     pub readings: Option<u32>,
     /// Seed; default 1.
     pub seed: Option<u64>,
+    /// What else was measured, up to 8 observations, for the method `emulator`; default what is registered for the powder.
+    pub observations: Option<Vec<Observation>>,
+    /// Grains of larger heaps in which the sets are looked at again, 100 to 100000; default none. It changes no set.
+    pub check_particles: Option<u32>,
 }
+
+/// Most observations of a calibration.
+const OBSERVATIONS_MAX: usize = 8;
 
 /// A calibration: its job, what it aims at, and once it has succeeded what it found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -52,6 +60,8 @@ pub struct Calibration {
     pub powder: Option<String>,
     /// What it aims at.
     pub target: Flowability,
+    /// What else was measured.
+    pub observations: Vec<Observation>,
     /// Every setting of the search and of the heap experiment.
     #[schema(value_type = Object)]
     pub settings: serde_json::Value,
@@ -79,8 +89,39 @@ impl App {
         let trials_max = request.trials_max.unwrap_or_else(|| settings.budget());
         let settings = Settings { trials_max, ..settings }.checked()?;
         let design = (settings.method == Method::Emulator).then(|| Design::with_particles(settings.particles));
-        let spec = CalibrationSpec { powder, target, settings, design, simulator: SIMULATOR.to_owned() };
+        let observations = self.observations_of(&request, settings.method).await?;
+        let check_particles = request.check_particles;
+        if check_particles.is_some_and(|particles| !(100..=100_000).contains(&particles)) {
+            return Err(FieldError::new("check_particles", "must be from 100 to 100000 grains").into());
+        }
+        let spec = CalibrationSpec {
+            powder,
+            target,
+            observations,
+            check_particles,
+            settings,
+            design,
+            simulator: SIMULATOR.to_owned(),
+        };
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Calibration(spec)).await?)
+    }
+
+    /// What else was measured: what the request says, else what is registered.
+    async fn observations_of(&self, request: &CalibrationRequest, method: Method) -> Result<Vec<Observation>> {
+        let Some(given) = &request.observations else { return Ok(Vec::new()) };
+        let refuse = |message: &str| Err(FieldError::new("observations", message).into());
+        if method != Method::Emulator && !given.is_empty() {
+            return refuse("are for the method `emulator`: leave them out, or take that method");
+        }
+        if given.len() > OBSERVATIONS_MAX {
+            return refuse("must be at most 8");
+        }
+        let checked = given.iter().enumerate().map(|(k, observation)| {
+            observation
+                .checked()
+                .map_err(|error| FieldError::new(format!("observations[{k}].{}", error.field), error.message))
+        });
+        Ok(checked.collect::<std::result::Result<_, _>>()?)
     }
 
     /// What to aim at: a powder's measurement, or a bare angle.
@@ -145,6 +186,7 @@ fn calibration(row: JobRow) -> Result<Calibration> {
         job: row.job,
         powder: spec.powder,
         target: spec.target,
+        observations: spec.observations,
         settings: serde_json::to_value(spec.settings).map_err(|error| Error::Internal(error.into()))?,
         result: row.result.as_deref().map(stored).transpose()?,
     })

@@ -22,6 +22,7 @@ pub use crate::jobs::calibrate::{
     CalibrationResult, CalibrationSet, EmulatorUse, Method as CalibrationMethod, Posterior, Shortfall,
 };
 pub use crate::jobs::evaluate::EvaluationResult;
+pub use crate::jobs::observe::{Larger, Observed, Simulated};
 pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
 pub use crate::store::counts::Counts;
 pub use crate::store::evaluations::{EvaluationRow, EvaluationSummary};

@@ -9,6 +9,7 @@
 //! A target outside what the emulator can reach gets the nearest point verified instead, and the parameter that stands in the way.
 
 use super::acquisition::probability_within;
+use super::channel::Knowledge;
 use super::emulator::{Emulator, share};
 use super::settings::Settings;
 use super::space::{self, Point};
@@ -39,7 +40,12 @@ const SEARCH_MAX: usize = 10;
 const WALK: usize = 60;
 
 /// What to simulate next; nothing when the calibration is over.
-pub(super) fn plan(trials: &[Trial], target: &Flowability, settings: &Settings, emulator: &Emulator) -> Vec<Planned> {
+pub(super) fn plan(
+    trials: &[Trial],
+    target: &Flowability,
+    settings: &Settings,
+    knowledge: &Knowledge<'_>,
+) -> Vec<Planned> {
     let left = (settings.trials_max as usize).saturating_sub(trials.len());
     let sets = verified(trials, target, settings);
     let wanted = (settings.sets as usize).saturating_sub(sets.len());
@@ -47,7 +53,7 @@ pub(super) fn plan(trials: &[Trial], target: &Flowability, settings: &Settings, 
     if affordable == 0 {
         return Vec::new();
     }
-    let emulator = emulator.with(trials);
+    let emulator = knowledge.emulator.with(trials);
     let next = trials.iter().map(|trial| trial.candidate + 1).max().unwrap_or(0);
     let verification = |points: &[ParameterSet]| {
         let runs = (next..).zip(points).flat_map(|(candidate, set)| {
@@ -60,7 +66,7 @@ pub(super) fn plan(trials: &[Trial], target: &Flowability, settings: &Settings, 
         // Once: its verification is the answer.
         return if trials.is_empty() { verification(&[nearest]) } else { Vec::new() };
     }
-    let region = region(&emulator, target, settings, pool);
+    let region = region(&Knowledge { emulator: &emulator, ..*knowledge }, target, settings, pool);
     let of = |phase: Phase| trials.iter().filter(move |t| t.phase == phase).map(|t| t.parameters.to_unit());
     let (searched, verified): (Vec<Point>, Vec<Point>) =
         (of(Phase::Search).collect(), of(Phase::Verification).collect());
@@ -109,29 +115,36 @@ fn pool(seed: u64) -> Vec<ParameterSet> {
 #[derive(Debug, Clone, Copy)]
 struct Rated {
     set: ParameterSet,
-    /// E |f - t|, degrees.
-    error_deg: f64,
+    /// E |f - t| in tolerances, and what other observables add to it.
+    misfit: f64,
     /// Probability that its verification is within the tolerance.
     passes: f64,
 }
 
-/// The points whose expected error is least, those of least error first.
-fn region(emulator: &Emulator, target: &Flowability, settings: &Settings, pool: Vec<ParameterSet>) -> Vec<Rated> {
+/// The points whose expected error is least, those of least error first. What else was measured counts beside the angle.
+fn region(knowledge: &Knowledge<'_>, target: &Flowability, settings: &Settings, pool: Vec<ParameterSet>) -> Vec<Rated> {
+    let emulator = knowledge.emulator;
+    let misfit = |set: &ParameterSet, error_deg: f64| {
+        let others: f64 = knowledge.channels.iter().map(|channel| channel.misfit(set)).sum();
+        error_deg / settings.tolerance_deg + others
+    };
     let verification = share(settings.readings) / f64::from(settings.verify_repeats);
     let rate = |set: ParameterSet| {
         let expected = emulator.expect(&set);
         let Prediction { mean, sd } = expected.mean;
         let verified = Prediction { mean, sd: sd.hypot(expected.seed_sd_deg * verification.sqrt()) };
         let passes = probability_within(verified, target.repose_deg, settings.tolerance_deg);
-        Rated { set, error_deg: (mean - target.repose_deg).hypot(sd), passes }
+        Rated { set, misfit: misfit(&set, (mean - target.repose_deg).hypot(sd)), passes }
     };
     // Only what the mean leaves in question is asked for its doubt.
-    let mut near: Vec<(f64, ParameterSet)> =
-        pool.into_par_iter().map(|set| ((emulator.mean_deg(&set) - target.repose_deg).abs(), set)).collect();
+    let mut near: Vec<(f64, ParameterSet)> = pool
+        .into_par_iter()
+        .map(|set| (misfit(&set, (emulator.mean_deg(&set) - target.repose_deg).abs()), set))
+        .collect();
     near.sort_by(|a, b| a.0.total_cmp(&b.0));
     near.truncate(CLOSE * REGION * settings.sets as usize);
     let mut rated: Vec<Rated> = near.into_par_iter().map(|(_, set)| rate(set)).collect();
-    rated.sort_by(|a, b| a.error_deg.total_cmp(&b.error_deg));
+    rated.sort_by(|a, b| a.misfit.total_cmp(&b.misfit));
     rated.truncate(REGION * settings.sets as usize);
     rated
 }

@@ -77,7 +77,7 @@ fn sha256(bytes: &[u8]) -> String {
 /// Points among which those of least certainty are looked for.
 const POOL: usize = 800;
 /// Angles that powders have and calibrations ask for, degrees. Half of the box is steeper; what lies far outside is not worth a heap.
-const ASKED: [f64; 2] = [20.0, 52.0];
+pub(super) const ASKED: [f64; 2] = [20.0, 52.0];
 /// How much the doubt about an angle outside counts.
 const ELSEWHERE: f64 = 0.2;
 /// Share of the variance of a reading that the readings of one heap have in common: the variance of the mean of r is v (1/r + COMMON).

@@ -16,7 +16,7 @@ fn numbers(set: &ParameterSet) -> [f64; DIRECTIONS] {
     [unit[4], (0.3 * set.cohesion() / set.gravity_scale() / 1.2).sqrt(), unit[1], unit[3], unit[6]]
 }
 
-fn clean_deg(set: &ParameterSet) -> f64 {
+pub(super) fn clean_deg(set: &ParameterSet) -> f64 {
     let [friction, attraction, wall, reach, _] = numbers(set);
     22.0 + 18.0 * friction.powf(0.7) + 12.0 * attraction * (1.0 + 0.2 * reach) + 2.0 * wall * friction
 }
@@ -26,12 +26,12 @@ fn noise_deg(set: &ParameterSet) -> f64 {
     0.7 + numbers(set)[1]
 }
 
-fn normal(seed: u64, k: u64) -> f64 {
+pub(super) fn normal(seed: u64, k: u64) -> f64 {
     quantile(((derive(seed, &[k]) >> 11) as f64 + 0.5) / (1u64 << 53) as f64)
 }
 
 /// A heap read so often, with what its readings have in common.
-fn formula(set: &ParameterSet, readings: u32, seed: u64) -> Result<Heap, String> {
+pub(super) fn formula(set: &ParameterSet, readings: u32, seed: u64) -> Result<Heap, String> {
     let sd = noise_deg(set);
     let common = 0.3 * sd * normal(seed, 1000);
     let tips: Vec<f64> = (0..readings)
@@ -45,17 +45,17 @@ fn design() -> Design {
     Design { runs: 120, initial: 60, round: 30, ..Design::with_particles(2000) }
 }
 
-fn emulator() -> Emulator {
+pub(super) fn emulator() -> Emulator {
     build(&design(), numbers, &[], formula, |_, _| ControlFlow::Continue(())).unwrap()
 }
 
-fn settings(seed: u64) -> Settings {
+pub(super) fn settings(seed: u64) -> Settings {
     Settings { seed, ..Settings::of(Method::Emulator) }
 }
 
 fn run(emulator: &Emulator, deg: f64, settings: &Settings) -> Calibration {
     let target = Flowability { repose_deg: deg, sd_deg: 2.0, n: 5 };
-    calibrate(&target, settings, Some(emulator), &[], formula, |_, _| ControlFlow::Continue(())).unwrap()
+    calibrate(&target, settings, Some(emulator.into()), &[], formula, |_, _| ControlFlow::Continue(())).unwrap()
 }
 
 fn sets_of_the_box(count: usize, seed: u64) -> Vec<ParameterSet> {
@@ -153,13 +153,13 @@ fn an_interrupted_calibration_on_an_emulator_goes_on_where_it_was() {
     let emulator = emulator();
     let target = Flowability { repose_deg: 31.41, sd_deg: 1.42, n: 5 };
     let mut all = Vec::new();
-    let whole = calibrate(&target, &settings(3), Some(&emulator), &[], formula, |trial, _| {
+    let whole = calibrate(&target, &settings(3), Some((&emulator).into()), &[], formula, |trial, _| {
         all.push(trial.clone());
         ControlFlow::Continue(())
     });
     for kept in [1, 9, 37, all.len() - 1] {
         let mut new = 0;
-        let resumed = calibrate(&target, &settings(3), Some(&emulator), &all[..kept], formula, |_, _| {
+        let resumed = calibrate(&target, &settings(3), Some((&emulator).into()), &all[..kept], formula, |_, _| {
             new += 1;
             ControlFlow::Continue(())
         });
@@ -209,7 +209,7 @@ fn posterior_ranks_are_uniform_and_intervals_cover_what_they_say() {
     const DRAWS: usize = 99;
     const BINS: usize = 10;
     let emulator = emulator();
-    let prior = Prior::of(&emulator, 5);
+    let prior = Prior::of((&emulator).into(), 5);
     let mut counts = [[0u32; BINS]; COUNT + 1];
     let mut covered = [0u32; COUNT + 1];
     for (k, truth) in sets_of_the_box(POWDERS, 11).iter().enumerate() {
@@ -250,7 +250,7 @@ fn posterior_ranks_are_uniform_and_intervals_cover_what_they_say() {
 fn intervals_cover_powders_that_the_emulator_has_not_made() {
     const POWDERS: usize = 300;
     let emulator = emulator();
-    let prior = Prior::of(&emulator, 6);
+    let prior = Prior::of((&emulator).into(), 6);
     let mut covered = 0;
     for (k, truth) in sets_of_the_box(POWDERS, 12).iter().enumerate() {
         let posterior = prior.given(&measurement(clean_deg(truth), 1.5, derive(10, &[k as u64])), 200);
@@ -267,7 +267,7 @@ fn intervals_cover_powders_that_the_emulator_has_not_made() {
 fn a_posterior_says_what_was_learnt_and_what_only_together() {
     let emulator = emulator();
     let measured = |sd_deg: f64| Flowability { repose_deg: 33.0, sd_deg, n: 5 };
-    let posterior = Posterior::of(&emulator, &measured(1.0), 400, 1);
+    let posterior = Posterior::of((&emulator).into(), &measured(1.0), 400, 1);
     let of = |posterior: &Posterior, key: &str| posterior.parameters.iter().find(|p| p.key == key).unwrap().clone();
     for key in ["particle_mass_ug", "particle_diameter_mm"] {
         let mass = of(&posterior, key);
@@ -279,11 +279,11 @@ fn a_posterior_says_what_was_learnt_and_what_only_together() {
     assert_eq!(pair.keys, ["friction".to_owned(), "cohesion".to_owned()], "{:?}", posterior.together);
     assert!(pair.correlation < -0.3, "more of one asks for less of the other: {pair:?}");
     // A wider measurement says less.
-    let wide = Posterior::of(&emulator, &measured(8.0), 400, 1);
+    let wide = Posterior::of((&emulator).into(), &measured(8.0), 400, 1);
     let width = |p: &Posterior| summary::sd(&p.repose_deg).unwrap();
     assert!(width(&wide) > 2.0 * width(&posterior) && wide.effective > posterior.effective);
     // An exact one is met exactly.
-    let exact = Posterior::of(&emulator, &Flowability { repose_deg: 33.0, sd_deg: 0.0, n: 1 }, 100, 1);
+    let exact = Posterior::of((&emulator).into(), &Flowability { repose_deg: 33.0, sd_deg: 0.0, n: 1 }, 100, 1);
     assert!(exact.repose_deg.iter().all(|deg| *deg == 33.0));
 }
 

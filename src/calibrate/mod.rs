@@ -19,6 +19,7 @@
 
 mod acquisition;
 mod amortised;
+pub mod channel;
 pub mod emulator;
 mod paper;
 pub mod posterior;
@@ -29,11 +30,14 @@ mod trial;
 mod verify;
 
 #[cfg(test)]
+mod channel_tests;
+#[cfg(test)]
 mod emulator_tests;
 #[cfg(test)]
 mod tests;
 
 pub use acquisition::{expected_improvement, probability_within};
+pub use channel::{Channel, Instrument, Knowledge, Probe};
 pub use emulator::{DIRECTIONS, Design, Directions, Emulator, build};
 pub use settings::{Method, Settings};
 pub use trial::{CalibratedSet, Calibration, Heap, Outcome, Phase, Shortfall, Trial};
@@ -119,7 +123,7 @@ fn nearest_text(tip_deg: Option<f64>) -> String {
 /// |----------|---------|
 /// | `target` | the measurement; its mean is aimed at |
 /// | `settings` | method, tolerance, budget, seed |
-/// | `emulator` | for the method of that name; its heaps count once, not in every calibration |
+/// | `knowledge` | the emulator, for the method of that name, and what else was measured; its heaps count once, not in every calibration |
 /// | `history` | trials of an interrupted run with the same target and settings, in order; replayed, never simulated again |
 /// | `simulate` | parameters, readings and seed to a heap, or why there is none; called from several threads, must be pure |
 /// | `on_trial` | hears every new trial (not the replayed ones) in order of its index; `Break` stops |
@@ -131,7 +135,7 @@ fn nearest_text(tip_deg: Option<f64>) -> String {
 pub fn calibrate<E: Display + Send>(
     target: &Flowability,
     settings: &Settings,
-    emulator: Option<&Emulator>,
+    knowledge: Option<Knowledge<'_>>,
     history: &[Trial],
     simulate: impl Fn(&ParameterSet, u32, u64) -> Result<Heap, E> + Sync,
     mut on_trial: impl FnMut(&Trial, &Progress) -> ControlFlow<()>,
@@ -141,16 +145,16 @@ pub fn calibrate<E: Display + Send>(
     let outcome = |p: &Planned| Outcome::of(simulate(&p.parameters, p.readings, p.seed).map_err(|e| e.to_string()));
     let mut trials: Vec<Trial> = Vec::new();
     loop {
-        let round = match (settings.method, emulator) {
+        let round = match (settings.method, &knowledge) {
             (Method::Sequential, _) => plan(&trials, &target, &settings),
             (Method::Paper, _) => paper::plan(&trials, &settings),
-            (Method::Emulator, Some(emulator)) => amortised::plan(&trials, &target, &settings, emulator),
+            (Method::Emulator, Some(knowledge)) => amortised::plan(&trials, &target, &settings, knowledge),
             (Method::Emulator, None) => return Err(Error::NoEmulator),
         };
         if round.is_empty() {
             return match history.len() > trials.len() {
                 true => Err(Error::History { index: trials.len() as u32 }),
-                false => conclude(&trials, &target, &settings, emulator),
+                false => conclude(&trials, &target, &settings, knowledge.map(|known| known.emulator)),
             };
         }
         for batch in round.chunks(CHUNK.max(settings.batch as usize)) {

@@ -12,10 +12,13 @@
 //! the likelihood and drawn again (sampling importance resampling, Rubin 1988). For an exact measurement f is integrated out: the weight is
 //! N(m; mu, sd^2).
 //!
+//! Other observables ([`Channel`]) multiply their likelihoods, each with a value drawn for each point as the angle is.
+//!
 //! A parameter whose posterior is its prior was not learnt; pairs that stay correlated are known only together.
 
-use super::emulator::{DIRECTIONS, Emulator};
+use super::channel::{Channel, Knowledge};
 use super::space::{self, Point};
+use crate::domain::observable::Observation;
 use crate::domain::parameters::{COUNT, PARAMETERS, ParameterSet};
 use crate::domain::powder::Flowability;
 use crate::domain::seed::derive;
@@ -60,7 +63,7 @@ pub struct Marginal {
     pub interval: [f64; 2],
     /// 1 - posterior variance / prior variance: 0 where nothing was learnt. Negative where the posterior sits at both ends.
     pub learnt: f64,
-    /// Whether no heap depends on it.
+    /// Whether nothing that was measured depends on it.
     pub inert: bool,
 }
 
@@ -74,16 +77,16 @@ pub struct Pair {
 }
 
 impl Posterior {
-    /// `count` draws given a measurement.
-    pub fn of(emulator: &Emulator, measured: &Flowability, count: usize, seed: u64) -> Self {
-        Prior::of(emulator, seed).given(measured, count)
+    /// `count` draws given a measured angle and what else was measured.
+    pub fn of(knowledge: Knowledge<'_>, measured: &Flowability, count: usize, seed: u64) -> Self {
+        Prior::of(knowledge, seed).given(measured, count)
     }
 }
 
-/// The prior: points of the box and what the emulator says of each. Asking it about many measurements costs the emulator once.
+/// The prior: points of the box and what the emulator says of each. Asking it about many measured angles costs the emulator once.
 #[derive(Debug)]
 pub struct Prior<'a> {
-    emulator: &'a Emulator,
+    knowledge: Knowledge<'a>,
     points: Vec<Known>,
     rng: Pcg64,
 }
@@ -96,20 +99,26 @@ struct Known {
     sd: f64,
     /// A standard normal number, with which its angle is drawn.
     z: f64,
+    /// Logarithm of the likelihood of what was measured beside the angle.
+    others: f64,
 }
 
 impl<'a> Prior<'a> {
     /// The pool of this seed.
-    pub fn of(emulator: &'a Emulator, seed: u64) -> Self {
+    pub fn of(knowledge: Knowledge<'a>, seed: u64) -> Self {
         let mut rng = Pcg64::seed_from_u64(derive(seed, &[POINTS]));
-        let pool: Vec<(Point, f64)> =
-            latin_hypercube(POOL, &mut rng).into_iter().map(|point| (point, quantile(open(rng.random())))).collect();
-        let know = |(point, z): (Point, f64)| {
+        let points: Vec<Point> = latin_hypercube(POOL, &mut rng);
+        let pool: Vec<(usize, Point, f64)> =
+            points.into_iter().enumerate().map(|(k, point)| (k, point, normal(rng.random()))).collect();
+        let know = |(k, point, z): (usize, Point, f64)| {
             let set = space::parameters_at(&point);
-            let at = emulator.expect(&set).mean;
-            Known { set, mean: at.mean, sd: at.sd, z }
+            let at = knowledge.emulator.expect(&set).mean;
+            let drawn =
+                |c: usize| normal((derive(seed, &[POINTS, k as u64, c as u64]) >> 11) as f64 / (1u64 << 53) as f64);
+            let others = knowledge.channels.iter().enumerate().map(|(c, channel)| likelihood(channel, &set, drawn(c)));
+            Known { set, mean: at.mean, sd: at.sd, z, others: others.sum() }
         };
-        Self { emulator, points: pool.into_par_iter().map(know).collect(), rng }
+        Self { knowledge, points: pool.into_par_iter().map(know).collect(), rng }
     }
 
     /// `count` draws given a measurement.
@@ -122,7 +131,7 @@ impl<'a> Prior<'a> {
         let draws: Vec<[f64; COUNT]> = drawn.iter().map(|k| self.points[*k].set.values()).collect();
         Posterior {
             repose_deg: drawn.iter().map(|k| weighed[*k].0).collect(),
-            parameters: (0..COUNT).map(|k| marginal(k, &draws, self.emulator)).collect(),
+            parameters: (0..COUNT).map(|k| marginal(k, &draws, &self.knowledge)).collect(),
             together: together(&draws),
             effective: sum * sum / squares,
             draws,
@@ -130,9 +139,24 @@ impl<'a> Prior<'a> {
     }
 }
 
-/// Keeps the quantile finite.
-fn open(uniform: f64) -> f64 {
-    uniform.clamp(1e-12, 1.0 - 1e-12)
+/// A standard normal number from a uniform one, kept finite.
+fn normal(uniform: f64) -> f64 {
+    quantile(uniform.clamp(1e-12, 1.0 - 1e-12))
+}
+
+/// Logarithm of the likelihood of an observation at a set whose value is `z` standard deviations off what is expected.
+fn likelihood(channel: &Channel, set: &ParameterSet, z: f64) -> f64 {
+    let Observation { mean, sd, n, .. } = channel.observation;
+    let at = channel.expect(set);
+    student(mean - channel.value(set, at.mean + z * at.sd), sd, n)
+}
+
+/// Logarithm of the density of a mean of n, of sample deviation sd, that is `off` its expectation, up to a constant. An impossible value has a
+/// likelihood next to nothing.
+fn student(off: f64, sd: f64, n: u32) -> f64 {
+    let t = (off / (sd / f64::from(n).sqrt())).clamp(-1e6, 1e6);
+    let freedom = f64::from(n - 1);
+    -0.5 * (freedom + 1.0) * (t * t / freedom).ln_1p()
 }
 
 impl Known {
@@ -141,12 +165,10 @@ impl Known {
         let Flowability { repose_deg, sd_deg, n } = *measured;
         if sd_deg > 0.0 && n > 1 {
             let angle = self.mean + self.sd * self.z;
-            let t = (repose_deg - angle) / (sd_deg / f64::from(n).sqrt());
-            let freedom = f64::from(n - 1);
-            return (angle, -0.5 * (freedom + 1.0) * (t * t / freedom).ln_1p());
+            return (angle, self.others + student(repose_deg - angle, sd_deg, n));
         }
         let sd = self.sd.max(1e-6);
-        (repose_deg, -0.5 * ((repose_deg - self.mean) / sd).powi(2) - sd.ln())
+        (repose_deg, self.others - 0.5 * ((repose_deg - self.mean) / sd).powi(2) - sd.ln())
     }
 }
 
@@ -169,7 +191,7 @@ fn column(draws: &[[f64; COUNT]], k: usize) -> Vec<f64> {
     draws.iter().map(|draw| draw[k]).collect()
 }
 
-fn marginal(k: usize, draws: &[[f64; COUNT]], emulator: &Emulator) -> Marginal {
+fn marginal(k: usize, draws: &[[f64; COUNT]], knowledge: &Knowledge<'_>) -> Marginal {
     let parameter = &PARAMETERS[k];
     let mut values = column(draws, k);
     values.sort_by(f64::total_cmp);
@@ -180,18 +202,22 @@ fn marginal(k: usize, draws: &[[f64; COUNT]], emulator: &Emulator) -> Marginal {
         mean: summary::mean(&values).unwrap_or(parameter.default),
         interval: [quantile(0.16), quantile(0.84)],
         learnt: 1.0 - variance / ((parameter.upper - parameter.lower).powi(2) / 12.0),
-        inert: is_inert(k, draws, emulator),
+        inert: is_inert(k, draws, knowledge),
     }
 }
 
-/// Whether moving the parameter from bound to bound changes none of the numbers a heap depends on, at any of the draws.
-fn is_inert(k: usize, draws: &[[f64; COUNT]], emulator: &Emulator) -> bool {
-    let numbers = |draw: &[f64; COUNT], value: f64| -> Option<[f64; DIRECTIONS]> {
+/// Whether moving the parameter from bound to bound changes nothing that was measured depends on, at any of the draws.
+fn is_inert(k: usize, draws: &[[f64; COUNT]], knowledge: &Knowledge<'_>) -> bool {
+    let at = |draw: &[f64; COUNT], value: f64| {
         let mut values = *draw;
         values[k] = value;
-        ParameterSet::new(values).ok().map(|set| emulator.directions(&set))
+        ParameterSet::new(values).expect("a bound is within bounds")
     };
-    draws.iter().all(|draw| numbers(draw, PARAMETERS[k].lower) == numbers(draw, PARAMETERS[k].upper))
+    draws.iter().all(|draw| {
+        let [low, high] = [PARAMETERS[k].lower, PARAMETERS[k].upper].map(|value| at(draw, value));
+        knowledge.emulator.directions(&low) == knowledge.emulator.directions(&high)
+            && knowledge.channels.iter().all(|channel| channel.sees_alike(&low, &high))
+    })
 }
 
 fn together(draws: &[[f64; COUNT]]) -> Vec<Pair> {

@@ -72,7 +72,7 @@ fn one() -> u32 {
 }
 
 /// Rounded to six decimals.
-fn micro(value: f64) -> f64 {
+pub(super) fn micro(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
 

@@ -4,19 +4,28 @@ use super::failure::Failure;
 use super::session::with_app;
 use super::table::table;
 use super::watch::Watch;
-use super::{Common, FIRST_PAGE};
-use crate::app::{App, Calibration, CalibrationMethod, CalibrationRequest, EmulatorUse};
+use super::{Common, FIRST_PAGE, observe};
+use crate::app::{
+    App, Calibration, CalibrationMethod, CalibrationRequest, EmulatorUse, Larger, Observed, PAPER_LEVELS_DEG,
+};
+use crate::domain::FieldError;
+use crate::domain::observable::Observation;
 use crate::domain::parameters::ParameterSet;
 use clap::ValueEnum;
 use futures::future::try_join_all;
 use serde::Serialize;
 use std::fmt::Write;
 
+/// Sets of each level of a data set.
+const DATA_SET_SETS: u32 = 7;
+/// Grains of the heaps in which they are looked at again.
+const DATA_SET_PARTICLES: u32 = 8000;
+
 /// Arguments of `flip calibrate`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     /// Powder id, or `all` for every powder.
-    #[arg(long, value_name = "ID", required_unless_present = "repose_deg", conflicts_with = "repose_deg")]
+    #[arg(long, value_name = "ID", required_unless_present_any = ["repose_deg", "data_set"], conflicts_with_all = ["repose_deg", "data_set"])]
     powder: Option<String>,
     /// Angle of repose to aim at instead of a powder's, degrees; several, separated by commas, make a data set of flowabilities.
     #[arg(long, value_name = "DEG", value_delimiter = ',', allow_negative_numbers = true)]
@@ -27,6 +36,17 @@ pub(super) struct Arguments {
     /// Repeats behind `--repose-deg`.
     #[arg(long, value_name = "N", requires = "repose_deg", allow_negative_numbers = true)]
     n: Option<u32>,
+    /// A data set of flowabilities for training: 28, 33 and 37 deg unless `--repose-deg` says otherwise, 7 sets of each, looked at again in heaps of
+    /// 8000 grains.
+    #[arg(long)]
+    data_set: bool,
+    /// Grains of larger heaps in which the sets are looked at again; it changes no set.
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    check_particles: Option<u32>,
+    /// What else was measured: an experiment as `flip observe` has it with `mean`, `sd` and `n`, as in
+    /// `flow_time:mass_g=50,orifice_mm=2.54,mean=62,sd=2,n=5`; may be repeated. Left out, what is registered for the powder.
+    #[arg(long, value_name = "KIND:SETTING=VALUE,...")]
+    observation: Vec<String>,
     #[command(flatten)]
     search: Search,
 }
@@ -48,9 +68,9 @@ pub(super) struct Search {
     /// How sets are looked for; by default `emulator` here, `sequential` on the way to a demonstration.
     #[arg(long, value_enum)]
     method: Option<MethodFlag>,
-    /// Parameter sets to find for each powder, 1 to 100.
-    #[arg(long, value_name = "N", default_value_t = 10, allow_negative_numbers = true)]
-    sets: u32,
+    /// Parameter sets to find for each powder, 1 to 100; by default 10, of a data set 7.
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    sets: Option<u32>,
     /// Accepted difference between simulated and measured angle, degrees; by default 0.5, with the other methods 1.5.
     #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
     tolerance_deg: Option<f64>,
@@ -117,6 +137,8 @@ struct Powder {
     /// Mean standard error of a set's mean over fresh seeds, degrees.
     standard_error_deg: Option<f64>,
     emulator: Option<EmulatorUse>,
+    /// What the sets make of everything that was measured beside the angle.
+    observed: Vec<Observed>,
 }
 
 #[derive(Debug, Serialize)]
@@ -129,14 +151,33 @@ struct Set {
     runs: u32,
     error_deg: f64,
     verified_error_deg: Option<f64>,
+    /// The set in larger heaps.
+    larger: Option<Larger>,
 }
 
 /// Calibrate one powder or all, side by side, and print the sets.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
-    let search = arguments.search.clone().by(MethodFlag::Emulator);
+    let mut search = arguments.search.clone().by(MethodFlag::Emulator);
+    let mut check_particles = arguments.check_particles;
+    if arguments.data_set {
+        search.sets = search.sets.or(Some(DATA_SET_SETS));
+        check_particles = check_particles.or(Some(DATA_SET_PARTICLES));
+    }
+    let typed: Vec<Observation> =
+        arguments.observation.iter().map(|text| observe::observation(text)).collect::<Result<_, _>>()?;
+    let observations = (!typed.is_empty()).then_some(typed);
     let done = with_app(common, async |app| {
         let targets = targets(app, arguments).await?;
-        calibrate(app, &Watch::new(), &targets, Some(&search), common.seed).await
+        if observations.is_some() && targets.len() > 1 {
+            return Err(
+                FieldError::new("observation", "belongs to one powder: name it with --powder or --repose-deg").into()
+            );
+        }
+        let requests = targets.into_iter().map(|target| {
+            let request = request(&target, Some(&search), common.seed);
+            (target, CalibrationRequest { observations: observations.clone(), check_particles, ..request })
+        });
+        calibrate_each(app, &Watch::new(), requests.collect()).await
     })?;
     let powders = done.into_iter().map(powder).collect::<Result<_, _>>()?;
     let document = Document { seed: common.seed, powders };
@@ -151,9 +192,18 @@ pub(super) async fn calibrate(
     search: Option<&Search>,
     seed: u64,
 ) -> Result<Vec<Calibration>, Failure> {
+    let requests = targets.iter().map(|target| (target.clone(), request(target, search, seed)));
+    calibrate_each(app, watch, requests.collect()).await
+}
+
+async fn calibrate_each(
+    app: &App,
+    watch: &Watch,
+    requests: Vec<(Target, CalibrationRequest)>,
+) -> Result<Vec<Calibration>, Failure> {
     let mut jobs = Vec::new();
-    for target in targets {
-        let (job, _) = app.start_calibration(request(target, search, seed)).await?;
+    for (target, request) in requests {
+        let (job, _) = app.start_calibration(request).await?;
         jobs.push((job.id, format!("calibrate {target}")));
     }
     try_join_all(jobs.iter().map(async |(id, label)| {
@@ -177,7 +227,7 @@ fn request(target: &Target, search: Option<&Search>, seed: u64) -> CalibrationRe
             MethodFlag::Paper => CalibrationMethod::Paper,
             MethodFlag::Sequential => CalibrationMethod::Sequential,
         }),
-        sets: search.map(|s| s.sets),
+        sets: search.and_then(|s| s.sets),
         tolerance_deg: search.and_then(|s| s.tolerance_deg),
         particles: search.map(|s| s.particles),
         trials_max: search.and_then(|s| s.trials_max),
@@ -190,7 +240,9 @@ fn request(target: &Target, search: Option<&Search>, seed: u64) -> CalibrationRe
 
 async fn targets(app: &App, arguments: &Arguments) -> Result<Vec<Target>, Failure> {
     let Arguments { powder, repose_deg, sd_deg, n, .. } = arguments;
+    let levels = || PAPER_LEVELS_DEG.iter().map(|angle| Target::Angle(*angle, *sd_deg, *n)).collect();
     match powder.as_deref() {
+        None if repose_deg.is_empty() => Ok(levels()),
         None => Ok(repose_deg.iter().map(|angle| Target::Angle(*angle, *sd_deg, *n)).collect()),
         Some("all") => {
             let powders = app.powders(FIRST_PAGE).await?;
@@ -211,6 +263,7 @@ fn powder(calibration: Calibration) -> Result<Powder, Failure> {
         runs: set.runs,
         error_deg: set.error_deg,
         verified_error_deg: set.verified_error_deg,
+        larger: set.larger,
     };
     let errors: Vec<f64> = result.sets.iter().filter_map(|set| set.verified_error_deg).collect();
     let standard = result.sets.iter().filter_map(|set| Some(set.repose_sd_deg? / f64::from(set.runs).sqrt()));
@@ -232,6 +285,7 @@ fn powder(calibration: Calibration) -> Result<Powder, Failure> {
         verified_sd_deg: spread(&errors),
         standard_error_deg: mean(&standard),
         emulator: result.emulator,
+        observed: result.observed,
     })
 }
 
@@ -273,6 +327,30 @@ fn text(document: &Document) -> String {
         "verification runs",
     ];
     let mut text = table(&header, &document.powders.iter().map(row).collect::<Vec<_>>());
+    for p in &document.powders {
+        let larger: Vec<Larger> = p.sets.iter().filter_map(|set| set.larger).collect();
+        let angles: Vec<f64> = larger.iter().filter_map(|larger| larger.repose_deg).collect();
+        if let (Some(first), Some(angle)) = (larger.first(), mean(&angles)) {
+            let spread = two(spread(&angles));
+            let _ = write!(
+                text,
+                "\n{:.2} deg: heaps of {} grains stand at {angle:.2} deg, sd over the sets {spread}",
+                p.target_deg, first.particles
+            );
+        }
+        for observed in &p.observed {
+            let Observation { observable, mean, sd, n } = observed.observation;
+            let verdict = if observed.agrees { "agrees with" } else { "differs from" };
+            let _ = write!(
+                text,
+                "\n{:.2} deg: {} of the sets {} {} {verdict} {mean} (sd {sd}, n {n})",
+                p.target_deg,
+                observable.kind(),
+                two(observed.mean),
+                observable.unit()
+            );
+        }
+    }
     for p in document.powders.iter().filter(|p| !p.reached) {
         let nearest = two(p.nearest_repose_deg);
         let _ = match &p.limiting_parameter {

@@ -12,6 +12,7 @@ mod evaluate;
 mod failure;
 mod health;
 mod jobs;
+mod observe;
 mod parameters;
 mod repose;
 mod serve;
@@ -62,6 +63,8 @@ enum Command {
     Serve(serve::Arguments),
     /// From published measurements to weighed doses: calibrate, train, weigh, print the table, keep serving.
     Demo(demo::Arguments),
+    /// Simulate experiments beside the heap: flow through a hole, shakes of a spoon, a drained cup, heaps of other heights
+    Observe(observe::Arguments),
     /// Pour a simulated powder and measure its angle of repose.
     Repose(repose::Arguments),
     /// Check that the simulator keeps the laws of nature.
@@ -109,6 +112,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
     match &cli.command {
         Command::Serve(arguments) => serve::run(common, arguments),
         Command::Demo(arguments) => demo::run(common, arguments),
+        Command::Observe(arguments) => observe::run(common, arguments),
         Command::Repose(arguments) => repose::run(common, arguments),
         Command::Validate(arguments) => validate::run(common, arguments),
         Command::Calibrate(arguments) => calibrate::run(common, arguments),

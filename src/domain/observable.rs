@@ -40,13 +40,28 @@ pub struct Observation {
     pub observable: Observable,
     /// Mean over the repeats, in the observable's unit.
     pub mean: f64,
-    /// Standard deviation over the repeats.
+    /// Standard deviation over the repeats, above 0.
     pub sd: f64,
     /// Number of repeats, 2 to 10000: a single one says nothing of its own spread.
     pub n: u32,
 }
 
+/// Least standard deviation of repeats: no balance, clock or protractor shows less.
+const SD_MIN: f64 = 1e-4;
+
 impl Observable {
+    /// The same experiment as everyone's who does it at this scale: without factors that only multiply the result.
+    pub fn experiment(self) -> Self {
+        match self {
+            Self::FlowTime { orifice_mm, .. } => Self::FlowTime { mass_g: 1.0, orifice_mm },
+            Self::PileHeight { base_diameter_mm, fall_mm } => {
+                let fall_mm = (1000.0 * fall_mm / base_diameter_mm).round() / 100.0;
+                Self::PileHeight { base_diameter_mm: 10.0, fall_mm }
+            }
+            other => other,
+        }
+    }
+
     /// Its unit.
     pub fn unit(&self) -> &'static str {
         match self {
@@ -106,7 +121,7 @@ impl Observation {
         self.observable.check()?;
         let [lower, upper] = self.observable.range();
         bounded("mean", self.mean, lower, upper, self.observable.unit())?;
-        bounded("sd", self.sd, 0.0, upper, self.observable.unit())?;
+        bounded("sd", self.sd, SD_MIN, upper, self.observable.unit())?;
         if !(2..=10_000).contains(&self.n) {
             return Err(FieldError::new("n", format!("must be from 2 to 10000 repeats, got {}", self.n)));
         }
@@ -125,6 +140,7 @@ mod tests {
         let field = |observable, mean, sd, n| Observation { observable, mean, sd, n }.checked().unwrap_err().field;
         assert_eq!(field(SHAKE, -1.0, 0.1, 5), "mean");
         assert_eq!(field(SHAKE, 1.0, f64::NAN, 5), "sd");
+        assert_eq!(field(SHAKE, 1.0, 0.0, 5), "sd");
         assert_eq!(field(SHAKE, 1.0, 0.1, 1), "n");
         assert_eq!(field(Observable::ShakeMass { pitch_deg: 30.0, shake_mm: 0.1 }, 1.0, 0.1, 5), "shake_mm");
         assert_eq!(field(Observable::FlowTime { mass_g: 50.0, orifice_mm: 9.0 }, 30.0, 1.0, 5), "orifice_mm");
@@ -132,6 +148,15 @@ mod tests {
         let pile = |fall_mm| Observable::PileHeight { base_diameter_mm: 40.0, fall_mm };
         assert_eq!(field(pile(1.0), 12.0, 1.0, 5), "fall_mm");
         assert_eq!(field(pile(8.0), 0.0, 1.0, 5), "mean");
+    }
+
+    #[test]
+    fn the_same_experiment_at_another_scale_is_the_same() {
+        let pile = |base_diameter_mm, fall_mm| Observable::PileHeight { base_diameter_mm, fall_mm }.experiment();
+        assert_eq!(pile(40.0, 8.0), pile(60.0, 12.0));
+        let flow = |mass_g| Observable::FlowTime { mass_g, orifice_mm: 2.5 }.experiment();
+        assert_eq!(flow(50.0), flow(1.0));
+        assert_eq!(SHAKE.experiment(), SHAKE);
     }
 
     #[test]

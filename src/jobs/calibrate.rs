@@ -2,8 +2,9 @@
 //! calibrations share; the first that needs it builds it.
 
 use super::context::{JobContext, JobError};
+use super::observe::{self, Larger, Observed};
 use super::spec::CalibrationSpec;
-use crate::calibrate::{self, CalibratedSet, Calibration, Emulator, Heap, Outcome, Phase};
+use crate::calibrate::{self, CalibratedSet, Calibration, Channel, Emulator, Heap, Knowledge, Outcome, Phase};
 use crate::domain::job::Progress;
 use crate::domain::parameters::ParameterSet;
 use crate::sim::{self, repose};
@@ -47,6 +48,9 @@ pub struct CalibrationResult {
     /// SHA-256 of the posterior over the parameters; absent with a method that has none.
     #[serde(default)]
     pub posterior: Option<String>,
+    /// What the sets make of everything that was measured beside the angle.
+    #[serde(default)]
+    pub observed: Vec<Observed>,
 }
 
 fn yes() -> bool {
@@ -84,6 +88,9 @@ pub struct CalibrationSet {
     /// Absolute difference between mean and target, degrees; absent in results stored before it was told apart from `error_deg`.
     #[serde(default)]
     pub verified_error_deg: Option<f64>,
+    /// The set in larger heaps, if they were asked for.
+    #[serde(default)]
+    pub larger: Option<Larger>,
 }
 
 pub(super) fn perform(context: &JobContext, spec: &CalibrationSpec) -> Result<(), JobError> {
@@ -96,9 +103,15 @@ pub(super) fn perform(context: &JobContext, spec: &CalibrationSpec) -> Result<()
         Ok::<_, repose::Refusal>(Heap { tip_deg, tip_sd_deg, cone_deg, creep_deg_per_s })
     };
     let shared = spec.design.as_ref().map(|design| emulator(context, design, &spec.simulator, simulate)).transpose()?;
-    let emulator = shared.as_ref().map(|(emulator, _)| emulator);
+    let (channels, built): (Vec<Channel>, Vec<u32>) = match &shared {
+        Some((emulator, _)) => observe::channels(context, &spec.observations, emulator, &spec.simulator)?,
+        None => Vec::new(),
+    }
+    .into_iter()
+    .unzip();
+    let knowledge = shared.as_ref().map(|(emulator, _)| Knowledge { emulator, channels: &channels });
     let mut unsaved = None;
-    let found = calibrate::calibrate(&spec.target, &spec.settings, emulator, &history, simulate, |trial, progress| {
+    let found = calibrate::calibrate(&spec.target, &spec.settings, knowledge, &history, simulate, |trial, progress| {
         let row = to_row(trial);
         let saved = keep(context, progress, async |tx| {
             tx.insert_trial(context.id(), &row).await?;
@@ -108,7 +121,13 @@ pub(super) fn perform(context: &JobContext, spec: &CalibrationSpec) -> Result<()
     });
     match (found, unsaved) {
         (_, Some(error)) => Err(error.into()),
-        (Ok(calibration), None) => finish(context, spec, calibration, shared),
+        (Ok(calibration), None) => {
+            let posterior = knowledge.map(|known| Posterior::of(known, &spec.target, DRAWS, spec.settings.seed));
+            let sets: Vec<ParameterSet> = calibration.sets.iter().map(|set| set.parameters).collect();
+            let observed = observe::look(context, &channels, &built, &sets, spec.settings.seed)?;
+            let larger = observe::larger(context, spec, &sets)?;
+            finish(context, spec, calibration, shared.map(|(_, used)| used), posterior, observed, &larger)
+        }
         (Err(calibrate::Error::Stopped), None) => Err(JobError::Stopped),
         (Err(error), None) => Err(JobError::Fail(error.to_string())),
     }
@@ -142,7 +161,7 @@ fn emulator(
 }
 
 /// Save something new and say how far the job is.
-fn keep(
+pub(super) fn keep(
     context: &JobContext,
     progress: &Progress,
     save: impl AsyncFnOnce(&mut Tx) -> store::Result<()>,
@@ -152,7 +171,11 @@ fn keep(
 }
 
 /// Go on unless the job was asked to stop or what came last could not be saved, which is left in `unsaved`.
-fn unless(saved: store::Result<()>, unsaved: &mut Option<store::Error>, context: &JobContext) -> ControlFlow<()> {
+pub(super) fn unless(
+    saved: store::Result<()>,
+    unsaved: &mut Option<store::Error>,
+    context: &JobContext,
+) -> ControlFlow<()> {
     match saved {
         Ok(()) => context.flow(),
         Err(error) => {
@@ -166,11 +189,13 @@ fn finish(
     context: &JobContext,
     spec: &CalibrationSpec,
     calibration: Calibration,
-    shared: Option<(Emulator, EmulatorUse)>,
+    emulator: Option<EmulatorUse>,
+    posterior: Option<Posterior>,
+    observed: Vec<Observed>,
+    larger: &[Larger],
 ) -> Result<(), JobError> {
-    let posterior = match &shared {
-        Some((emulator, _)) => {
-            let posterior = Posterior::of(emulator, &spec.target, DRAWS, spec.settings.seed);
+    let posterior = match posterior {
+        Some(posterior) => {
             let text = serde_json::to_vec(&posterior).map_err(|error| JobError::Fail(error.to_string()))?;
             Some(context.store.artifacts().put(&text)?)
         }
@@ -180,13 +205,14 @@ fn finish(
         reached: calibration.shortfall.is_none(),
         evaluations: calibration.evaluations,
         verification_runs: calibration.verification_runs,
-        sets: calibration.sets.iter().map(kept).collect(),
+        sets: calibration.sets.iter().enumerate().map(|(k, set)| kept(set, larger.get(k))).collect(),
         mean_error_deg: calibration.mean_error_deg,
         sd_error_deg: calibration.sd_error_deg,
         verified_error_deg: calibration.verified_error_deg,
         shortfall: calibration.shortfall,
-        emulator: shared.map(|(_, used)| used),
+        emulator,
         posterior,
+        observed,
     };
     context.succeed(&result, async |tx| {
         for (position, set) in (0..).zip(calibration.sets) {
@@ -204,7 +230,7 @@ fn finish(
     Ok(())
 }
 
-fn kept(set: &CalibratedSet) -> CalibrationSet {
+fn kept(set: &CalibratedSet, larger: Option<&Larger>) -> CalibrationSet {
     CalibrationSet {
         id: set.parameters.id(),
         parameters: set.parameters,
@@ -213,6 +239,7 @@ fn kept(set: &CalibratedSet) -> CalibrationSet {
         runs: set.runs,
         error_deg: set.error_deg,
         verified_error_deg: Some(set.verified_error_deg),
+        larger: larger.copied(),
     }
 }
 

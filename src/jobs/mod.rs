@@ -18,6 +18,7 @@ pub mod calibrate;
 mod context;
 pub mod evaluate;
 mod lease;
+pub mod observe;
 mod queue;
 mod reconcile;
 mod spec;
@@ -28,6 +29,7 @@ mod worker;
 pub use context::JobError;
 pub use spec::{CalibrationSpec, EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR, TrainingSpec};
 
+use crate::domain::observable::Observable;
 use crate::domain::parameters::ParameterSet;
 use crate::sim::repose::{self, Refusal, Repose};
 use crate::store::jobs::Job;
@@ -44,11 +46,16 @@ use tokio_util::sync::CancellationToken;
 /// The heap experiment as calibrations call it: [`repose::repose`] in the product, a formula in tests.
 pub type Simulate = Arc<dyn Fn(&ParameterSet, &repose::Settings, u64) -> Result<Repose, Refusal> + Send + Sync>;
 
+/// The experiments beside the heap, reduced: [`observe::observe`](crate::sim::observe::observe) in the product.
+pub type Observe = Arc<dyn Fn(&Observable, &ParameterSet, u64) -> Result<f64, Refusal> + Send + Sync>;
+
 /// What jobs and weighings compute with.
 #[derive(Clone)]
 pub struct Functions {
     /// The heap experiment.
     pub simulate: Simulate,
+    /// The other experiments.
+    pub observe: Observe,
     /// A training.
     pub train: train::Train,
     /// One weighing on the bench.
@@ -57,7 +64,12 @@ pub struct Functions {
 
 impl Default for Functions {
     fn default() -> Self {
-        Self { simulate: Arc::new(repose::repose), train: train::simulated(), pour: bench::simulated() }
+        Self {
+            simulate: Arc::new(repose::repose),
+            observe: Arc::new(crate::sim::observe::observe),
+            train: train::simulated(),
+            pour: bench::simulated(),
+        }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::calibrate;
 use crate::domain::job::JobKind;
+use crate::domain::observable::Observation;
 use crate::domain::powder::Flowability;
 use crate::policy::Schedule;
 use crate::sim;
@@ -32,6 +33,12 @@ pub struct CalibrationSpec {
     pub powder: Option<String>,
     /// The measurement to meet.
     pub target: Flowability,
+    /// What else was measured.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub observations: Vec<Observation>,
+    /// Grains of the larger heaps in which the sets are looked at again.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub check_particles: Option<u32>,
     /// Settings of the search.
     pub settings: calibrate::Settings,
     /// The design of the emulator it reads sets off; none with a method that has none.

@@ -100,6 +100,12 @@ impl Store {
         rows.fetch_all(&self.reader).await?.iter().map(|row| row.json("body")).collect()
     }
 
+    /// Simulations of an observable so far, in order.
+    pub(crate) async fn probes<T: DeserializeOwned>(&self, owner: &str) -> Result<Vec<T>> {
+        let rows = sqlx::query("SELECT body FROM probe WHERE owner = ?1 ORDER BY position").bind(owner);
+        rows.fetch_all(&self.reader).await?.iter().map(|row| row.json("body")).collect()
+    }
+
     /// Episodes of a training, in order.
     pub(crate) async fn episodes(&self, job: &str, window: Window) -> Result<Page<Episode>> {
         let sql =
@@ -125,6 +131,13 @@ impl Tx {
     pub(crate) async fn insert_emulator_run(&mut self, emulator: &str, run: &Trial) -> Result<()> {
         let sql = "INSERT INTO emulator_run (emulator, position, body) VALUES (?1, ?2, ?3)";
         sqlx::query(sql).bind(emulator).bind(run.index).bind(json(run)?).execute(&mut *self.inner).await?;
+        Ok(())
+    }
+
+    /// Append a simulation of an observable. The key refuses one that is already stored.
+    pub(crate) async fn insert_probe<T: Serialize>(&mut self, owner: &str, position: u32, body: &T) -> Result<()> {
+        let sql = "INSERT INTO probe (owner, position, body) VALUES (?1, ?2, ?3)";
+        sqlx::query(sql).bind(owner).bind(position).bind(json(body)?).execute(&mut *self.inner).await?;
         Ok(())
     }
 

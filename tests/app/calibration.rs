@@ -3,6 +3,7 @@
 use crate::harness::{calibrated, calibration_of, ended, functions, heap, open, open_in, until};
 use flip::app::{App, CalibrationMethod, CalibrationRequest};
 use flip::app::{Error, Functions, JobState, PageQuery, SERIES_LIMIT_MAX, Topic, Trial};
+use flip::domain::observable::{Observable, Observation};
 use futures::StreamExt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -213,6 +214,41 @@ async fn calibrations_share_one_emulator_that_is_built_once_also_when_it_is_inte
     assert_eq!(app.posterior(&sugar).await.unwrap(), posterior);
     let without = calibrated(&app, "salt").await;
     assert!(matches!(app.posterior(&without.id).await, Err(Error::Conflict { code: "posterior_missing", .. })));
+
+    // What else was measured counts, is simulated once for all calibrations, and is looked at again in the sets.
+    let shake = |mean| Observation {
+        observable: Observable::ShakeMass { pitch_deg: 30.0, shake_mm: 4.0 },
+        mean,
+        sd: 0.02,
+        n: 5,
+    };
+    let joint = |powder, mean| CalibrationRequest {
+        observations: Some(vec![shake(mean)]),
+        check_particles: Some(4000),
+        ..emulated(powder)
+    };
+    let observed = async |request| {
+        let (job, created) = app.start_calibration(request).await.unwrap();
+        assert!(created);
+        assert_eq!(ended_in_time(&app, &job.id).await, JobState::Succeeded);
+        (app.calibration(&job.id).await.unwrap(), app.posterior(&job.id).await.unwrap())
+    };
+    let (of_sugar, posterior) = observed(joint("sugar", 0.42)).await;
+    assert_eq!(of_sugar.observations, [shake(0.42)]);
+    let result = of_sugar.result.unwrap();
+    let made_of = &result.observed[0];
+    assert_eq!((made_of.built, made_of.sets.len(), made_of.sets[0].runs), (128, 3, 4));
+    assert!(made_of.agrees && (made_of.mean.unwrap() - 0.42).abs() < 0.03, "{made_of:?}");
+    assert!(
+        result.sets.iter().all(|set| set.larger.is_some_and(|larger| (larger.particles, larger.runs) == (4000, 4)))
+    );
+    assert!(!posterior.parameters[8].inert, "a shake weighs grains");
+    let (of_sand, _) = observed(joint("sand", 0.47)).await;
+    let result = of_sand.result.unwrap();
+    assert_eq!((result.observed[0].built, &result.observed[0].sha256), (0, &made_of.sha256));
+    // No set of the formula lets fall so little.
+    let (of_salt, _) = observed(joint("salt", 20.0)).await;
+    assert!(!of_salt.result.unwrap().observed[0].agrees);
 
     // Beyond what the formula reaches, 22 to 49 deg: explained, not failed.
     let bare = CalibrationRequest {

@@ -4,6 +4,7 @@ use flip::app::{
     App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Topic, TrainingRequest,
 };
 use flip::domain::bench::{Action, Reading, Tick};
+use flip::domain::observable::Observable;
 use flip::domain::parameters::ParameterSet;
 use flip::domain::weighing::Outcome;
 use flip::jobs::bench::{Poured, Pouring};
@@ -41,6 +42,12 @@ pub fn heap(set: &ParameterSet, settings: &repose::Settings, seed: u64) -> Resul
     })
 }
 
+/// An observable, reduced, that falls with friction and cohesion and knows the diameter.
+pub fn observe(_: &Observable, set: &ParameterSet, seed: u64) -> Result<f64, Refusal> {
+    let noise = (seed % 1000) as f64 / 1000.0 - 0.5;
+    Ok(4.0 - set.friction() - 0.5 * set.cohesion() + 5.0 * (set.particle_diameter_mm() - 0.27) + 0.02 * noise)
+}
+
 /// A training on spoons that follow a formula.
 fn train() -> Train {
     Arc::new(|levels, settings, resume, flow, listener| {
@@ -69,7 +76,7 @@ pub fn pour(pouring: &Pouring, on_tick: &mut dyn FnMut(&Tick), stop: &AtomicBool
 
 /// The formulas.
 pub fn functions() -> Functions {
-    Functions { simulate: Arc::new(heap), train: train(), pour: Arc::new(pour) }
+    Functions { simulate: Arc::new(heap), observe: Arc::new(observe), train: train(), pour: Arc::new(pour) }
 }
 
 /// A fresh data folder, opened with workers.

@@ -29,6 +29,8 @@ impl calibrations_server::Calibrations for Service {
             verify_repeats,
             readings,
             seed,
+            observations: None,
+            check_particles: None,
         };
         Ok(Response::new(self.app.start_calibration(request).await?.into()))
     }

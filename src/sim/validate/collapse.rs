@@ -19,9 +19,9 @@
 use super::super::engine::{LAYER, close_packed};
 use super::super::flank::surface;
 use super::super::law::Law;
+use super::super::scene::{advance, down, fall_time, power_law, rain, settle, top};
 use super::super::shapes::Silo;
 use super::super::walls::Shape;
-use super::scene::{advance, down, fall_time, power_law, rain, settle, top};
 use super::{Check, Experiment, ROUGH, Suite};
 use crate::sim::constraints::{Vector, vector};
 use crate::sim::grains::Grains;

@@ -1,9 +1,9 @@
 //! Silos: the rate at which an orifice empties one, and the load that its floor bears.
 
 use super::super::law::Law;
+use super::super::scene::{advance, cut, down, fall_time, line, packing_fraction, power_law, rain, settle, top};
 use super::super::shapes::Silo;
 use super::super::walls::{Shape, Wall};
-use super::scene::{advance, cut, down, fall_time, line, packing_fraction, power_law, rain, settle, top};
 use super::{Check, Experiment, SMOOTH, Suite};
 use crate::sim::grains::Grains;
 use crate::sim::lanes::{Lanes, Portable, WIDTH};

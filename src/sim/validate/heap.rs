@@ -2,7 +2,7 @@
 
 use super::super::law::{BOND_PER_COHESION, DIAMETER_REFERENCE_MM, SUBSTEP_S};
 use super::super::repose::{Repose, Settings};
-use super::scene::Mean;
+use super::super::scene::Mean;
 use super::{Check, Experiment, Suite};
 use crate::domain::parameters::ParameterSet;
 

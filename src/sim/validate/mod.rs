@@ -21,7 +21,6 @@ mod discharge;
 mod heap;
 mod packing;
 mod rotation;
-mod scene;
 mod single;
 mod tilt;
 

@@ -1,7 +1,7 @@
 //! How densely poured grains lie.
 
+use super::super::scene::{packing_fraction, rain, top};
 use super::super::shapes::Silo;
-use super::scene::{packing_fraction, rain, top};
 use super::{Check, Experiment, SMOOTH, Suite};
 
 pub(super) const EXPERIMENTS: &[Experiment] = &[

@@ -3,8 +3,8 @@
 use super::super::law::Law;
 use super::super::mechanisms::{Extensions, Site};
 use super::super::repose::Settings;
+use super::super::scene::{Mean, advance, at_rest, down};
 use super::super::walls::Shape;
-use super::scene::{Mean, advance, at_rest, down};
 use super::{Check, Experiment, ROUGH, Suite};
 use crate::sim::constraints::{Vector, vector};
 

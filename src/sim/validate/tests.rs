@@ -2,9 +2,9 @@
 
 use super::super::constraints::{Vector, vector};
 use super::super::law::Law;
+use super::super::scene::{at_rest, line, packing_fraction, power_law, threshold};
 use super::collapse::front;
 use super::discharge::floor_load;
-use super::scene::{at_rest, line, packing_fraction, power_law, threshold};
 use super::{Check, SMOOTH, Suite, experiments};
 
 /// The named check under a change of the law.

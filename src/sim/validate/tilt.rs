@@ -9,10 +9,10 @@
 use super::super::flank::surface;
 use super::super::law::Law;
 use super::super::repose::Settings;
+use super::super::scene::{Mean, advance, leaning, line, rain, settle, top};
 use super::super::shapes::Silo;
 use super::super::walls::Shape;
 use super::heap::angle;
-use super::scene::{Mean, advance, leaning, line, rain, settle, top};
 use super::{Check, Experiment, ROUGH, Suite};
 use crate::sim::grains::Grains;
 

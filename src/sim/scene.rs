@@ -1,11 +1,11 @@
 //! What the scenes share: gravity that leans, rain, settling, and a few statistics. Lengths in grain diameters.
 
-use super::super::constraints::{Vector, vector};
-use super::super::grains::Grains;
-use super::super::law::Law;
-use super::super::repose::layer;
-use super::super::shapes::Silo;
-use super::super::walls::Shape;
+use super::constraints::{Vector, vector};
+use super::grains::Grains;
+use super::law::Law;
+use super::repose::layer;
+use super::shapes::Silo;
+use super::walls::Shape;
 use crate::domain::seed::derive;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;

@@ -1,0 +1,178 @@
+//! What was measured beside the angle: its emulators before a calibration, and a look at the sets after it. Every simulation is saved as it
+//! comes.
+
+use super::calibrate::{keep, unless};
+use super::context::{JobContext, JobError};
+use super::spec::CalibrationSpec;
+use crate::calibrate::channel::{self, RUNS};
+use crate::calibrate::{self, Channel, Emulator, Instrument, Probe};
+use crate::domain::observable::{Observable, Observation};
+use crate::domain::parameters::ParameterSet;
+use crate::domain::seed::derive;
+use crate::sim::observe;
+use crate::sim::repose::{self, Refusal};
+use crate::stats::summary;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+/// Simulations of each set and observable at the end.
+const REPEATS: u32 = 4;
+/// Seeds of the larger heaps, which no observation has.
+const LARGER: u64 = u64::MAX;
+/// Standard errors within which simulation and measurement agree.
+const SIGNIFICANT: f64 = 2.0;
+
+/// What the sets of a calibration make of an observation.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Observed {
+    /// What was measured.
+    pub observation: Observation,
+    /// SHA-256 of the simulations that its emulator is made of.
+    pub sha256: String,
+    /// How many of them this calibration ran; the others were there.
+    pub built: u32,
+    /// What fresh simulations of each set give, in the order of the sets.
+    pub sets: Vec<Simulated>,
+    /// Mean over the sets, in the observable's unit; absent without sets.
+    pub mean: Option<f64>,
+    /// Whether that mean is within two standard errors of the measured one; both errors count.
+    pub agrees: bool,
+}
+
+/// What one set makes of an observation.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Simulated {
+    /// Mean over the simulations, in the observable's unit; absent if each was refused or nothing flowed.
+    pub mean: Option<f64>,
+    /// Standard deviation over them.
+    pub sd: Option<f64>,
+    /// Simulations with a result.
+    pub runs: u32,
+}
+
+/// A set in heaps of more grains than it was calibrated with.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Larger {
+    /// Grains of each heap.
+    pub particles: u32,
+    /// Mean tip angle over the heaps, degrees; absent if each was refused.
+    pub repose_deg: Option<f64>,
+    /// Standard deviation over them, degrees.
+    pub repose_sd_deg: Option<f64>,
+    /// Heaps with an angle.
+    pub runs: u32,
+}
+
+const INSTRUMENT: Instrument = Instrument { numbers: observe::numbers, value: observe::value };
+
+/// The emulators of everything that was measured beside the angle, and how many of the simulations of each were run for it now.
+pub(super) fn channels(
+    context: &JobContext,
+    observations: &[Observation],
+    emulator: &Emulator,
+    simulator: &str,
+) -> Result<Vec<(Channel, u32)>, JobError> {
+    let channel = |observation: &Observation| {
+        let experiment = observation.observable.experiment();
+        let text = serde_json::to_string(&(simulator, experiment, emulator.hash(), RUNS)).expect("numbers and text");
+        let owner = format!("ob-{}", &hex::encode(Sha256::digest(text))[..16]);
+        let plan = channel::design(emulator, &INSTRUMENT);
+        let what = observation.observable.kind();
+        let (runs, built) = probes(context, &owner, plan, what, simulate(context, observation.observable))?;
+        let channel = Channel::of(*observation, &runs, INSTRUMENT);
+        let channel =
+            channel.ok_or_else(|| JobError::Fail(format!("no simulation has a {what}: measure something else")))?;
+        Ok((channel, built))
+    };
+    observations.iter().map(channel).collect()
+}
+
+/// Look at the sets a calibration ended with.
+pub(super) fn look(
+    context: &JobContext,
+    channels: &[Channel],
+    built: &[u32],
+    sets: &[ParameterSet],
+    seed: u64,
+) -> Result<Vec<Observed>, JobError> {
+    let look = |(position, (channel, built)): (usize, (&Channel, &u32))| {
+        let observation = channel.observation;
+        let owner = format!("{}/{position}", context.id());
+        let plan = channel::planned(sets, REPEATS, derive(seed, &[position as u64]));
+        let what = observation.observable.kind();
+        let (runs, _) = probes(context, &owner, plan, what, simulate(context, observation.observable))?;
+        let values = |runs: &[Probe]| -> Vec<f64> {
+            let values = runs.iter().filter_map(|run| Some(channel.value(&run.parameters, run.reduced?)));
+            values.filter(|value| value.is_finite()).collect()
+        };
+        let of_set = |runs: &[Probe]| {
+            let values = values(runs);
+            Simulated { mean: summary::mean(&values), sd: summary::sd(&values), runs: values.len() as u32 }
+        };
+        let simulated: Vec<Simulated> = runs.chunks(REPEATS as usize).map(of_set).collect();
+        let means: Vec<f64> = simulated.iter().filter_map(|set| set.mean).collect();
+        let mean = summary::mean(&means);
+        let error = summary::standard_error(&means).unwrap_or(0.0);
+        let allowed = SIGNIFICANT * error.hypot(observation.sd / f64::from(observation.n).sqrt());
+        let agrees = means.len() == sets.len() && mean.is_some_and(|mean| (mean - observation.mean).abs() <= allowed);
+        let sha256 = channel.sha256().to_owned();
+        Ok(Observed { observation, sha256, built: *built, sets: simulated, mean, agrees })
+    };
+    channels.iter().zip(built).enumerate().map(look).collect()
+}
+
+/// Look at sets again in larger heaps, if that was asked for.
+pub(super) fn larger(
+    context: &JobContext,
+    spec: &CalibrationSpec,
+    sets: &[ParameterSet],
+) -> Result<Vec<Larger>, JobError> {
+    let Some(particles) = spec.check_particles else { return Ok(Vec::new()) };
+    let owner = format!("{}/larger", context.id());
+    let settings = repose::Settings::with_particles(particles);
+    let simulate = |set: &ParameterSet, seed: u64| Ok((context.functions.simulate)(set, &settings, seed)?.tip_deg);
+    let plan = channel::planned(sets, REPEATS, derive(spec.settings.seed, &[LARGER]));
+    let (runs, _) = probes(context, &owner, plan, "larger heaps", simulate)?;
+    let of_set = |runs: &[Probe]| {
+        let tips: Vec<f64> = runs.iter().filter_map(|run| run.reduced).collect();
+        Larger {
+            particles,
+            repose_deg: summary::mean(&tips),
+            repose_sd_deg: summary::sd(&tips),
+            runs: tips.len() as u32,
+        }
+    };
+    Ok(runs.chunks(REPEATS as usize).map(of_set).collect())
+}
+
+fn simulate(
+    context: &JobContext,
+    observable: Observable,
+) -> impl Fn(&ParameterSet, u64) -> Result<f64, Refusal> + Sync {
+    move |set, seed| (context.functions.observe)(&observable, set, seed)
+}
+
+/// Carry out a plan, with what is stored of it; the runs, and how many of them are new.
+fn probes(
+    context: &JobContext,
+    owner: &str,
+    plan: Vec<Probe>,
+    what: &str,
+    simulate: impl Fn(&ParameterSet, u64) -> Result<f64, Refusal> + Sync,
+) -> Result<(Vec<Probe>, u32), JobError> {
+    let stored: Vec<Probe> = context.read(context.store.probes(owner))?;
+    let mut unsaved = None;
+    let runs = channel::carry_out(plan, &stored, what, simulate, |run, progress| {
+        let saved = keep(context, progress, async |tx| tx.insert_probe(owner, run.index, run).await);
+        unless(saved, &mut unsaved, context)
+    });
+    match (runs, unsaved) {
+        (_, Some(error)) => Err(error.into()),
+        (Ok(runs), None) => {
+            let new = runs.len() - stored.len().min(runs.len());
+            Ok((runs, new as u32))
+        }
+        (Err(calibrate::Error::Stopped), None) => Err(JobError::Stopped),
+        (Err(error), None) => Err(JobError::Fail(error.to_string())),
+    }
+}
