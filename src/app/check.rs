@@ -23,6 +23,13 @@ impl Check {
         }
     }
 
+    /// Where numbers come from: may be left empty.
+    pub fn source(&mut self, field: &str, source: &str) {
+        if !source.is_empty() {
+            self.text(field, source, 500);
+        }
+    }
+
     /// A whole number within bounds.
     pub fn count(&mut self, field: &str, value: u32, lower: u32, upper: u32) {
         if !(lower..=upper).contains(&value) {

@@ -6,6 +6,7 @@ use crate::app::PageQuery;
 use crate::domain::FieldError;
 use crate::domain::bench::Tick;
 use crate::domain::job::{JobKind, JobState};
+use crate::domain::observable::{Observable, Observation};
 use crate::domain::parameters::{Parameter, ParameterSet};
 use crate::domain::powder::{Flowability, Method};
 use crate::domain::weighing::{Outcome, WeighingState};
@@ -64,9 +65,17 @@ same_fields! {
         method: proto::Method::from(m.method).into(),
         created_at: at(m.created_at),
     }
+    o: Observation => Observation { mean sd n } {
+        observable: Some(o.observable.into()),
+    }
+    o: app::PowderObservation => PowderObservation { id powder mean sd n source } {
+        observable: Some(o.observable.into()),
+        created_at: at(o.created_at),
+    }
     d: app::PowderDetail => PowderDetail {} {
         powder: Some(d.powder.into()),
         measurements: all(d.measurements),
+        observations: all(d.observations),
         sets: all(d.sets),
     }
     p: Parameter => Parameter { lower upper default } {
@@ -186,6 +195,36 @@ impl From<ParameterSet> for proto::ParameterSet {
             cohesion: set.cohesion(),
             particle_mass_ug: set.particle_mass_ug(),
         }
+    }
+}
+
+impl From<Observable> for proto::Observable {
+    fn from(ours: Observable) -> Self {
+        use proto::observable::Kind;
+        let kind = match ours {
+            Observable::FlowTime { mass_g, orifice_mm } => Kind::FlowTime(proto::FlowTime { mass_g, orifice_mm }),
+            Observable::ShakeMass { pitch_deg, shake_mm } => Kind::ShakeMass(proto::ShakeMass { pitch_deg, shake_mm }),
+            Observable::DrainedAngle {} => Kind::DrainedAngle(proto::DrainedAngle {}),
+            Observable::PileHeight { base_diameter_mm, fall_mm } => {
+                Kind::PileHeight(proto::PileHeight { base_diameter_mm, fall_mm })
+            }
+        };
+        Self { kind: Some(kind) }
+    }
+}
+
+/// `None` if the caller named none, or one that this version does not know.
+impl From<proto::Observable> for Option<Observable> {
+    fn from(wire: proto::Observable) -> Self {
+        use proto::observable::Kind;
+        Some(match wire.kind? {
+            Kind::FlowTime(proto::FlowTime { mass_g, orifice_mm }) => Observable::FlowTime { mass_g, orifice_mm },
+            Kind::ShakeMass(proto::ShakeMass { pitch_deg, shake_mm }) => Observable::ShakeMass { pitch_deg, shake_mm },
+            Kind::DrainedAngle(proto::DrainedAngle {}) => Observable::DrainedAngle {},
+            Kind::PileHeight(proto::PileHeight { base_diameter_mm, fall_mm }) => {
+                Observable::PileHeight { base_diameter_mm, fall_mm }
+            }
+        })
     }
 }
 

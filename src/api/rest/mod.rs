@@ -7,6 +7,7 @@ mod events;
 pub mod extract;
 mod jobs;
 mod list;
+mod measurements;
 mod parameters;
 mod policies;
 mod powders;
@@ -29,7 +30,8 @@ fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(document::head())
         .routes(routes!(powders::list_powders, powders::create_powder))
         .routes(routes!(powders::get_powder))
-        .routes(routes!(powders::list_measurements, powders::add_measurement))
+        .routes(routes!(measurements::list_measurements, measurements::add_measurement))
+        .routes(routes!(measurements::list_observations, measurements::add_observation))
         .routes(routes!(parameters::list_parameters))
         .routes(routes!(parameters::list_parameter_sets))
         .routes(routes!(parameters::get_parameter_set))
