@@ -5,8 +5,20 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-const COMMANDS: [&str; 11] =
-    ["serve", "demo", "repose", "validate", "bench", "calibrate", "train", "evaluate", "weigh", "jobs", "token"];
+const COMMANDS: [&str; 12] = [
+    "serve",
+    "demo",
+    "repose",
+    "validate",
+    "bench",
+    "calibrate",
+    "measurements",
+    "train",
+    "evaluate",
+    "weigh",
+    "jobs",
+    "token",
+];
 
 fn flip(data_dir: &Path, arguments: &[&str]) -> Output {
     command(data_dir, arguments).output().unwrap()

@@ -1,6 +1,7 @@
 //! What was measured of a powder: its angle of repose, and what else an experiment tells.
 
 use super::check::Check;
+use super::measurement_csv::{self, Value};
 use super::{App, Result};
 use crate::domain::FieldError;
 use crate::domain::observable::{Observable, Observation};
@@ -9,6 +10,7 @@ use crate::store::observations::PowderObservation;
 use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use crate::store::powders::Measurement;
 use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
 
 /// A measurement to register, in exactly one of three forms: `repose_deg` with `sd_deg` and `n`; the angles of all repeats in `repeats_deg`;
 /// or the heaps themselves, `heights_mm` with `base_diameters_mm`.
@@ -49,6 +51,33 @@ pub struct NewObservation {
     pub n: u32,
     /// Where the numbers come from; up to 500 characters.
     pub source: Option<String>,
+}
+
+/// What a file of measurements added.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Imported {
+    /// Ids of the powders that were registered because the file names them.
+    pub powders: Vec<String>,
+    /// The measurements, in the order of the file.
+    pub measurements: Vec<Measurement>,
+    /// The observations beside the angle, in the order of the file.
+    pub observations: Vec<PowderObservation>,
+}
+
+/// Everything that was measured.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Measured {
+    /// Measurements, oldest first.
+    pub measurements: Vec<Measurement>,
+    /// Observations beside the angle, oldest first.
+    pub observations: Vec<PowderObservation>,
+}
+
+impl Measured {
+    /// As a file that [`App::import_measurements`] reads.
+    pub fn csv(&self) -> String {
+        measurement_csv::write(&self.measurements, &self.observations)
+    }
 }
 
 impl NewMeasurement {
@@ -127,6 +156,57 @@ impl App {
         let measurement = tx.insert_measurement(powder, new.method, flowability, &source).await?;
         tx.commit().await?;
         Ok(measurement)
+    }
+
+    /// Register everything that a CSV file holds, or nothing of it. A powder that is not registered is refused, or with `create` registered
+    /// with its id as its name. The same file again adds the same measurements again.
+    ///
+    /// # Errors
+    /// `Invalid` with every wrong cell as `row[2].repose_deg`, the header being row 1.
+    pub async fn import_measurements(&self, csv: &str, create: bool) -> Result<Imported> {
+        let entries = measurement_csv::read(csv)?;
+        let mut check = Check::default();
+        let mut seen = HashSet::new();
+        let mut powders = Vec::new();
+        let mut tx = self.store().write().await?;
+        for entry in entries.iter().filter(|entry| seen.insert(entry.powder.as_str())) {
+            let (row, id) = (entry.row, &entry.powder);
+            if self.store().powder(id).await?.is_some() {
+                continue;
+            }
+            if create {
+                tx.insert_powder(id, id).await?;
+                powders.push(id.clone());
+            } else {
+                let advice = format!("there is no powder `{id}`: register it first, or import with `create`");
+                check.refuse(&format!("row[{row}].powder"), advice);
+            }
+        }
+        check.done()?;
+        let mut imported = Imported { powders, measurements: Vec::new(), observations: Vec::new() };
+        for entry in &entries {
+            let (powder, source) = (&entry.powder, &entry.source);
+            match &entry.value {
+                Value::Angle(method, angle) => {
+                    imported.measurements.push(tx.insert_measurement(powder, *method, *angle, source).await?);
+                }
+                Value::Observed(observed) => {
+                    imported.observations.push(tx.insert_observation(powder, observed, source).await?);
+                }
+            }
+        }
+        tx.commit().await?;
+        Ok(imported)
+    }
+
+    /// Everything that was measured; of one powder when named.
+    pub async fn measured(&self, powder: Option<&str>) -> Result<Measured> {
+        if let Some(powder) = powder {
+            self.existing_powder(powder).await?;
+        }
+        let measurements = self.store().all_measurements(powder).await?;
+        let observations = self.store().all_observations(powder).await?;
+        Ok(Measured { measurements, observations })
     }
 
     /// Observations of a powder beside its angle, oldest first; the newest of an equal observable is the one that counts.

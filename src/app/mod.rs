@@ -2,11 +2,13 @@
 
 mod calibrations;
 mod check;
+mod comparison;
 mod counts;
 mod error;
 mod evaluations;
 mod events;
 mod jobs;
+mod measurement_csv;
 mod measurements;
 mod policies;
 mod powders;
@@ -21,7 +23,7 @@ pub use crate::domain::powder::{Flowability, Method};
 pub use crate::domain::timestamp::Timestamp;
 pub use crate::jobs::Functions;
 pub use crate::jobs::calibrate::{
-    CalibrationResult, CalibrationSet, EmulatorUse, Method as CalibrationMethod, Posterior, Shortfall,
+    CalibrationResult, CalibrationSet, EmulatorUse, Marginal, Method as CalibrationMethod, Pair, Posterior, Shortfall,
 };
 pub use crate::jobs::evaluate::EvaluationResult;
 pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
@@ -38,10 +40,11 @@ pub use crate::store::tokens::Role;
 pub use crate::store::trials::{Episode, Trial, TrialPhase};
 pub use crate::store::weighings::Weighing;
 pub use calibrations::{Calibration, CalibrationRequest};
+pub use comparison::{ComparedCalibration, Comparison, ParameterSpread};
 pub use error::{Error, Result};
 pub use evaluations::{Evaluation, EvaluationRequest};
 pub use events::Topic;
-pub use measurements::{NewMeasurement, NewObservation};
+pub use measurements::{Imported, Measured, NewMeasurement, NewObservation};
 pub use powders::{NewPowder, PowderDetail};
 pub use trainings::{Training, TrainingLevel, TrainingRequest};
 pub use weighings::{Target, Tolerance, WeighingDetail, WeighingRequest};
