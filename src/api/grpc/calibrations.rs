@@ -45,6 +45,18 @@ impl calibrations_server::Calibrations for Service {
         Ok(Response::new(self.app.calibration(&read(request)?.id).await?.into()))
     }
 
+    async fn get_posterior(&self, request: Request<GetPosteriorRequest>) -> Result<Response<Posterior>, Status> {
+        Ok(Response::new(self.app.posterior(&read(request)?.calibration).await?.into()))
+    }
+
+    async fn compare_calibrations(
+        &self,
+        request: Request<CompareCalibrationsRequest>,
+    ) -> Result<Response<Comparison>, Status> {
+        let CompareCalibrationsRequest { calibration, with } = read(request)?;
+        Ok(Response::new(self.app.compare_calibrations(&calibration, &with).await?.into()))
+    }
+
     async fn list_trials(&self, request: Request<ListTrialsRequest>) -> Result<Response<ListTrialsResponse>, Status> {
         let request = read(request)?;
         let found = self.app.trials(&request.calibration, page(request.page)).await?;

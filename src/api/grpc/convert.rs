@@ -114,6 +114,31 @@ same_fields! {
     s: app::CalibrationSet => CalibrationSet { id repose_deg repose_sd_deg runs error_deg verified_error_deg } {
         parameters: Some(s.parameters.into()),
     }
+    p: app::Posterior => Posterior { repose_deg effective } {
+        draws: p.draws.into_iter().map(|draw| proto::PosteriorDraw { values: draw.to_vec() }).collect(),
+        parameters: all(p.parameters),
+        together: all(p.together),
+    }
+    m: app::Marginal => Marginal { key mean learnt inert } {
+        lower: m.interval[0],
+        upper: m.interval[1],
+    }
+    p: app::Pair => CorrelatedPair { correlation } {
+        keys: p.keys.to_vec(),
+    }
+    c: app::Comparison => Comparison { difference_deg standard_error_deg agree } {
+        calibration: Some(c.calibration.into()),
+        with: Some(c.with.into()),
+    }
+    c: app::ComparedCalibration => ComparedCalibration {
+        id powder evaluations verification_runs sets verified_error_deg verified_sd_deg repose_deg standard_error_deg
+    } {
+        target: Some(c.target.into()),
+        method: proto::CalibrationMethod::from(c.method).into(),
+        emulator: c.emulator.map(Into::into),
+        parameters: all(c.parameters),
+    }
+    s: app::ParameterSpread => ParameterSpread { key mean lower upper } {}
     t: app::Trial => Trial { index seed tip_deg cone_deg creep_deg_per_s refusal error_deg } {
         phase: proto::TrialPhase::from(t.phase).into(),
         parameters: Some(t.parameters.into()),
