@@ -28,7 +28,7 @@ const EXCEPTIONS: [(&str, &[&str]); 1] = [
 ];
 
 /// What may be named only in some modules: crates that talk to the world, and words that mark asynchronous code.
-const CONFINED: [(&str, &[&str]); 19] = [
+const CONFINED: [(&str, &[&str]); 20] = [
     ("sqlx::", &["store", "jobs"]),
     ("apalis::", &["jobs"]),
     ("apalis_", &["jobs"]),
@@ -38,6 +38,7 @@ const CONFINED: [(&str, &[&str]); 19] = [
     ("prost::", &["api"]),
     ("tower_http::", &["api"]),
     ("tch::", &["train"]),
+    ("csv::", &["app"]),
     ("rayon::", &["calibrate", "train", "jobs", "cli"]),
     ("clap::", &["cli"]),
     ("indicatif::", &["cli"]),

@@ -5,8 +5,20 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-const COMMANDS: [&str; 11] =
-    ["serve", "demo", "repose", "validate", "bench", "calibrate", "train", "evaluate", "weigh", "jobs", "token"];
+const COMMANDS: [&str; 12] = [
+    "serve",
+    "demo",
+    "repose",
+    "validate",
+    "bench",
+    "calibrate",
+    "measurements",
+    "train",
+    "evaluate",
+    "weigh",
+    "jobs",
+    "token",
+];
 
 fn flip(data_dir: &Path, arguments: &[&str]) -> Output {
     command(data_dir, arguments).output().unwrap()
@@ -109,7 +121,7 @@ fn validate_prints_what_it_measured_and_knows_its_checks_by_name() {
 #[test]
 fn bad_input_exits_2_and_names_the_field() {
     let folder = tempfile::tempdir().unwrap();
-    let cases: [(&[&str], &str); 23] = [
+    let cases: [(&[&str], &str); 25] = [
         (&["repose", "--friction", "1.31"], "friction: must be a number from 0 to 1.3"),
         (&["repose", "--cohesion", "NaN"], "cohesion: must be a number from 0 to 1.2"),
         (&["repose", "--particle-diameter-mm", "-1"], "particle_diameter_mm"),
@@ -128,6 +140,8 @@ fn bad_input_exits_2_and_names_the_field() {
         (&["calibrate", "--repose-deg", "90"], "repose_deg"),
         (&["calibrate", "--repose-deg", "30", "--sd-deg", "2", "--n", "0"], "n: must be from 1"),
         (&["calibrate", "--powder", "salt", "--repose-deg", "30"], "--repose-deg"),
+        (&["measurements", "import", "nowhere.csv"], "file: nowhere.csv cannot be read"),
+        (&["measurements", "export", "--powder", "chalk"], "powder"),
         (&["train", "--order", "sideways"], "--order"),
         (&["train", "--order", "curriculum", "--episodes", "0"], "episodes"),
         (&["weigh", "--powder", "salt", "--target-mg", "-5"], "target_mg"),
@@ -142,6 +156,32 @@ fn bad_input_exits_2_and_names_the_field() {
         expect_status(&output, 2);
         assert_eq!(document(&output)["error"]["kind"], "bad_input", "{arguments:?}");
     }
+}
+
+#[test]
+fn measurements_come_from_a_file_and_go_back_into_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let (data, file) = (folder.path().join("data"), folder.path().join("bench.csv"));
+    let text = "powder,repose_deg,drained_deg\nflour,46,38\nflour,48,40\n";
+    std::fs::write(&file, text).unwrap();
+    let import = ["measurements", "import", file.to_str().unwrap()];
+    let unknown = flip(&data, &import);
+    expect_status(&unknown, 2);
+    assert!(stderr(&unknown).contains("row[2].powder: there is no powder `flour`"), "{}", stderr(&unknown));
+    let imported = document(&flip(&data, &[&import[..], &["--create", "--json"]].concat()));
+    assert_eq!((&imported["powders"][0], &imported["measurements"][0]["n"]), (&"flour".into(), &2.into()));
+    let export = |data: &Path| {
+        let output = flip(data, &["measurements", "export", "--powder", "flour"]);
+        expect_status(&output, 0);
+        output.stdout
+    };
+    let exported = export(&data);
+    std::fs::write(&file, &exported).unwrap();
+    let other = folder.path().join("other");
+    expect_status(&flip(&other, &[&import[..], &["--create"]].concat()), 0);
+    assert_eq!(export(&other), exported);
+    let all = document(&flip(&data, &["measurements", "export", "--json"]));
+    assert_eq!((all["measurements"].as_array().unwrap().len(), all["observations"].as_array().unwrap().len()), (11, 1));
 }
 
 #[test]

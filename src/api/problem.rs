@@ -90,9 +90,9 @@ impl Problem {
         Self::new(StatusCode::PAYLOAD_TOO_LARGE, "too-large", "The body is too large", detail)
     }
 
-    /// 415: not JSON.
-    pub fn unsupported_media_type() -> Self {
-        let detail = "send the body as Content-Type: application/json";
+    /// 415: not what the operation reads, such as `application/json`.
+    pub fn unsupported_media_type(expected: &str) -> Self {
+        let detail = format!("send the body as Content-Type: {expected}");
         Self::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", "Unsupported media type", detail)
     }
 

@@ -108,7 +108,12 @@ impl App {
 
     /// What else was measured: what the request says, else what is registered.
     async fn observations_of(&self, request: &CalibrationRequest, method: Method) -> Result<Vec<Observation>> {
-        let Some(given) = &request.observations else { return Ok(Vec::new()) };
+        let Some(given) = &request.observations else {
+            return match &request.powder {
+                Some(powder) if method == Method::Emulator => Ok(self.store().observations_now(powder).await?),
+                _ => Ok(Vec::new()),
+            };
+        };
         let refuse = |message: &str| Err(FieldError::new("observations", message).into());
         if method != Method::Emulator && !given.is_empty() {
             return refuse("are for the method `emulator`: leave them out, or take that method");

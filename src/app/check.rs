@@ -23,6 +23,13 @@ impl Check {
         }
     }
 
+    /// Where numbers come from: may be left empty.
+    pub fn source(&mut self, field: &str, source: &str) {
+        if !source.is_empty() {
+            self.text(field, source, 500);
+        }
+    }
+
     /// A whole number within bounds.
     pub fn count(&mut self, field: &str, value: u32, lower: u32, upper: u32) {
         if !(lower..=upper).contains(&value) {
@@ -35,14 +42,16 @@ impl Check {
         self.errors.push(FieldError::new(field, message));
     }
 
+    /// Nothing is wrong; else everything that is, for a caller that goes on collecting.
+    pub fn refusals(&mut self) -> std::result::Result<(), Vec<FieldError>> {
+        if self.errors.is_empty() { Ok(()) } else { Err(std::mem::take(&mut self.errors)) }
+    }
+
     /// Nothing is wrong.
     ///
     /// # Errors
     /// [`Error::Invalid`] with everything that is.
     pub fn done(&mut self) -> Result<()> {
-        match self.errors.is_empty() {
-            true => Ok(()),
-            false => Err(Error::Invalid(std::mem::take(&mut self.errors))),
-        }
+        self.refusals().map_err(Error::Invalid)
     }
 }

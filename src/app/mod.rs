@@ -2,11 +2,14 @@
 
 mod calibrations;
 mod check;
+mod comparison;
 mod counts;
 mod error;
 mod evaluations;
 mod events;
 mod jobs;
+mod measurement_csv;
+mod measurements;
 mod policies;
 mod powders;
 mod tokens;
@@ -15,11 +18,12 @@ mod weighings;
 
 pub use crate::domain::FieldError;
 pub use crate::domain::job::{JobKind, JobState, Progress};
+pub use crate::domain::observable::Observable;
 pub use crate::domain::powder::{Flowability, Method};
 pub use crate::domain::timestamp::Timestamp;
 pub use crate::jobs::Functions;
 pub use crate::jobs::calibrate::{
-    CalibrationResult, CalibrationSet, EmulatorUse, Method as CalibrationMethod, Posterior, Shortfall,
+    CalibrationResult, CalibrationSet, EmulatorUse, Marginal, Method as CalibrationMethod, Pair, Posterior, Shortfall,
 };
 pub use crate::jobs::evaluate::EvaluationResult;
 pub use crate::jobs::observe::{Larger, Observed, Simulated};
@@ -28,6 +32,7 @@ pub use crate::store::counts::Counts;
 pub use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
 pub use crate::store::events::Event;
 pub use crate::store::jobs::Job;
+pub use crate::store::observations::PowderObservation;
 pub use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery, SERIES_LIMIT_MAX};
 pub use crate::store::parameter_sets::CalibratedSet;
 pub use crate::store::policies::{Policy, PolicyError};
@@ -36,10 +41,12 @@ pub use crate::store::tokens::Role;
 pub use crate::store::trials::{Episode, Trial, TrialPhase};
 pub use crate::store::weighings::Weighing;
 pub use calibrations::{Calibration, CalibrationRequest};
+pub use comparison::{ComparedCalibration, Comparison, ParameterSpread};
 pub use error::{Error, Result};
 pub use evaluations::{Evaluation, EvaluationRequest};
 pub use events::Topic;
-pub use powders::{NewMeasurement, NewPowder, PowderDetail};
+pub use measurements::{Imported, Measured, NewMeasurement, NewObservation};
+pub use powders::{NewPowder, PowderDetail};
 pub use trainings::{Training, TrainingLevel, TrainingRequest};
 pub use weighings::{Target, Tolerance, WeighingDetail, WeighingRequest};
 

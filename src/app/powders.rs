@@ -1,9 +1,10 @@
-//! Powders, their measurements, and the parameter sets calibrated to them.
+//! Powders and the parameter sets calibrated to them.
 
 use super::check::Check;
 use super::{App, Error, Result};
 use crate::domain::FieldError;
-use crate::domain::powder::{Flowability, Method, powder_id};
+use crate::domain::observable::Observation;
+use crate::domain::powder::powder_id;
 use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use crate::store::parameter_sets::CalibratedSet;
 use crate::store::powders::{Measurement, Powder};
@@ -19,22 +20,6 @@ pub struct NewPowder {
     pub name: String,
 }
 
-/// A measurement to register.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct NewMeasurement {
-    /// How it was measured.
-    pub method: Method,
-    /// Mean angle of repose, 5 to 85 degrees.
-    pub repose_deg: f64,
-    /// Standard deviation over the repeats, 0 to 45 degrees.
-    pub sd_deg: f64,
-    /// Number of repeats, 1 to 10000.
-    pub n: u32,
-    /// Where the numbers come from; up to 500 characters.
-    pub source: Option<String>,
-}
-
 /// A powder with everything that is known about it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct PowderDetail {
@@ -42,6 +27,8 @@ pub struct PowderDetail {
     pub powder: Powder,
     /// Its measurements, oldest first.
     pub measurements: Vec<Measurement>,
+    /// What is known of it beside its angle: the newest observation of each equal observable.
+    pub observations: Vec<Observation>,
     /// Its calibrated sets, oldest first.
     pub sets: Vec<CalibratedSet>,
 }
@@ -59,7 +46,8 @@ impl App {
         let measurements = self.store().measurements(id, all).await?.items;
         let mut sets = self.store().parameter_sets(Some(id), all).await?.items;
         sets.reverse();
-        Ok(PowderDetail { powder, measurements, sets })
+        let observations = self.store().observations_now(id).await?;
+        Ok(PowderDetail { powder, measurements, observations, sets })
     }
 
     /// Register a powder; `Conflict` when the id is taken.
@@ -77,29 +65,6 @@ impl App {
         self.existing_powder(&new.id).await
     }
 
-    /// Measurements of a powder, oldest first.
-    pub async fn measurements(&self, powder: &str, page: PageQuery) -> Result<Page<Measurement>> {
-        self.existing_powder(powder).await?;
-        Ok(self.store().measurements(powder, page.window(LIST_LIMIT_MAX)?).await?)
-    }
-
-    /// Register a measurement of a powder.
-    pub async fn add_measurement(&self, powder: &str, new: NewMeasurement) -> Result<Measurement> {
-        let mut check = Check::default();
-        let flowability = check.keep(Flowability::new(new.repose_deg, new.sd_deg, new.n));
-        let source = new.source.unwrap_or_default();
-        if !source.is_empty() {
-            check.text("source", &source, 500);
-        }
-        check.done()?;
-        let Some(flowability) = flowability else { unreachable!("checked above") };
-        self.existing_powder(powder).await?;
-        let mut tx = self.store().write().await?;
-        let measurement = tx.insert_measurement(powder, new.method, flowability, &source).await?;
-        tx.commit().await?;
-        Ok(measurement)
-    }
-
     /// Calibrated sets, newest first; of one powder when named.
     pub async fn parameter_sets(&self, powder: Option<&str>, page: PageQuery) -> Result<Page<CalibratedSet>> {
         if let Some(powder) = powder {
@@ -113,7 +78,7 @@ impl App {
         self.store().parameter_set(id).await?.ok_or_else(|| Error::not_found("parameter set", id))
     }
 
-    async fn existing_powder(&self, id: &str) -> Result<Powder> {
+    pub(super) async fn existing_powder(&self, id: &str) -> Result<Powder> {
         self.store().powder(id).await?.ok_or_else(|| Error::not_found("powder", id))
     }
 

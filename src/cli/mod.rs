@@ -12,6 +12,7 @@ mod evaluate;
 mod failure;
 mod health;
 mod jobs;
+mod measurements;
 mod observe;
 mod parameters;
 mod repose;
@@ -71,6 +72,8 @@ enum Command {
     Validate(validate::Arguments),
     /// Find simulated powders that pile like a measured one.
     Calibrate(calibrate::Arguments),
+    /// Read measurements from a CSV file, or write them to one.
+    Measurements(measurements::Arguments),
     /// Learn to weigh on simulated powders.
     Train(train::Arguments),
     /// Measure a policy's errors beside those of simple controllers.
@@ -116,6 +119,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Repose(arguments) => repose::run(common, arguments),
         Command::Validate(arguments) => validate::run(common, arguments),
         Command::Calibrate(arguments) => calibrate::run(common, arguments),
+        Command::Measurements(arguments) => measurements::run(common, arguments),
         Command::Train(arguments) => train::run(common, arguments),
         Command::Evaluate(arguments) => evaluate::run(common, arguments),
         Command::Weigh(arguments) => weigh::run(common, arguments),

@@ -47,6 +47,109 @@ impl Flowability {
         }
         Ok(Self { repose_deg, sd_deg, n })
     }
+
+    /// The measurement that these repeats make: their mean, their sample standard deviation (0 for a single one, which says nothing of its
+    /// own spread) and their number.
+    ///
+    /// # Errors
+    /// No repeats or more than 10000; an angle outside 5-85 deg, as `field[position]`.
+    pub fn of_repeats(field: &str, angles_deg: &[f64]) -> Result<Self, FieldError> {
+        repeats(field, angles_deg)?;
+        for (k, &angle) in angles_deg.iter().enumerate() {
+            bounded(&format!("{field}[{k}]"), angle, 5.0, 85.0, "deg")?;
+        }
+        let (mean, sd) = mean_and_sd(angles_deg);
+        // Rounding may carry the mean of equal repeats past a bound that each of them keeps.
+        Self::new(mean.clamp(5.0, 85.0), sd, angles_deg.len() as u32).map_err(|_| {
+            FieldError::new(
+                field,
+                format!("spread by {sd} deg: repeats of one powder must have an SD from 0 to 45 deg"),
+            )
+        })
+    }
+
+    /// The measurement that these heaps make, one repeat each.
+    ///
+    /// # Errors
+    /// As [`HeapReadings::angles_deg`] and [`Flowability::of_repeats`].
+    pub fn of_heaps(heaps: &HeapReadings) -> Result<Self, FieldError> {
+        Self::of_repeats("heights_mm", &heaps.angles_deg()?)
+    }
+}
+
+/// Heaps on a round base that each covers to the rim, as a ruler or a camera reads them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HeapReadings<'a> {
+    /// Height of each heap above its base, mm.
+    pub heights_mm: &'a [f64],
+    /// Diameter of the base, 5 to 500 mm: one for each heap, or one for all.
+    pub base_diameters_mm: &'a [f64],
+    /// Height of the funnel's tip above the base, 0.1 to 3000 mm, if it is known: no heap is higher.
+    pub funnel_height_mm: Option<f64>,
+}
+
+impl HeapReadings<'_> {
+    /// The angle of each heap, degrees.
+    ///
+    /// # Formula
+    /// ```text
+    /// AoR = atan(2 h / d)
+    /// ```
+    /// of a heap of height h on a fixed base of diameter d, as ISO 8398 measures it by hand and arXiv:2506.03896 by camera. The latter
+    /// prints 2 h / d; its numbers are degrees, so the arctangent is taken, as in the simulated experiment.
+    ///
+    /// # Errors
+    /// No heaps or more than 10000; another number of diameters than heaps; a diameter or funnel outside its bounds; a height that is not
+    /// positive, above the funnel, or of an angle outside 5-85 deg.
+    pub fn angles_deg(&self) -> Result<Vec<f64>, FieldError> {
+        let Self { heights_mm, base_diameters_mm, funnel_height_mm } = *self;
+        repeats("heights_mm", heights_mm)?;
+        let (heaps, bases) = (heights_mm.len(), base_diameters_mm.len());
+        if bases != 1 && bases != heaps {
+            let advice = format!("must hold one diameter for each of the {heaps} heights, or one for all, got {bases}");
+            return Err(FieldError::new("base_diameters_mm", advice));
+        }
+        for (k, &diameter) in base_diameters_mm.iter().enumerate() {
+            bounded(&format!("base_diameters_mm[{k}]"), diameter, 5.0, 500.0, "mm")?;
+        }
+        if let Some(funnel) = funnel_height_mm {
+            bounded("funnel_height_mm", funnel, 0.1, 3000.0, "mm")?;
+        }
+        let bases = base_diameters_mm.iter().cycle();
+        heights_mm.iter().zip(bases).enumerate().map(|(k, (&h, &d))| heap_deg(k, h, d, funnel_height_mm)).collect()
+    }
+}
+
+fn heap_deg(k: usize, height_mm: f64, diameter_mm: f64, funnel_mm: Option<f64>) -> Result<f64, FieldError> {
+    let field = || format!("heights_mm[{k}]");
+    if let Some(funnel) = funnel_mm.filter(|&funnel| height_mm > funnel) {
+        let advice = format!("must not be above the funnel's {funnel} mm, got {height_mm}: no heap rises past the tip");
+        return Err(FieldError::new(field(), advice));
+    }
+    let angle = (2.0 * height_mm / diameter_mm).atan().to_degrees();
+    if !height_mm.is_finite() || !(5.0..=85.0).contains(&angle) {
+        let [lower, upper] = [5.0_f64, 85.0].map(|deg| deg.to_radians().tan() * diameter_mm / 2.0);
+        let advice = format!(
+            "must be from {lower:.3} to {upper:.1} mm on a base of {diameter_mm} mm (an angle of 5 to 85 deg), got {height_mm}"
+        );
+        return Err(FieldError::new(field(), advice));
+    }
+    Ok(angle)
+}
+
+fn repeats(field: &str, values: &[f64]) -> Result<(), FieldError> {
+    match values.len() {
+        1..=10_000 => Ok(()),
+        n => Err(FieldError::new(field, format!("must hold 1 to 10000 repeats, got {n}"))),
+    }
+}
+
+/// Mean and sample standard deviation (divisor n - 1) of at least one value; the SD of a single one is 0.
+pub fn mean_and_sd(values: &[f64]) -> (f64, f64) {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+    (mean, if n > 1.0 { (squares / (n - 1.0)).sqrt() } else { 0.0 })
 }
 
 /// A powder id: a lower-case letter, then up to 63 letters, digits or underscores.
@@ -109,6 +212,50 @@ mod tests {
         assert_eq!(field(Flowability::new(f64::NAN, 1.0, 5)), "repose_deg");
         assert_eq!(field(Flowability::new(30.0, -1.0, 5)), "sd_deg");
         assert_eq!(field(Flowability::new(30.0, 1.0, 0)), "n");
+    }
+
+    #[test]
+    fn repeats_become_their_mean_and_sample_sd() {
+        let measured = Flowability::of_repeats("repeats_deg", &[30.0, 32.0, 34.0]).unwrap();
+        assert_eq!(measured, Flowability { repose_deg: 32.0, sd_deg: 2.0, n: 3 });
+        let single = Flowability::of_repeats("repeats_deg", &[30.0]).unwrap();
+        assert_eq!(single, Flowability { repose_deg: 30.0, sd_deg: 0.0, n: 1 });
+        assert_eq!(Flowability::of_repeats("repeats_deg", &[85.0; 7]).unwrap().repose_deg, 85.0);
+    }
+
+    #[test]
+    fn impossible_repeats_are_refused_by_position() {
+        let field = |angles: &[f64]| Flowability::of_repeats("repeats_deg", angles).unwrap_err().field;
+        assert_eq!(field(&[]), "repeats_deg");
+        assert_eq!(field(&[30.0; 10_001]), "repeats_deg");
+        assert_eq!(field(&[30.0, 4.9]), "repeats_deg[1]");
+        assert_eq!(field(&[30.0, 31.0, f64::NAN]), "repeats_deg[2]");
+        assert_eq!(field(&[5.0, 85.0]), "repeats_deg", "an SD of 57 deg");
+    }
+
+    #[test]
+    fn a_heap_as_high_as_its_base_is_wide_by_half_stands_at_45_degrees() {
+        let of = |heights_mm: &[f64], base_diameters_mm: &[f64], funnel_height_mm| {
+            Flowability::of_heaps(&HeapReadings { heights_mm, base_diameters_mm, funnel_height_mm })
+        };
+        let one = of(&[20.0], &[40.0], None).unwrap();
+        assert!((one.repose_deg - 45.0).abs() < 1e-12 && one.n == 1);
+        // tan 30 deg = 0.57735: the same angle on two bases has no spread.
+        let two =
+            of(&[28.867_513_459_481_29, 57.735_026_918_962_57], &[100.0, 200.0], Some(57.735_026_918_962_57)).unwrap();
+        assert!((two.repose_deg - 30.0).abs() < 1e-9 && two.sd_deg < 1e-9 && two.n == 2);
+        assert_eq!(of(&[20.0; 3], &[40.0], None).unwrap().n, 3);
+        let field = |heights: &[f64], bases: &[f64], funnel| of(heights, bases, funnel).unwrap_err().field;
+        assert_eq!(field(&[], &[40.0], None), "heights_mm");
+        assert_eq!(field(&[20.0; 3], &[40.0; 2], None), "base_diameters_mm");
+        assert_eq!(field(&[20.0], &[], None), "base_diameters_mm");
+        assert_eq!(field(&[20.0; 2], &[40.0, 0.0], None), "base_diameters_mm[1]");
+        assert_eq!(field(&[20.0], &[40.0], Some(19.0)), "heights_mm[0]");
+        assert_eq!(field(&[20.0], &[40.0], Some(0.0)), "funnel_height_mm");
+        assert_eq!(field(&[20.0, 1.0], &[40.0], None), "heights_mm[1]", "2.9 deg");
+        for height in [0.0, -20.0, 300.0, f64::NAN, f64::INFINITY] {
+            assert_eq!(field(&[height], &[40.0], None), "heights_mm[0]", "{height}");
+        }
     }
 
     #[test]

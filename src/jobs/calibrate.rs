@@ -14,7 +14,7 @@ use crate::store::{self, Tx};
 use serde::{Deserialize, Serialize};
 use std::ops::{AsyncFnOnce, ControlFlow};
 
-pub use crate::calibrate::posterior::Posterior;
+pub use crate::calibrate::posterior::{Marginal, Pair, Posterior};
 pub use crate::calibrate::{Design, Method, Settings, Shortfall};
 
 /// Draws from a posterior that are kept.

@@ -10,6 +10,7 @@ pub mod events;
 pub mod jobs;
 pub mod ledger;
 mod lock;
+pub mod observations;
 mod open;
 pub mod page;
 pub mod parameter_sets;

@@ -70,6 +70,12 @@ impl Store {
         window.page_of(&rows, measurement)
     }
 
+    /// Every measurement, oldest first; of one powder when named.
+    pub(crate) async fn all_measurements(&self, powder: Option<&str>) -> Result<Vec<Measurement>> {
+        let sql = "SELECT * FROM measurement WHERE ?1 IS NULL OR powder = ?1 ORDER BY seq";
+        sqlx::query(sql).bind(powder).fetch_all(&self.reader).await?.iter().map(measurement).collect()
+    }
+
     /// Register the published powders, once: what a user has removed or renamed later is left alone.
     pub(super) async fn seed_published_powders(&self) -> Result<()> {
         let mut tx = self.write().await?;

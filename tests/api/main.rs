@@ -1,9 +1,11 @@
 //! The product through its sockets: REST, gRPC, events and the page, as its users meet them.
 
 mod authorization;
+mod comparison;
 mod document;
 mod grpc;
 mod harness;
+mod measurements;
 mod protocol;
 mod refusals;
 mod tls;

@@ -114,6 +114,7 @@ async fn things_that_do_not_exist_are_not_found() {
     for resource in [
         "powders/none",
         "powders/none/measurements",
+        "powders/none/observations",
         "parameter-sets/none",
         "parameter-sets?powder=none",
         "calibrations/none",

@@ -4,7 +4,17 @@ use crate::harness::{functions, open};
 use flip::app::{App, Error, Flowability, Method, NewMeasurement, NewPowder, OpenError, Options, PageQuery, Role};
 
 fn measurement(repose_deg: f64, method: Method) -> NewMeasurement {
-    NewMeasurement { method, repose_deg, sd_deg: 1.0, n: 5, source: None }
+    NewMeasurement {
+        method,
+        repose_deg: Some(repose_deg),
+        sd_deg: Some(1.0),
+        n: Some(5),
+        repeats_deg: None,
+        heights_mm: None,
+        base_diameters_mm: None,
+        funnel_height_mm: None,
+        source: None,
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

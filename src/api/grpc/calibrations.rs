@@ -1,6 +1,6 @@
 //! `flip.v1.Calibrations`.
 
-use super::convert::{all, named, page};
+use super::convert::{all, given, named, observation, page};
 use super::proto::*;
 use super::{Service, read, write};
 use crate::app::CalibrationRequest;
@@ -15,7 +15,10 @@ impl calibrations_server::Calibrations for Service {
         let request = write(request)?;
         let method = named::<CalibrationMethod, _>("method", request.method)?;
         let StartCalibrationRequest { powder, repose_deg, sd_deg, n, sets, tolerance_deg, particles, .. } = request;
-        let StartCalibrationRequest { trials_max, verify_repeats, readings, seed, .. } = request;
+        let StartCalibrationRequest { trials_max, verify_repeats, readings, seed, check_particles, .. } = request;
+        let observations = request.observations.into_iter().enumerate();
+        let observations: Vec<_> =
+            observations.map(|(k, wire)| observation(&format!("observations[{k}]"), wire)).collect::<Result<_, _>>()?;
         let request = CalibrationRequest {
             powder,
             repose_deg,
@@ -29,8 +32,8 @@ impl calibrations_server::Calibrations for Service {
             verify_repeats,
             readings,
             seed,
-            observations: None,
-            check_particles: None,
+            observations: given(observations),
+            check_particles,
         };
         Ok(Response::new(self.app.start_calibration(request).await?.into()))
     }
@@ -45,6 +48,18 @@ impl calibrations_server::Calibrations for Service {
 
     async fn get_calibration(&self, request: Request<GetCalibrationRequest>) -> Result<Response<Calibration>, Status> {
         Ok(Response::new(self.app.calibration(&read(request)?.id).await?.into()))
+    }
+
+    async fn get_posterior(&self, request: Request<GetPosteriorRequest>) -> Result<Response<Posterior>, Status> {
+        Ok(Response::new(self.app.posterior(&read(request)?.calibration).await?.into()))
+    }
+
+    async fn compare_calibrations(
+        &self,
+        request: Request<CompareCalibrationsRequest>,
+    ) -> Result<Response<Comparison>, Status> {
+        let CompareCalibrationsRequest { calibration, with } = read(request)?;
+        Ok(Response::new(self.app.compare_calibrations(&calibration, &with).await?.into()))
     }
 
     async fn list_trials(&self, request: Request<ListTrialsRequest>) -> Result<Response<ListTrialsResponse>, Status> {

@@ -6,6 +6,7 @@ use crate::app::PageQuery;
 use crate::domain::FieldError;
 use crate::domain::bench::Tick;
 use crate::domain::job::{JobKind, JobState};
+use crate::domain::observable::{Observable, Observation};
 use crate::domain::parameters::{Parameter, ParameterSet};
 use crate::domain::powder::{Flowability, Method};
 use crate::domain::weighing::{Outcome, WeighingState};
@@ -64,9 +65,17 @@ same_fields! {
         method: proto::Method::from(m.method).into(),
         created_at: at(m.created_at),
     }
+    o: Observation => Observation { mean sd n } {
+        observable: Some(o.observable.into()),
+    }
+    o: app::PowderObservation => PowderObservation { id powder mean sd n source } {
+        observable: Some(o.observable.into()),
+        created_at: at(o.created_at),
+    }
     d: app::PowderDetail => PowderDetail {} {
         powder: Some(d.powder.into()),
         measurements: all(d.measurements),
+        observations: all(d.observations),
         sets: all(d.sets),
     }
     p: Parameter => Parameter { lower upper default } {
@@ -91,6 +100,7 @@ same_fields! {
         job: Some(c.job.into()),
         target: Some(c.target.into()),
         settings_json: c.settings.to_string(),
+        observations: all(c.observations),
         result: c.result.map(Into::into),
     }
     r: app::CalibrationResult => CalibrationResult {
@@ -99,12 +109,45 @@ same_fields! {
         sets: all(r.sets),
         shortfall: r.shortfall.map(Into::into),
         emulator: r.emulator.map(Into::into),
+        observed: all(r.observed),
     }
+    o: app::Observed => Observed { sha256 built mean agrees } {
+        observation: Some(o.observation.into()),
+        sets: all(o.sets),
+    }
+    s: app::Simulated => Simulated { mean sd runs } {}
+    l: app::Larger => Larger { particles repose_deg repose_sd_deg runs } {}
     s: app::Shortfall => Shortfall { nearest_repose_deg limiting_parameter } {}
     e: app::EmulatorUse => EmulatorUse { id sha256 runs built } {}
     s: app::CalibrationSet => CalibrationSet { id repose_deg repose_sd_deg runs error_deg verified_error_deg } {
         parameters: Some(s.parameters.into()),
+        larger: s.larger.map(Into::into),
     }
+    p: app::Posterior => Posterior { repose_deg effective } {
+        draws: p.draws.into_iter().map(|draw| proto::PosteriorDraw { values: draw.to_vec() }).collect(),
+        parameters: all(p.parameters),
+        together: all(p.together),
+    }
+    m: app::Marginal => Marginal { key mean learnt inert } {
+        lower: m.interval[0],
+        upper: m.interval[1],
+    }
+    p: app::Pair => CorrelatedPair { correlation } {
+        keys: p.keys.to_vec(),
+    }
+    c: app::Comparison => Comparison { difference_deg standard_error_deg agree } {
+        calibration: Some(c.calibration.into()),
+        with: Some(c.with.into()),
+    }
+    c: app::ComparedCalibration => ComparedCalibration {
+        id powder evaluations verification_runs sets verified_error_deg verified_sd_deg repose_deg standard_error_deg
+    } {
+        target: Some(c.target.into()),
+        method: proto::CalibrationMethod::from(c.method).into(),
+        emulator: c.emulator.map(Into::into),
+        parameters: all(c.parameters),
+    }
+    s: app::ParameterSpread => ParameterSpread { key mean lower upper } {}
     t: app::Trial => Trial { index seed tip_deg cone_deg creep_deg_per_s refusal error_deg } {
         phase: proto::TrialPhase::from(t.phase).into(),
         parameters: Some(t.parameters.into()),
@@ -186,6 +229,44 @@ impl From<ParameterSet> for proto::ParameterSet {
             cohesion: set.cohesion(),
             particle_mass_ug: set.particle_mass_ug(),
         }
+    }
+}
+
+impl From<Observable> for proto::Observable {
+    fn from(ours: Observable) -> Self {
+        use proto::observable::Kind;
+        let kind = match ours {
+            Observable::FlowTime { mass_g, orifice_mm } => Kind::FlowTime(proto::FlowTime { mass_g, orifice_mm }),
+            Observable::ShakeMass { pitch_deg, shake_mm } => Kind::ShakeMass(proto::ShakeMass { pitch_deg, shake_mm }),
+            Observable::DrainedAngle {} => Kind::DrainedAngle(proto::DrainedAngle {}),
+            Observable::PileHeight { base_diameter_mm, fall_mm } => {
+                Kind::PileHeight(proto::PileHeight { base_diameter_mm, fall_mm })
+            }
+        };
+        Self { kind: Some(kind) }
+    }
+}
+
+/// `None` if the caller named none, or one that this version does not know.
+/// An observation of a request; `field` names where it stood.
+pub fn observation(field: &str, wire: proto::Observation) -> Result<Observation, FieldError> {
+    let proto::Observation { observable, mean, sd, n } = wire;
+    let observable = observable.and_then(Into::into);
+    let observable = observable.ok_or_else(|| FieldError::new(format!("{field}.observable"), "is missing"))?;
+    Ok(Observation { observable, mean, sd, n })
+}
+
+impl From<proto::Observable> for Option<Observable> {
+    fn from(wire: proto::Observable) -> Self {
+        use proto::observable::Kind;
+        Some(match wire.kind? {
+            Kind::FlowTime(proto::FlowTime { mass_g, orifice_mm }) => Observable::FlowTime { mass_g, orifice_mm },
+            Kind::ShakeMass(proto::ShakeMass { pitch_deg, shake_mm }) => Observable::ShakeMass { pitch_deg, shake_mm },
+            Kind::DrainedAngle(proto::DrainedAngle {}) => Observable::DrainedAngle {},
+            Kind::PileHeight(proto::PileHeight { base_diameter_mm, fall_mm }) => {
+                Observable::PileHeight { base_diameter_mm, fall_mm }
+            }
+        })
     }
 }
 

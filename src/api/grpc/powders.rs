@@ -1,6 +1,6 @@
 //! `flip.v1.Powders`.
 
-use super::convert::{all, named, page};
+use super::convert::{all, given, named, page};
 use super::proto::*;
 use super::{Service, read, write};
 use crate::app;
@@ -28,10 +28,40 @@ impl powders_server::Powders for Service {
     }
 
     async fn add_measurement(&self, request: Request<AddMeasurementRequest>) -> Result<Response<Measurement>, Status> {
-        let AddMeasurementRequest { powder, method, repose_deg, sd_deg, n, source } = write(request)?;
-        let method = named::<Method, _>("method", method)?.ok_or_else(|| FieldError::new("method", "is missing"))?;
-        let new = app::NewMeasurement { method, repose_deg, sd_deg, n, source };
-        Ok(Response::new(self.app.add_measurement(&powder, new).await?.into()))
+        let request = write(request)?;
+        let method = named::<Method, _>("method", request.method)?;
+        let new = app::NewMeasurement {
+            method: method.ok_or_else(|| FieldError::new("method", "is missing"))?,
+            repose_deg: request.repose_deg,
+            // Clients from before there were three forms leave a zero out.
+            sd_deg: request.sd_deg.or(request.repose_deg.map(|_| 0.0)),
+            n: request.n.or(request.repose_deg.map(|_| 0)),
+            repeats_deg: given(request.repeats_deg),
+            heights_mm: given(request.heights_mm),
+            base_diameters_mm: given(request.base_diameters_mm),
+            funnel_height_mm: request.funnel_height_mm,
+            source: request.source,
+        };
+        Ok(Response::new(self.app.add_measurement(&request.powder, new).await?.into()))
+    }
+
+    async fn add_observation(
+        &self,
+        request: Request<AddObservationRequest>,
+    ) -> Result<Response<PowderObservation>, Status> {
+        let AddObservationRequest { powder, observable, mean, sd, n, source } = write(request)?;
+        let observable = observable.and_then(Into::into).ok_or_else(|| FieldError::new("observable", "is missing"))?;
+        let new = app::NewObservation { observable, mean, sd, n, source };
+        Ok(Response::new(self.app.add_observation(&powder, new).await?.into()))
+    }
+
+    async fn list_observations(
+        &self,
+        request: Request<ListObservationsRequest>,
+    ) -> Result<Response<ListObservationsResponse>, Status> {
+        let request = read(request)?;
+        let found = self.app.observations(&request.powder, page(request.page)).await?;
+        Ok(Response::new(ListObservationsResponse { items: all(found.items), next: found.next }))
     }
 
     async fn list_parameters(

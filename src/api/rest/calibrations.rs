@@ -6,10 +6,11 @@ use super::started;
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::App;
-use crate::app::{Calibration, CalibrationRequest, Job, Page, Posterior, Trial};
+use crate::app::{Calibration, CalibrationRequest, Comparison, Job, Page, Posterior, Trial};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
+use serde::Deserialize;
 
 /// List calibrations, newest first.
 #[utoipa::path(get, path = "/v1/calibrations", tag = "calibrations", params(ListParams),
@@ -62,6 +63,33 @@ pub async fn get_posterior(
     Path(id): Path<String>,
 ) -> Result<Json<Posterior>, Problem> {
     Ok(Json(app.posterior(&id).await?))
+}
+
+/// What a calibration is compared with.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct CompareParams {
+    /// Id of the other calibration.
+    with: String,
+}
+
+/// Two calibrations side by side: target, cost, error, parameters, and whether their mean verified angles agree.
+///
+/// They agree when the angles differ by at most two standard errors of their difference. The standard error of a set is `repose_sd_deg` /
+/// sqrt(`runs`), that of the mean over k sets the root of their squares' sum over k, that of the difference the root of both squares' sum.
+#[utoipa::path(get, path = "/v1/calibrations/{id}/compare", tag = "calibrations",
+    params(("id" = String, Path, description = "Id of the calibration"), CompareParams),
+    responses((status = 200, description = "Both and their difference", body = Comparison),
+        (status = 409, description = "One of them has no result", body = Problem,
+            content_type = "application/problem+json")))]
+pub async fn compare_calibrations(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+    Query(params): Query<CompareParams>,
+) -> Result<Json<Comparison>, Problem> {
+    Ok(Json(app.compare_calibrations(&id, &params.with).await?))
 }
 
 /// List the trials of a calibration in order, also while it runs.

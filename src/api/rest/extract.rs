@@ -21,20 +21,38 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Input<T> {
     type Rejection = Problem;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
-        if !is_json(request.headers()) {
-            return Err(Problem::unsupported_media_type());
-        }
-        let bytes = Bytes::from_request(request, state).await.map_err(|rejection| match rejection.status() {
-            StatusCode::PAYLOAD_TOO_LARGE => Problem::too_large(BODY_BYTES_MAX),
-            _ => Problem::malformed("the body ended before it was whole"),
-        })?;
-        parse(&bytes).map(Self)
+        parse(&body(request, state, "application/json").await?).map(Self)
     }
 }
 
-fn is_json(headers: &HeaderMap) -> bool {
+/// A CSV body.
+#[derive(Debug)]
+pub struct Csv(pub String);
+
+impl<S: Send + Sync> FromRequest<S> for Csv {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
+        let bytes = body(request, state, "text/csv").await?;
+        let text = String::from_utf8(bytes.into()).map_err(|_| Problem::malformed("the body is not UTF-8 text"))?;
+        Ok(Self(text))
+    }
+}
+
+/// A body of this kind and of a size that is read.
+async fn body<S: Send + Sync>(request: Request, state: &S, kind: &str) -> Result<Bytes, Problem> {
+    if !is_of_kind(request.headers(), kind) {
+        return Err(Problem::unsupported_media_type(kind));
+    }
+    Bytes::from_request(request, state).await.map_err(|rejection| match rejection.status() {
+        StatusCode::PAYLOAD_TOO_LARGE => Problem::too_large(BODY_BYTES_MAX),
+        _ => Problem::malformed("the body ended before it was whole"),
+    })
+}
+
+fn is_of_kind(headers: &HeaderMap, expected: &str) -> bool {
     let text = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
-    text.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
+    text.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case(expected))
 }
 
 fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {

@@ -7,6 +7,7 @@ mod events;
 pub mod extract;
 mod jobs;
 mod list;
+mod measurements;
 mod parameters;
 mod policies;
 mod powders;
@@ -29,13 +30,18 @@ fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(document::head())
         .routes(routes!(powders::list_powders, powders::create_powder))
         .routes(routes!(powders::get_powder))
-        .routes(routes!(powders::list_measurements, powders::add_measurement))
+        .routes(routes!(measurements::list_measurements, measurements::add_measurement))
+        .routes(routes!(measurements::list_observations, measurements::add_observation))
+        .routes(routes!(measurements::import_measurements))
+        .routes(routes!(measurements::export_measurements))
+        .routes(routes!(measurements::export_powder_measurements))
         .routes(routes!(parameters::list_parameters))
         .routes(routes!(parameters::list_parameter_sets))
         .routes(routes!(parameters::get_parameter_set))
         .routes(routes!(calibrations::list_calibrations, calibrations::start_calibration))
         .routes(routes!(calibrations::get_calibration))
         .routes(routes!(calibrations::get_posterior))
+        .routes(routes!(calibrations::compare_calibrations))
         .routes(routes!(calibrations::list_trials))
         .routes(routes!(trainings::list_trainings, trainings::start_training))
         .routes(routes!(trainings::get_training))

@@ -6,7 +6,7 @@ use super::list::{ListParams, respond};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::App;
-use crate::app::{Measurement, NewMeasurement, NewPowder, Page, Powder, PowderDetail};
+use crate::app::{NewPowder, Page, Powder, PowderDetail};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
@@ -46,33 +46,4 @@ pub async fn get_powder(
     Path(id): Path<String>,
 ) -> Result<Json<PowderDetail>, Problem> {
     Ok(Json(app.powder(&id).await?))
-}
-
-/// List the measurements of a powder, oldest first.
-#[utoipa::path(get, path = "/v1/powders/{id}/measurements", tag = "powders",
-    params(("id" = String, Path, description = "Powder id"), ListParams),
-    responses((status = 200, description = "A page of measurements", body = Page<Measurement>)))]
-pub async fn list_measurements(
-    _: Viewer,
-    State(app): State<App>,
-    OriginalUri(uri): OriginalUri,
-    Path(id): Path<String>,
-    Query(params): Query<ListParams>,
-) -> Result<Response, Problem> {
-    Ok(respond(&uri, app.measurements(&id, params.into()).await?))
-}
-
-/// Register a measurement of a powder.
-#[utoipa::path(post, path = "/v1/powders/{id}/measurements", tag = "powders", request_body = NewMeasurement,
-    params(("id" = String, Path, description = "Powder id")),
-    responses((status = 201, description = "The measurement", body = Measurement,
-        headers(("Location" = String, description = "The powder with all its measurements")))))]
-pub async fn add_measurement(
-    _: Operator,
-    State(app): State<App>,
-    Path(id): Path<String>,
-    Input(new): Input<NewMeasurement>,
-) -> Result<Response, Problem> {
-    let measurement = app.add_measurement(&id, new).await?;
-    Ok(created(format!("/v1/powders/{}", measurement.powder), measurement))
 }

@@ -29,11 +29,20 @@ export const powder = (id: string) => body(client.GET('/v1/powders/{id}', { para
 export const createPowder = (powder: T.NewPowder) => body(client.POST('/v1/powders', { body: powder }))
 export const addMeasurement = (powder: string, measurement: T.NewMeasurement) =>
   body(client.POST('/v1/powders/{id}/measurements', { params: at(powder), body: measurement }))
+/** Everything that was measured of a powder, as a file that the import reads. */
+export const measurementsCsv = (powder: string): Promise<string> =>
+  body(client.GET('/v1/powders/{id}/measurements.csv', { params: at(powder), parseAs: 'text' }))
+/** All of a CSV file or nothing; with `create` also powders that only the file knows. */
+export const importMeasurements = (csv: string, create: boolean) =>
+  body(client.POST('/v1/measurements/import', { params: { query: { create } }, body: csv, bodySerializer: (text) => text, headers: { 'content-type': 'text/csv' } }))
 
 export const calibrations = (query: Query = {}) => body(client.GET('/v1/calibrations', { params: { query } }))
 export const calibration = (id: string) => body(client.GET('/v1/calibrations/{id}', { params: at(id) }))
 export const trials = (id: string, query: Query) => body(client.GET('/v1/calibrations/{id}/trials', { params: { ...at(id), query } }))
 export const posterior = (id: string) => body(client.GET('/v1/calibrations/{id}/posterior', { params: at(id) }))
+/** Two calibrations that have succeeded, side by side. */
+export const comparison = (id: string, other: string) =>
+  body(client.GET('/v1/calibrations/{id}/compare', { params: { ...at(id), query: { with: other } } }))
 export const startCalibration = (request: T.CalibrationRequest) => body(client.POST('/v1/calibrations', { body: request }))
 
 export const trainings = (query: Query = {}) => body(client.GET('/v1/trainings', { params: { query } }))

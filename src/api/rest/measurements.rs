@@ -1,0 +1,130 @@
+//! What was measured of powders: `/v1/powders/{id}/measurements`, `/v1/powders/{id}/observations`, and both as CSV.
+
+use super::created;
+use super::extract::{Csv, Input, Path, Query};
+use super::list::{ListParams, respond};
+use crate::api::auth::{Operator, Viewer};
+use crate::api::problem::Problem;
+use crate::app::App;
+use crate::app::{Imported, Measured, Measurement, NewMeasurement, NewObservation, Page, PowderObservation};
+use axum::Json;
+use axum::extract::{OriginalUri, State};
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+
+/// List the measurements of a powder, oldest first.
+#[utoipa::path(get, path = "/v1/powders/{id}/measurements", tag = "powders",
+    params(("id" = String, Path, description = "Powder id"), ListParams),
+    responses((status = 200, description = "A page of measurements", body = Page<Measurement>)))]
+pub async fn list_measurements(
+    _: Viewer,
+    State(app): State<App>,
+    OriginalUri(uri): OriginalUri,
+    Path(id): Path<String>,
+    Query(params): Query<ListParams>,
+) -> Result<Response, Problem> {
+    Ok(respond(&uri, app.measurements(&id, params.into()).await?))
+}
+
+/// Register a measurement of a powder: mean, SD and number of repeats, or the repeats, or the heaps' heights and bases.
+#[utoipa::path(post, path = "/v1/powders/{id}/measurements", tag = "powders", request_body = NewMeasurement,
+    params(("id" = String, Path, description = "Powder id")),
+    responses((status = 201, description = "The measurement", body = Measurement,
+        headers(("Location" = String, description = "The powder with all its measurements")))))]
+pub async fn add_measurement(
+    _: Operator,
+    State(app): State<App>,
+    Path(id): Path<String>,
+    Input(new): Input<NewMeasurement>,
+) -> Result<Response, Problem> {
+    let measurement = app.add_measurement(&id, new).await?;
+    Ok(created(format!("/v1/powders/{}", measurement.powder), measurement))
+}
+
+/// List what else was measured of a powder, oldest first; the newest of an equal observable is the one that counts.
+#[utoipa::path(get, path = "/v1/powders/{id}/observations", tag = "powders",
+    params(("id" = String, Path, description = "Powder id"), ListParams),
+    responses((status = 200, description = "A page of observations", body = Page<PowderObservation>)))]
+pub async fn list_observations(
+    _: Viewer,
+    State(app): State<App>,
+    OriginalUri(uri): OriginalUri,
+    Path(id): Path<String>,
+    Query(params): Query<ListParams>,
+) -> Result<Response, Problem> {
+    Ok(respond(&uri, app.observations(&id, params.into()).await?))
+}
+
+/// Register an observation of a powder beside its angle of repose.
+#[utoipa::path(post, path = "/v1/powders/{id}/observations", tag = "powders", request_body = NewObservation,
+    params(("id" = String, Path, description = "Powder id")),
+    responses((status = 201, description = "The observation", body = PowderObservation,
+        headers(("Location" = String, description = "The powder's observations")))))]
+pub async fn add_observation(
+    _: Operator,
+    State(app): State<App>,
+    Path(id): Path<String>,
+    Input(new): Input<NewObservation>,
+) -> Result<Response, Problem> {
+    let observation = app.add_observation(&id, new).await?;
+    Ok(created(format!("/v1/powders/{}/observations", observation.powder), observation))
+}
+
+/// How a file of measurements is taken in.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ImportParams {
+    /// Register powders that the file names and FLIP does not know, with their id as their name.
+    #[serde(default)]
+    #[param(default = false)]
+    create: bool,
+}
+
+/// Register the measurements and observations of a CSV file, all or nothing.
+///
+/// Columns: `powder`; `method` (automated, manual); `repose_deg`, or `height_mm` with `base_diameter_mm` and perhaps `funnel_height_mm`;
+/// `flow_time_s` with `poured_mass_g` and `orifice_mm`; `shake_mg` with `spoon_pitch_deg` and `shake_mm`; `drained_deg`; `pile_height_mm` with
+/// `base_diameter_mm` and `fall_mm`; `source`. A row is one repeat, and those of one powder, method, source and experiment are gathered; with
+/// `n` and the SD (`repose_sd_deg`, `flow_time_sd_s`, `shake_sd_mg`, `drained_sd_deg`, `pile_height_sd_mm`) it is a summary. An empty cell
+/// is a missing value. A refusal names the cell, such as `row[2].repose_deg`; the header is row 1.
+#[utoipa::path(post, path = "/v1/measurements/import", tag = "powders", params(ImportParams),
+    request_body(content = String, content_type = "text/csv", description = "The file, UTF-8, at most 20000 rows"),
+    responses((status = 201, description = "What was added", body = Imported),
+        (status = 415, description = "The body is not CSV", body = Problem, content_type = "application/problem+json")))]
+pub async fn import_measurements(
+    _: Operator,
+    State(app): State<App>,
+    Query(params): Query<ImportParams>,
+    Csv(text): Csv,
+) -> Result<Response, Problem> {
+    Ok((StatusCode::CREATED, Json(app.import_measurements(&text, params.create).await?)).into_response())
+}
+
+/// Download everything that was measured of all powders, as a CSV file that the import reads.
+#[utoipa::path(get, path = "/v1/measurements.csv", tag = "powders",
+    responses((status = 200, description = "A summary a row", body = String, content_type = "text/csv")))]
+pub async fn export_measurements(_: Viewer, State(app): State<App>) -> Result<Response, Problem> {
+    Ok(file("measurements", &app.measured(None).await?))
+}
+
+/// Download everything that was measured of a powder, as a CSV file that the import reads.
+#[utoipa::path(get, path = "/v1/powders/{id}/measurements.csv", tag = "powders",
+    params(("id" = String, Path, description = "Powder id")),
+    responses((status = 200, description = "A summary a row", body = String, content_type = "text/csv")))]
+pub async fn export_powder_measurements(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
+    Ok(file(&format!("{id}-measurements"), &app.measured(Some(&id)).await?))
+}
+
+fn file(name: &str, measured: &Measured) -> Response {
+    let headers = [
+        (header::CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()),
+        (header::CONTENT_DISPOSITION, format!("attachment; filename=\"{name}.csv\"")),
+    ];
+    (headers, measured.csv()).into_response()
+}

@@ -1,0 +1,446 @@
+//! Measurements as CSV, the form in which laboratories keep them: one repeat or one summary a row, an empty cell for what was not measured.
+//!
+//! A row with `n` is a summary (mean, SD, n). Rows without are single repeats; those of one powder, method, source and experiment are
+//! gathered into one measurement in the place of the first of them. What [`write`] writes, [`read`] reads.
+
+use super::check::Check;
+use super::{Error, Result};
+use crate::domain::FieldError;
+use crate::domain::observable::{Observable, Observation};
+use crate::domain::powder::{Flowability, HeapReadings, Method, mean_and_sd, powder_id};
+use crate::store::observations::PowderObservation;
+use crate::store::powders::Measurement;
+use std::collections::HashMap;
+
+/// Most rows of a file.
+const ROWS_MAX: usize = 20_000;
+/// Refusals after which reading stops: a wrong delimiter makes every row wrong.
+const REFUSALS_MAX: usize = 50;
+
+/// Every column, in the order of an export.
+const COLUMNS: [&str; 22] = [
+    "powder",
+    "method",
+    "repose_deg",
+    "repose_sd_deg",
+    "n",
+    "height_mm",
+    "base_diameter_mm",
+    "funnel_height_mm",
+    "flow_time_s",
+    "flow_time_sd_s",
+    "poured_mass_g",
+    "orifice_mm",
+    "shake_mg",
+    "shake_sd_mg",
+    "spoon_pitch_deg",
+    "shake_mm",
+    "drained_deg",
+    "drained_sd_deg",
+    "pile_height_mm",
+    "pile_height_sd_mm",
+    "fall_mm",
+    "source",
+];
+
+/// A measured quantity: the columns of its value, its SD and its settings.
+struct Quantity {
+    value: &'static str,
+    /// Empty where a summary does not exist.
+    sd: &'static str,
+    settings: &'static [&'static str],
+    /// A setting that may be left out.
+    option: &'static str,
+}
+
+const ANGLE: Quantity = Quantity { value: "repose_deg", sd: "repose_sd_deg", settings: &[], option: "" };
+const HEAP: Quantity =
+    Quantity { value: "height_mm", sd: "", settings: &["base_diameter_mm"], option: "funnel_height_mm" };
+const FLOW: Quantity =
+    Quantity { value: "flow_time_s", sd: "flow_time_sd_s", settings: &["poured_mass_g", "orifice_mm"], option: "" };
+const SHAKE: Quantity =
+    Quantity { value: "shake_mg", sd: "shake_sd_mg", settings: &["spoon_pitch_deg", "shake_mm"], option: "" };
+const DRAINED: Quantity = Quantity { value: "drained_deg", sd: "drained_sd_deg", settings: &[], option: "" };
+const PILE: Quantity = Quantity {
+    value: "pile_height_mm",
+    sd: "pile_height_sd_mm",
+    settings: &["base_diameter_mm", "fall_mm"],
+    option: "",
+};
+const QUANTITIES: [Quantity; 6] = [ANGLE, HEAP, FLOW, SHAKE, DRAINED, PILE];
+
+/// What a file says of a powder.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Entry {
+    /// Row of the file, the header being row 1.
+    pub row: usize,
+    pub powder: String,
+    pub source: String,
+    pub value: Value,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Value {
+    Angle(Method, Flowability),
+    Observed(Observation),
+}
+
+/// What the repeats of a group are repeats of.
+#[derive(Debug, Clone, Copy)]
+enum Subject {
+    Angle(Method),
+    Observed(Observable),
+}
+
+/// Rows of single repeats that belong together, or a summary.
+#[derive(Debug)]
+struct Group {
+    row: usize,
+    column: &'static str,
+    powder: String,
+    source: String,
+    subject: Subject,
+    /// Values of single repeats.
+    repeats: Vec<f64>,
+    summary: Option<Value>,
+}
+
+/// A refusal of a cell.
+fn at(row: usize, column: &str, message: impl Into<String>) -> FieldError {
+    FieldError::new(format!("row[{row}].{column}"), message)
+}
+
+/// Everything that a file says, in the order of its rows.
+///
+/// # Errors
+/// Every wrong cell by row and column, up to 50; an unknown, missing or repeated column by name.
+pub(super) fn read(text: &str) -> Result<Vec<Entry>> {
+    let mut reader = csv::ReaderBuilder::new().from_reader(text.as_bytes());
+    let header = reader.headers().map_err(|error| unreadable(1, &error))?.clone();
+    let columns = columns(&header)?;
+    let mut refusals = Vec::new();
+    let mut groups = Groups::default();
+    let mut rows = 0;
+    for (k, record) in reader.records().enumerate() {
+        let row = k + 2;
+        let record = record.map_err(|error| unreadable(row, &error))?;
+        if record.iter().all(|cell| cell.trim().is_empty()) {
+            continue;
+        }
+        rows += 1;
+        if rows > ROWS_MAX {
+            let advice = format!("is one too many: a file may hold {ROWS_MAX} rows; split it");
+            return Err(FieldError::new(format!("row[{row}]"), advice).into());
+        }
+        let filled = columns.iter().copied().zip(record.iter()).filter(|(_, cell)| !cell.trim().is_empty());
+        if let Err(wrong) = (Row { row, cells: filled.collect() }).read(&mut groups) {
+            refusals.extend(wrong);
+        }
+        if refusals.len() >= REFUSALS_MAX {
+            break;
+        }
+    }
+    if rows == 0 {
+        return Err(FieldError::new("row[2]", "is missing: the file has no row below its header").into());
+    }
+    let entries: Vec<_> =
+        groups.list.into_iter().filter_map(|group| group.entry().map_err(|e| refusals.push(e)).ok()).collect();
+    refusals.truncate(REFUSALS_MAX);
+    if refusals.is_empty() { Ok(entries) } else { Err(Error::Invalid(refusals)) }
+}
+
+fn unreadable(row: usize, error: &csv::Error) -> Error {
+    let field = if row == 1 { "header".to_owned() } else { format!("row[{row}]") };
+    let message = match error.kind() {
+        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+            format!("has {len} cells where the header has {expected_len}: quote cells that hold a comma")
+        }
+        _ => "is not UTF-8 text: save the file as CSV UTF-8".to_owned(),
+    };
+    FieldError::new(field, message).into()
+}
+
+fn columns(header: &csv::StringRecord) -> Result<Vec<&'static str>> {
+    let mut check = Check::default();
+    let mut found = Vec::new();
+    for name in header.iter().map(str::trim) {
+        match COLUMNS.iter().find(|column| **column == name) {
+            Some(column) if found.contains(column) => check.refuse(name, "stands twice in the header"),
+            Some(column) => found.push(*column),
+            None => check.refuse(name, format!("is no column that is known here; these are: {}", COLUMNS.join(", "))),
+        }
+    }
+    if !found.contains(&"powder") {
+        check.refuse("powder", "is missing in the header: the column with the powder's id");
+    }
+    check.done()?;
+    Ok(found)
+}
+
+/// The filled cells of a row.
+struct Row<'a> {
+    row: usize,
+    cells: HashMap<&'static str, &'a str>,
+}
+
+type Refused<T> = std::result::Result<T, Vec<FieldError>>;
+
+impl Row<'_> {
+    fn read(&self, groups: &mut Groups) -> Refused<()> {
+        let row = self.row;
+        let mut check = Check::default();
+        let text = |column| self.cells.get(column).map_or("", |cell| cell.trim());
+        let powder = match text("powder") {
+            "" => check.keep(Err(at(row, "powder", "is missing"))),
+            id => check.keep(powder_id(&format!("row[{row}].powder"), id)),
+        };
+        let method = match text("method") {
+            "" | "automated" => Method::Automated,
+            "manual" => Method::Manual,
+            other => {
+                check.refuse(&format!("row[{row}].method"), format!("must be automated or manual, got `{other}`"));
+                Method::Automated
+            }
+        };
+        let source = self.cells.get("source").copied().unwrap_or_default();
+        check.source(&format!("row[{row}].source"), source);
+        let n = self.cells.get("n").and_then(|cell| {
+            let count = cell.trim().parse::<u32>();
+            check.keep(count.map_err(|_| at(row, "n", format!("must be a whole number of repeats, got `{cell}`"))))
+        });
+        let given: Vec<&Quantity> = QUANTITIES.iter().filter(|q| self.cells.contains_key(q.value)).collect();
+        self.check_columns(&given, &mut check);
+        let mut found = Vec::new();
+        for quantity in &given {
+            found.extend(check.keep(self.quantity(quantity, method, n)));
+        }
+        check.refusals()?;
+        let powder = powder.unwrap_or_default();
+        for (column, subject, value) in found {
+            groups.add(row, column, &powder, source, subject, value);
+        }
+        Ok(())
+    }
+
+    /// Every filled cell belongs to a quantity that was measured, and no two angles stand in one row.
+    fn check_columns(&self, given: &[&Quantity], check: &mut Check) {
+        let row = self.row;
+        let values = QUANTITIES.map(|q| q.value).join(", ");
+        if given.is_empty() {
+            check.refuse(&format!("row[{row}]"), format!("holds no measured value: fill one of {values}"));
+        }
+        if self.cells.contains_key(ANGLE.value) && self.cells.contains_key(HEAP.value) {
+            check.refuse(
+                &format!("row[{row}].height_mm"),
+                "stands beside `repose_deg`, which is the same angle: leave one empty",
+            );
+        }
+        for column in COLUMNS.iter().filter(|column| self.cells.contains_key(*column)) {
+            let uses = |q: &&Quantity| {
+                q.value == *column || q.sd == *column || q.settings.contains(column) || q.option == *column
+            };
+            let owners: Vec<&str> = QUANTITIES.iter().filter(uses).map(|q| q.value).collect();
+            if !owners.is_empty() && !given.iter().any(|q| uses(&q)) {
+                check.refuse(
+                    &format!("row[{row}].{column}"),
+                    format!("belongs to {}, which is empty", owners.join(" or ")),
+                );
+            }
+        }
+    }
+
+    /// One measured quantity: a summary, or the value of one repeat.
+    fn quantity(
+        &self,
+        quantity: &Quantity,
+        method: Method,
+        n: Option<u32>,
+    ) -> std::result::Result<(&'static str, Subject, Measured), FieldError> {
+        let (row, value) = (self.row, self.number(quantity.value)?);
+        let is_summary = self.cells.contains_key("n");
+        let sd = match (is_summary, quantity.sd) {
+            (true, "") => {
+                return Err(at(
+                    row,
+                    "n",
+                    format!("does not go with {}, which is one heap: leave it empty", quantity.value),
+                ));
+            }
+            (true, column) => self.number(column)?,
+            (false, column) if self.cells.contains_key(column) => {
+                return Err(at(
+                    row,
+                    column,
+                    "belongs to a summary: fill `n` too, or leave it empty for a single repeat",
+                ));
+            }
+            (false, _) => 0.0,
+        };
+        let n = n.unwrap_or(2);
+        if quantity.value == ANGLE.value {
+            let count = if is_summary { n } else { 1 };
+            let angle = Flowability::new(value, sd, count).map_err(|error| self.renamed(quantity, error))?;
+            let measured =
+                if is_summary { Measured::Summary(Value::Angle(method, angle)) } else { Measured::Repeat(value) };
+            return Ok((quantity.value, Subject::Angle(method), measured));
+        }
+        let setting = |k: usize| self.number(quantity.settings[k]);
+        if quantity.value == HEAP.value {
+            let funnel_height_mm =
+                self.cells.contains_key(quantity.option).then(|| self.number(quantity.option)).transpose()?;
+            let heap = HeapReadings { heights_mm: &[value], base_diameters_mm: &[setting(0)?], funnel_height_mm };
+            let angles = heap.angles_deg().map_err(|error| self.renamed(quantity, error))?;
+            return Ok((quantity.value, Subject::Angle(method), Measured::Repeat(angles[0])));
+        }
+        let observable = match quantity.value {
+            "flow_time_s" => Observable::FlowTime { mass_g: setting(0)?, orifice_mm: setting(1)? },
+            "shake_mg" => Observable::ShakeMass { pitch_deg: setting(0)?, shake_mm: setting(1)? },
+            "drained_deg" => Observable::DrainedAngle {},
+            _ => Observable::PileHeight { base_diameter_mm: setting(0)?, fall_mm: setting(1)? },
+        };
+        // A single repeat is possible if a measurement of two such is.
+        let observation = Observation { observable, mean: value, sd, n }.checked();
+        let observation = observation.map_err(|error| self.renamed(quantity, error))?;
+        let measured =
+            if is_summary { Measured::Summary(Value::Observed(observation)) } else { Measured::Repeat(value) };
+        Ok((quantity.value, Subject::Observed(observable), measured))
+    }
+
+    fn number(&self, column: &str) -> std::result::Result<f64, FieldError> {
+        let cell = self.cells.get(column).ok_or_else(|| at(self.row, column, "is missing"))?.trim();
+        let number = cell.parse::<f64>().ok().filter(|number| number.is_finite());
+        number.ok_or_else(|| at(self.row, column, format!("must be a number with a decimal point, got `{cell}`")))
+    }
+
+    /// A refusal in terms of the file: the domain's field is one of its columns.
+    fn renamed(&self, quantity: &Quantity, error: FieldError) -> FieldError {
+        let column = match error.field.split('[').next().unwrap_or_default() {
+            "repose_deg" | "heights_mm" | "mean" => quantity.value,
+            "sd_deg" | "sd" => quantity.sd,
+            "base_diameters_mm" => "base_diameter_mm",
+            "mass_g" => "poured_mass_g",
+            "pitch_deg" => "spoon_pitch_deg",
+            same => same,
+        };
+        at(self.row, column, error.message.clone())
+    }
+}
+
+/// What a cell says.
+enum Measured {
+    Repeat(f64),
+    Summary(Value),
+}
+
+/// Groups in the order of their first rows.
+#[derive(Debug, Default)]
+struct Groups {
+    list: Vec<Group>,
+    /// Where the group of a key stands.
+    places: HashMap<String, usize>,
+}
+
+impl Groups {
+    fn add(
+        &mut self,
+        row: usize,
+        column: &'static str,
+        powder: &str,
+        source: &str,
+        subject: Subject,
+        measured: Measured,
+    ) {
+        let group = |repeats, summary| Group {
+            row,
+            column,
+            powder: powder.to_owned(),
+            source: source.to_owned(),
+            subject,
+            repeats,
+            summary,
+        };
+        match measured {
+            Measured::Summary(value) => self.list.push(group(Vec::new(), Some(value))),
+            Measured::Repeat(value) => {
+                // Unequal values print unequal, and no id or source holds a line break.
+                let place = *self.places.entry(format!("{powder}\n{source}\n{subject:?}")).or_insert(self.list.len());
+                match self.list.get_mut(place) {
+                    Some(known) => known.repeats.push(value),
+                    None => self.list.push(group(vec![value], None)),
+                }
+            }
+        }
+    }
+}
+
+impl Group {
+    /// The measurement that its repeats make.
+    fn entry(self) -> std::result::Result<Entry, FieldError> {
+        let Self { row, column, powder, source, subject, repeats, summary } = self;
+        let renamed = |error: FieldError| {
+            at(row, column, format!("and its {} further repeats: {}", repeats.len() - 1, error.message))
+        };
+        let value = match (summary, subject) {
+            (Some(value), _) => value,
+            (None, Subject::Angle(method)) => {
+                Value::Angle(method, Flowability::of_repeats("repeats", &repeats).map_err(renamed)?)
+            }
+            (None, Subject::Observed(_)) if repeats.len() < 2 => {
+                let advice = "is the only repeat of its experiment: two at least are needed to know their spread, or a summary with `n`";
+                return Err(at(row, column, advice));
+            }
+            (None, Subject::Observed(observable)) => {
+                let (mean, sd) = mean_and_sd(&repeats);
+                let observation = Observation { observable, mean, sd, n: repeats.len() as u32 };
+                Value::Observed(observation.checked().map_err(renamed)?)
+            }
+        };
+        Ok(Entry { row, powder, source, value })
+    }
+}
+
+/// A file that [`read`] reads: a summary a row, measurements before observations, numbers with all their digits.
+pub(super) fn write(measurements: &[Measurement], observations: &[PowderObservation]) -> String {
+    let angle = |m: &Measurement| {
+        vec![
+            ("powder", m.powder.clone()),
+            ("method", m.method.name().to_owned()),
+            ("repose_deg", m.repose_deg.to_string()),
+            ("repose_sd_deg", m.sd_deg.to_string()),
+            ("n", m.n.to_string()),
+            ("source", m.source.clone()),
+        ]
+    };
+    let observed = |o: &PowderObservation| {
+        let (quantity, settings) = match o.observable {
+            Observable::FlowTime { mass_g, orifice_mm } => (FLOW, vec![mass_g, orifice_mm]),
+            Observable::ShakeMass { pitch_deg, shake_mm } => (SHAKE, vec![pitch_deg, shake_mm]),
+            Observable::DrainedAngle {} => (DRAINED, vec![]),
+            Observable::PileHeight { base_diameter_mm, fall_mm } => (PILE, vec![base_diameter_mm, fall_mm]),
+        };
+        let mut cells = vec![
+            ("powder", o.powder.clone()),
+            (quantity.value, o.mean.to_string()),
+            (quantity.sd, o.sd.to_string()),
+            ("n", o.n.to_string()),
+            ("source", o.source.clone()),
+        ];
+        cells.extend(quantity.settings.iter().copied().zip(settings.iter().map(f64::to_string)));
+        cells
+    };
+    let rows = measurements.iter().map(angle).chain(observations.iter().map(observed));
+    let mut text = csv::WriterBuilder::new().from_writer(Vec::new());
+    let header = COLUMNS.map(str::to_owned).to_vec();
+    for row in std::iter::once(header).chain(rows.map(|cells| {
+        let cell =
+            |column| cells.iter().find(|(name, _)| *name == column).map_or_else(String::new, |(_, text)| text.clone());
+        COLUMNS.map(cell).to_vec()
+    })) {
+        // Rows of one length into memory: nothing can fail.
+        let _infallible = text.write_record(row);
+    }
+    String::from_utf8(text.into_inner().unwrap_or_default()).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests;

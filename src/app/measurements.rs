@@ -1,0 +1,232 @@
+//! What was measured of a powder: its angle of repose, and what else an experiment tells.
+
+use super::check::Check;
+use super::measurement_csv::{self, Value};
+use super::{App, Result};
+use crate::domain::FieldError;
+use crate::domain::observable::{Observable, Observation};
+use crate::domain::powder::{Flowability, HeapReadings, Method};
+use crate::store::observations::PowderObservation;
+use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
+use crate::store::powders::Measurement;
+use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
+
+/// A measurement to register, in exactly one of three forms: `repose_deg` with `sd_deg` and `n`; the angles of all repeats in `repeats_deg`;
+/// or the heaps themselves, `heights_mm` with `base_diameters_mm`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NewMeasurement {
+    /// How it was measured.
+    pub method: Method,
+    /// Mean angle of repose, 5 to 85 degrees.
+    pub repose_deg: Option<f64>,
+    /// Standard deviation over the repeats, 0 to 45 degrees.
+    pub sd_deg: Option<f64>,
+    /// Number of repeats, 1 to 10000.
+    pub n: Option<u32>,
+    /// Angle of repose of each of 1 to 10000 repeats, 5 to 85 degrees; mean, sample SD (0 for a single one) and number follow.
+    pub repeats_deg: Option<Vec<f64>>,
+    /// Height of each of 1 to 10000 heaps above the base that it covers, mm. The angle of each is atan(2 h / d), 5 to 85 degrees.
+    pub heights_mm: Option<Vec<f64>>,
+    /// Diameter of the base, 5 to 500 mm: one for each height, or one for all.
+    pub base_diameters_mm: Option<Vec<f64>>,
+    /// Height of the funnel's tip above the base, 0.1 to 3000 mm; a height above it is refused.
+    pub funnel_height_mm: Option<f64>,
+    /// Where the numbers come from; up to 500 characters.
+    pub source: Option<String>,
+}
+
+/// An observation beside the angle of repose to register.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NewObservation {
+    /// What was measured, with the settings of the experiment.
+    pub observable: Observable,
+    /// Mean over the repeats, in the observable's unit: s, mg, deg or mm.
+    pub mean: f64,
+    /// Standard deviation over the repeats, above 0.
+    pub sd: f64,
+    /// Number of repeats, 2 to 10000.
+    pub n: u32,
+    /// Where the numbers come from; up to 500 characters.
+    pub source: Option<String>,
+}
+
+/// What a file of measurements added.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Imported {
+    /// Ids of the powders that were registered because the file names them.
+    pub powders: Vec<String>,
+    /// The measurements, in the order of the file.
+    pub measurements: Vec<Measurement>,
+    /// The observations beside the angle, in the order of the file.
+    pub observations: Vec<PowderObservation>,
+}
+
+/// Everything that was measured.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Measured {
+    /// Measurements, oldest first.
+    pub measurements: Vec<Measurement>,
+    /// Observations beside the angle, oldest first.
+    pub observations: Vec<PowderObservation>,
+}
+
+impl Measured {
+    /// As a file that [`App::import_measurements`] reads.
+    pub fn csv(&self) -> String {
+        measurement_csv::write(&self.measurements, &self.observations)
+    }
+}
+
+impl NewMeasurement {
+    /// Mean, SD and number, from whichever form was given.
+    fn flowability(&self) -> std::result::Result<Flowability, FieldError> {
+        let Self { repose_deg, sd_deg, n, repeats_deg, heights_mm, base_diameters_mm, funnel_height_mm, .. } = self;
+        let stray = |given: &[(&str, bool)], form: &str| {
+            let stray = given.iter().find(|(_, is_given)| *is_given);
+            stray.map_or(Ok(()), |(field, _)| {
+                Err(FieldError::new(*field, format!("does not go with {form}: leave one out")))
+            })
+        };
+        let summary = [("repose_deg", repose_deg.is_some()), ("sd_deg", sd_deg.is_some()), ("n", n.is_some())];
+        let repeats = [("repeats_deg", repeats_deg.is_some())];
+        let bases =
+            [("base_diameters_mm", base_diameters_mm.is_some()), ("funnel_height_mm", funnel_height_mm.is_some())];
+        match (heights_mm, repeats_deg, repose_deg) {
+            (Some(heights_mm), ..) => {
+                stray(&[&summary[..], &repeats].concat(), "`heights_mm`")?;
+                let missing =
+                    || FieldError::new("base_diameters_mm", "is missing: each height needs the diameter of its base");
+                let base_diameters_mm = base_diameters_mm.as_ref().ok_or_else(missing)?;
+                Flowability::of_heaps(&HeapReadings {
+                    heights_mm,
+                    base_diameters_mm,
+                    funnel_height_mm: *funnel_height_mm,
+                })
+            }
+            (None, Some(angles), _) => {
+                stray(&[&summary[..], &bases].concat(), "`repeats_deg`")?;
+                Flowability::of_repeats("repeats_deg", angles)
+            }
+            (None, None, Some(repose_deg)) => {
+                stray(&bases, "`repose_deg`")?;
+                let sd_deg = sd_deg.ok_or_else(|| FieldError::new("sd_deg", "is missing: the SD over the repeats"))?;
+                let n = n.ok_or_else(|| FieldError::new("n", "is missing: the number of repeats"))?;
+                Flowability::new(*repose_deg, sd_deg, n)
+            }
+            (None, None, None) => {
+                let advice = "is missing: give it with `sd_deg` and `n`, or the repeats as `repeats_deg`, \
+                              or the heaps as `heights_mm` and `base_diameters_mm`";
+                Err(FieldError::new("repose_deg", advice))
+            }
+        }
+    }
+}
+
+impl NewObservation {
+    fn checked(&self) -> std::result::Result<Observation, FieldError> {
+        let Self { observable, mean, sd, n, .. } = *self;
+        Observation { observable, mean, sd, n }.checked().map_err(|error| match error.field.as_str() {
+            "mean" | "sd" | "n" => error,
+            // A setting of the experiment, which the caller wrote one level further down.
+            setting => FieldError { field: format!("observable.{setting}"), ..error },
+        })
+    }
+}
+
+impl App {
+    /// Measurements of a powder, oldest first.
+    pub async fn measurements(&self, powder: &str, page: PageQuery) -> Result<Page<Measurement>> {
+        self.existing_powder(powder).await?;
+        Ok(self.store().measurements(powder, page.window(LIST_LIMIT_MAX)?).await?)
+    }
+
+    /// Register a measurement of a powder.
+    pub async fn add_measurement(&self, powder: &str, new: NewMeasurement) -> Result<Measurement> {
+        let mut check = Check::default();
+        let flowability = check.keep(new.flowability());
+        let source = new.source.unwrap_or_default();
+        check.source("source", &source);
+        check.done()?;
+        let Some(flowability) = flowability else { unreachable!("checked above") };
+        self.existing_powder(powder).await?;
+        let mut tx = self.store().write().await?;
+        let measurement = tx.insert_measurement(powder, new.method, flowability, &source).await?;
+        tx.commit().await?;
+        Ok(measurement)
+    }
+
+    /// Register everything that a CSV file holds, or nothing of it. A powder that is not registered is refused, or with `create` registered
+    /// with its id as its name. The same file again adds the same measurements again.
+    ///
+    /// # Errors
+    /// `Invalid` with every wrong cell as `row[2].repose_deg`, the header being row 1.
+    pub async fn import_measurements(&self, csv: &str, create: bool) -> Result<Imported> {
+        let entries = measurement_csv::read(csv)?;
+        let mut check = Check::default();
+        let mut seen = HashSet::new();
+        let mut powders = Vec::new();
+        let mut tx = self.store().write().await?;
+        for entry in entries.iter().filter(|entry| seen.insert(entry.powder.as_str())) {
+            let (row, id) = (entry.row, &entry.powder);
+            if self.store().powder(id).await?.is_some() {
+                continue;
+            }
+            if create {
+                tx.insert_powder(id, id).await?;
+                powders.push(id.clone());
+            } else {
+                let advice = format!("there is no powder `{id}`: register it first, or import with `create`");
+                check.refuse(&format!("row[{row}].powder"), advice);
+            }
+        }
+        check.done()?;
+        let mut imported = Imported { powders, measurements: Vec::new(), observations: Vec::new() };
+        for entry in &entries {
+            let (powder, source) = (&entry.powder, &entry.source);
+            match &entry.value {
+                Value::Angle(method, angle) => {
+                    imported.measurements.push(tx.insert_measurement(powder, *method, *angle, source).await?);
+                }
+                Value::Observed(observed) => {
+                    imported.observations.push(tx.insert_observation(powder, observed, source).await?);
+                }
+            }
+        }
+        tx.commit().await?;
+        Ok(imported)
+    }
+
+    /// Everything that was measured; of one powder when named.
+    pub async fn measured(&self, powder: Option<&str>) -> Result<Measured> {
+        if let Some(powder) = powder {
+            self.existing_powder(powder).await?;
+        }
+        let measurements = self.store().all_measurements(powder).await?;
+        let observations = self.store().all_observations(powder).await?;
+        Ok(Measured { measurements, observations })
+    }
+
+    /// Observations of a powder beside its angle, oldest first; the newest of an equal observable is the one that counts.
+    pub async fn observations(&self, powder: &str, page: PageQuery) -> Result<Page<PowderObservation>> {
+        self.existing_powder(powder).await?;
+        Ok(self.store().observations(powder, page.window(LIST_LIMIT_MAX)?).await?)
+    }
+
+    /// Register an observation of a powder beside its angle.
+    pub async fn add_observation(&self, powder: &str, new: NewObservation) -> Result<PowderObservation> {
+        let mut check = Check::default();
+        let observed = check.keep(new.checked());
+        let source = new.source.unwrap_or_default();
+        check.source("source", &source);
+        check.done()?;
+        let Some(observed) = observed else { unreachable!("checked above") };
+        self.existing_powder(powder).await?;
+        let mut tx = self.store().write().await?;
+        let observation = tx.insert_observation(powder, &observed, &source).await?;
+        tx.commit().await?;
+        Ok(observation)
+    }
+}

@@ -1,0 +1,69 @@
+//! `flip measurements`: what was measured of powders, from and to CSV files.
+
+use super::Common;
+use super::failure::Failure;
+use super::session::{with_reader, with_writer};
+use crate::app::Imported;
+use crate::domain::FieldError;
+use clap::Subcommand;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `flip measurements`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, Subcommand)]
+enum Action {
+    /// Register the measurements of a CSV file, all or none of them.
+    ///
+    /// Columns: powder; method; repose_deg, or height_mm with base_diameter_mm and perhaps funnel_height_mm; flow_time_s with poured_mass_g and
+    /// orifice_mm; shake_mg with spoon_pitch_deg and shake_mm; drained_deg; pile_height_mm with base_diameter_mm and fall_mm; source. A row is
+    /// one repeat, and repeats are gathered; with n and the SD it is a summary. An empty cell is a missing value.
+    Import {
+        /// The file, UTF-8, with a header.
+        file: PathBuf,
+        /// Register powders that the file names and FLIP does not know, with their id as their name.
+        #[arg(long)]
+        create: bool,
+    },
+    /// Print everything that was measured as a CSV file that `import` reads.
+    Export {
+        /// Of this powder only.
+        #[arg(long, value_name = "ID")]
+        powder: Option<String>,
+    },
+}
+
+/// Import or export.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    match &arguments.action {
+        Action::Import { file, create } => {
+            let csv = read(file)?;
+            let imported = with_writer(common, async |app| Ok(app.import_measurements(&csv, *create).await?))?;
+            common.print(&imported, || text(&imported))
+        }
+        Action::Export { powder } => {
+            let measured = with_reader(common, async |app| Ok(app.measured(powder.as_deref()).await?))?;
+            common.print(&measured, || measured.csv())
+        }
+    }
+}
+
+fn read(file: &Path) -> Result<String, Failure> {
+    let unreadable = |error| FieldError::new("file", format!("{} cannot be read: {error}", file.display()));
+    let bytes = std::fs::read(file).map_err(unreadable)?;
+    let text = String::from_utf8(bytes);
+    Ok(text.map_err(|_| FieldError::new("file", format!("{} is not UTF-8 text", file.display())))?)
+}
+
+fn text(imported: &Imported) -> String {
+    let Imported { powders, measurements, observations } = imported;
+    let mut text = format!("{} measurements and {} observations added", measurements.len(), observations.len());
+    if !powders.is_empty() {
+        text += &format!("; powders registered: {}", powders.join(", "));
+    }
+    text
+}
