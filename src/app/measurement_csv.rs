@@ -322,7 +322,7 @@ impl Row<'_> {
             "pitch_deg" => "spoon_pitch_deg",
             same => same,
         };
-        at(self.row, column, error.message.clone())
+        at(self.row, column, error.message)
     }
 }
 
