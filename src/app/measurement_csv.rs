@@ -240,7 +240,7 @@ impl Row<'_> {
                 q.value == *column || q.sd == *column || q.settings.contains(column) || q.option == *column
             };
             let owners: Vec<&str> = QUANTITIES.iter().filter(uses).map(|q| q.value).collect();
-            if !owners.is_empty() && !given.iter().any(|q| uses(&q)) {
+            if !owners.is_empty() && !given.iter().any(uses) {
                 check.refuse(
                     &format!("row[{row}].{column}"),
                     format!("belongs to {}, which is empty", owners.join(" or ")),
@@ -322,7 +322,7 @@ impl Row<'_> {
             "pitch_deg" => "spoon_pitch_deg",
             same => same,
         };
-        at(self.row, column, error.message.clone())
+        at(self.row, column, error.message)
     }
 }
 
