@@ -6,7 +6,8 @@ use super::table::table;
 use super::watch::Watch;
 use super::{Common, FIRST_PAGE, observe};
 use crate::app::{
-    App, Calibration, CalibrationMethod, CalibrationRequest, EmulatorUse, Larger, Observed, PAPER_LEVELS_DEG,
+    App, Calibration, CalibrationMethod, CalibrationRequest, EmulatorUse, Larger, Marginal, Observed, PAPER_LEVELS_DEG,
+    Pair, Posterior,
 };
 use crate::domain::FieldError;
 use crate::domain::observable::Observation;
@@ -139,6 +140,16 @@ struct Powder {
     emulator: Option<EmulatorUse>,
     /// What the sets make of everything that was measured beside the angle.
     observed: Vec<Observed>,
+    /// What is known of each parameter; absent with a method that has no posterior.
+    posterior: Option<Known>,
+}
+
+/// A posterior without its draws.
+#[derive(Debug, Serialize)]
+struct Known {
+    parameters: Vec<Marginal>,
+    together: Vec<Pair>,
+    effective: f64,
 }
 
 #[derive(Debug, Serialize)]
@@ -177,9 +188,15 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             let request = request(&target, Some(&search), common.seed);
             (target, CalibrationRequest { observations: observations.clone(), check_particles, ..request })
         });
-        calibrate_each(app, &Watch::new(), requests.collect()).await
+        let mut done = Vec::new();
+        for calibration in calibrate_each(app, &Watch::new(), requests.collect()).await? {
+            let has = calibration.result.as_ref().is_some_and(|result| result.posterior.is_some());
+            let posterior = if has { Some(app.posterior(&calibration.job.id).await?) } else { None };
+            done.push((calibration, posterior));
+        }
+        Ok(done)
     })?;
-    let powders = done.into_iter().map(powder).collect::<Result<_, _>>()?;
+    let powders = done.into_iter().map(|(it, posterior)| powder(it, posterior)).collect::<Result<_, _>>()?;
     let document = Document { seed: common.seed, powders };
     common.print(&document, || text(&document))
 }
@@ -252,7 +269,7 @@ async fn targets(app: &App, arguments: &Arguments) -> Result<Vec<Target>, Failur
     }
 }
 
-fn powder(calibration: Calibration) -> Result<Powder, Failure> {
+fn powder(calibration: Calibration, posterior: Option<Posterior>) -> Result<Powder, Failure> {
     let result =
         calibration.result.ok_or_else(|| anyhow::anyhow!("calibration {} has no result", calibration.job.id))?;
     let set = |set: crate::app::CalibrationSet| Set {
@@ -286,6 +303,11 @@ fn powder(calibration: Calibration) -> Result<Powder, Failure> {
         standard_error_deg: mean(&standard),
         emulator: result.emulator,
         observed: result.observed,
+        posterior: posterior.map(|Posterior { parameters, together, effective, .. }| Known {
+            parameters,
+            together,
+            effective,
+        }),
     })
 }
 

@@ -117,6 +117,8 @@ describe('a calibration', () => {
     const { id } = made.sugar
     const calibration = await service.get(`/v1/calibrations/${id}`)
     calibration.result.posterior = 'f'.repeat(64)
+    const observation = { observable: { kind: 'shake_mass', pitch_deg: 30, shake_mm: 4 }, mean: 1.2, sd: 0.3, n: 5 }
+    calibration.result.observed = [{ observation, sha256: 'f'.repeat(64), built: 128, sets: [], mean: 3.4, agrees: false }]
     await page.route(`**/v1/calibrations/${id}`, (route) => route.fulfill({ json: calibration }))
     await page.route(`**/v1/calibrations/${id}/posterior`, (route) => route.fulfill({ json: posterior }))
     await chromium.open(page, `calibrations/${id}`)
@@ -126,6 +128,8 @@ describe('a calibration', () => {
     assert.deepEqual(rows.find(([name]) => name === 'Friction'), ['Friction', '0.3750', '0.2500', '0.5000', '62', 'yes'])
     assert.equal(rows.find(([name]) => name === 'Mass').at(-1), 'no')
     assert.deepEqual((await tableCells(table('Parameters known only together'))).at(-1), ['Friction and Cohesion', '-0.71'])
+    await page.getByText('between 31.2° and 31.6° (68 %)').waitFor()
+    assert.deepEqual((await tableCells(table('What else was measured')))[1], ['Shake mass', 'pitch_deg 30, shake_mm 4', '1.20', '0.30', '5', '3.40', 'mg', 'no'])
     await page.unrouteAll()
   })
 })
