@@ -37,7 +37,8 @@ fn main() -> anyhow::Result<()> {
         let mg: Vec<f64> = spoons.concat().iter().map(|grains| grains * salt.particle_mass_ug() / 1000.0).collect();
         let shake = mg.iter().sum::<f64>() / mg.len() as f64;
         let spread = (mg.iter().map(|x| (x - shake).powi(2)).sum::<f64>() / (mg.len() - 1) as f64).sqrt();
-        println!("{tilt_deg:8} | {mean:6.2} {:4.2} | {shake:8.2} {:4.2}", sd / mean, spread / shake);
+        let scatter = if shake > 0.0 { format!("{:.2}", spread / shake) } else { "-".to_owned() };
+        println!("{tilt_deg:8} | {mean:6.2} {:4.2} | {shake:8.2} {scatter:>4}", sd / mean);
         taps.push([tilt_deg, mean.ln()]);
         if shake > 0.0 {
             pours.push([tilt_deg, shake.ln()]);

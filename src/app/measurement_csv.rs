@@ -6,7 +6,7 @@
 use super::check::Check;
 use super::{Error, Result};
 use crate::domain::FieldError;
-use crate::domain::observable::{Observable, Observation};
+use crate::domain::observable::{Observable, Observation, SD_MIN};
 use crate::domain::powder::{Flowability, HeapReadings, Method, mean_and_sd, powder_id};
 use crate::store::observations::PowderObservation;
 use crate::store::powders::Measurement;
@@ -298,7 +298,8 @@ impl Row<'_> {
             "drained_deg" => Observable::DrainedAngle {},
             _ => Observable::PileHeight { base_diameter_mm: setting(0)?, fall_mm: setting(1)? },
         };
-        // A single repeat is possible if a measurement of two such is.
+        // A single repeat is possible if a measurement of two such is, whatever their spread.
+        let sd = if is_summary { sd } else { SD_MIN };
         let observation = Observation { observable, mean: value, sd, n }.checked();
         let observation = observation.map_err(|error| self.renamed(quantity, error))?;
         let measured =

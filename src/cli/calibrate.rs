@@ -311,11 +311,13 @@ fn powder(calibration: Calibration, posterior: Option<Posterior>) -> Result<Powd
     })
 }
 
-fn mean(values: &[f64]) -> Option<f64> {
+/// Mean; none of nothing.
+pub(super) fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-fn spread(values: &[f64]) -> Option<f64> {
+/// Sample standard deviation; none below two values.
+pub(super) fn spread(values: &[f64]) -> Option<f64> {
     let (n, centre) = (values.len() as f64, mean(values)?);
     (n > 1.0).then(|| (values.iter().map(|value| (value - centre).powi(2)).sum::<f64>() / (n - 1.0)).sqrt())
 }

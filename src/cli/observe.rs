@@ -1,5 +1,6 @@
 //! `flip observe`: experiments beside the heap, repeated over seeds in parallel.
 
+use super::calibrate::{mean, spread};
 use super::failure::Failure;
 use super::table::table;
 use super::{Common, parameters};
@@ -8,7 +9,6 @@ use crate::domain::observable::{Observable, Observation};
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
 use crate::sim::{self, observe};
-use crate::stats::summary;
 use rayon::prelude::*;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -85,7 +85,7 @@ fn simulate(observable: &Observable, set: &ParameterSet, seed: u64, repeats: u32
         }
     }
     let finite: Vec<f64> = values.iter().copied().flatten().collect();
-    let (mean, sd) = (summary::mean(&finite), summary::sd(&finite));
+    let (mean, sd) = (mean(&finite), spread(&finite));
     Observed { observable: *observable, unit: observable.unit(), mean, sd, values, refusals }
 }
 

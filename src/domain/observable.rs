@@ -47,7 +47,7 @@ pub struct Observation {
 }
 
 /// Least standard deviation of repeats: no balance, clock or protractor shows less.
-const SD_MIN: f64 = 1e-4;
+pub const SD_MIN: f64 = 1e-4;
 
 impl Observable {
     /// The same experiment as everyone's who does it at this scale: without factors that only multiply the result.

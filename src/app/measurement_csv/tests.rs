@@ -114,7 +114,7 @@ fn what_is_written_is_read_to_the_last_bit() {
         powder: "sugar".into(),
         observable,
         mean: 10.0 + 1.0 / 3.0,
-        sd: 1e-7,
+        sd: 0.1 + 0.2,
         n: 2,
         source: "bench".into(),
         created_at,
