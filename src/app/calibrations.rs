@@ -108,18 +108,17 @@ impl App {
 
     /// What else was measured: what the request says, else what is registered.
     async fn observations_of(&self, request: &CalibrationRequest, method: Method) -> Result<Vec<Observation>> {
-        let Some(given) = &request.observations else {
-            return match &request.powder {
-                Some(powder) if method == Method::Emulator => Ok(self.store().observations_now(powder).await?),
-                _ => Ok(Vec::new()),
-            };
-        };
         let refuse = |message: &str| Err(FieldError::new("observations", message).into());
+        let registered = match (&request.observations, &request.powder) {
+            (None, Some(powder)) if method == Method::Emulator => self.store().observations_now(powder).await?,
+            _ => Vec::new(),
+        };
+        let given = request.observations.as_ref().unwrap_or(&registered);
         if method != Method::Emulator && !given.is_empty() {
             return refuse("are for the method `emulator`: leave them out, or take that method");
         }
         if given.len() > OBSERVATIONS_MAX {
-            return refuse("must be at most 8");
+            return refuse("must be at most 8: name those that count, each costs minutes");
         }
         let checked = given.iter().enumerate().map(|(k, observation)| {
             observation

@@ -12,7 +12,10 @@ use crate::store::parameter_sets::NewSet;
 use crate::store::trials::{Trial, TrialPhase};
 use crate::store::{self, Tx};
 use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
 use std::ops::{AsyncFnOnce, ControlFlow};
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 
 pub use crate::calibrate::posterior::{Marginal, Pair, Posterior};
 pub use crate::calibrate::{Design, Method, Settings, Shortfall};
@@ -97,12 +100,17 @@ pub(super) fn perform(context: &JobContext, spec: &CalibrationSpec) -> Result<()
     let history = context.read(context.store.all_trials(context.id()))?;
     let history: Vec<calibrate::Trial> = history.into_iter().map(from_row).collect();
     let heap = |readings| repose::Settings { readings, ..repose::Settings::with_particles(spec.settings.particles) };
+    let clock = Clock::default();
     let simulate = |set: &ParameterSet, readings: u32, seed: u64| {
-        let repose = (context.functions.simulate)(set, &heap(readings), seed)?;
+        let begun = Instant::now();
+        let repose = (context.functions.simulate)(set, &heap(readings), seed);
+        clock.lock().unwrap_or_else(PoisonError::into_inner).insert(seed, begun.elapsed().as_secs_f64());
+        let repose = repose?;
         let repose::Repose { tip_deg, tip_sd_deg, cone_deg, creep_deg_per_s, .. } = repose;
         Ok::<_, repose::Refusal>(Heap { tip_deg, tip_sd_deg, cone_deg, creep_deg_per_s })
     };
-    let shared = spec.design.as_ref().map(|design| emulator(context, design, &spec.simulator, simulate)).transpose()?;
+    let shared =
+        spec.design.as_ref().map(|design| emulator(context, design, &spec.simulator, simulate, &clock)).transpose()?;
     let (channels, built): (Vec<Channel>, Vec<u32>) = match &shared {
         Some((emulator, _)) => observe::channels(context, &spec.observations, emulator, &spec.simulator)?,
         None => Vec::new(),
@@ -112,7 +120,7 @@ pub(super) fn perform(context: &JobContext, spec: &CalibrationSpec) -> Result<()
     let knowledge = shared.as_ref().map(|(emulator, _)| Knowledge { emulator, channels: &channels });
     let mut unsaved = None;
     let found = calibrate::calibrate(&spec.target, &spec.settings, knowledge, &history, simulate, |trial, progress| {
-        let row = to_row(trial);
+        let row = timed(trial, &clock);
         let saved = keep(context, progress, async |tx| {
             tx.insert_trial(context.id(), &row).await?;
             context.tell(tx, "trial", &row).await
@@ -139,13 +147,14 @@ fn emulator(
     design: &Design,
     simulator: &str,
     simulate: impl Fn(&ParameterSet, u32, u64) -> Result<Heap, repose::Refusal> + Sync,
+    clock: &Clock,
 ) -> Result<(Emulator, EmulatorUse), JobError> {
     let id = design.id(simulator);
     let stored = context.read(context.store.emulator_runs(&id))?;
     let stored: Vec<calibrate::Trial> = stored.into_iter().map(from_row).collect();
     let mut unsaved = None;
     let built = calibrate::build(design, sim::directions, &stored, simulate, |run, progress| {
-        let row = to_row(run);
+        let row = timed(run, clock);
         let saved = keep(context, progress, async |tx| tx.insert_emulator_run(&id, &row).await);
         unless(saved, &mut unsaved, context)
     });
@@ -243,6 +252,14 @@ fn kept(set: &CalibratedSet, larger: Option<&Larger>) -> CalibrationSet {
     }
 }
 
+/// How long each simulation took, by its seed, until it is stored; s.
+type Clock = Mutex<HashMap<u64, f64>>;
+
+fn timed(trial: &calibrate::Trial, clock: &Clock) -> Trial {
+    let seconds = clock.lock().unwrap_or_else(PoisonError::into_inner).remove(&trial.seed);
+    Trial { seconds, ..to_row(trial) }
+}
+
 fn to_row(trial: &calibrate::Trial) -> Trial {
     let (heap, refusal) = match &trial.outcome {
         Outcome::Heap(heap) => (Some(heap), None),
@@ -264,6 +281,7 @@ fn to_row(trial: &calibrate::Trial) -> Trial {
         creep_deg_per_s: heap.map(|h| h.creep_deg_per_s),
         refusal,
         error_deg: trial.error_deg,
+        seconds: None,
     }
 }
 

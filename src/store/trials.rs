@@ -46,6 +46,9 @@ pub struct Trial {
     pub refusal: Option<String>,
     /// Absolute difference to the target, degrees.
     pub error_deg: Option<f64>,
+    /// Wall time of the simulation, s; the one number here that another run of the same calibration has differently.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seconds: Option<f64>,
 }
 
 fn one() -> u32 {

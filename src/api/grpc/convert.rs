@@ -148,7 +148,7 @@ same_fields! {
         parameters: all(c.parameters),
     }
     s: app::ParameterSpread => ParameterSpread { key mean lower upper } {}
-    t: app::Trial => Trial { index seed tip_deg cone_deg creep_deg_per_s refusal error_deg } {
+    t: app::Trial => Trial { index seed tip_deg cone_deg creep_deg_per_s refusal error_deg seconds } {
         phase: proto::TrialPhase::from(t.phase).into(),
         parameters: Some(t.parameters.into()),
     }
