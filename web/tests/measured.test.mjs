@@ -69,6 +69,20 @@ describe('a file of measurements', () => {
   })
 })
 
+describe('a powder', () => {
+  it('shows a set twice that two calibrations keep', async () => {
+    const sand = await service.get('/v1/powders/sand')
+    const twice = { ...sand, sets: [...sand.sets, ...sand.sets] }
+    await page.route('**/v1/powders/sand', (route) => route.fulfill({ json: twice }))
+    await chromium.open(page, 'powders/sand')
+    await table('Calibrated parameter sets').waitFor()
+    assert.equal((await tableCells(table('Calibrated parameter sets'))).length, 1 + 4)
+    await chromium.open(page)
+    await page.getByRole('table').first().waitFor()
+    await page.unrouteAll()
+  })
+})
+
 describe('a calibration', () => {
   it('is downloaded as JSON, its sets and its trials as CSV with every digit', async () => {
     const { id } = made.sugar
