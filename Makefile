@@ -1,7 +1,7 @@
 # make run    everything from a clean clone: fetch, build, and run the demonstration (ARGS=--exit ends it after the table)
 # make test   every test: Rust, page in a headless Chromium; prints how many ran
 # make bench-peers   the simulator's speed beside other simulators', which it installs (python3.11, PyPI)
-# make calibration-report   the published method and ours on the five powders, fifteen minutes on two cores
+# make calibration-report   the published method and ours on the five powders, twenty minutes on two cores
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash
