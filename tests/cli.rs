@@ -5,13 +5,15 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-const COMMANDS: [&str; 12] = [
+const COMMANDS: [&str; 14] = [
     "serve",
     "demo",
     "repose",
     "validate",
     "bench",
     "calibrate",
+    "compare",
+    "observe",
     "measurements",
     "train",
     "evaluate",
@@ -156,6 +158,27 @@ fn bad_input_exits_2_and_names_the_field() {
         expect_status(&output, 2);
         assert_eq!(document(&output)["error"]["kind"], "bad_input", "{arguments:?}");
     }
+}
+
+#[test]
+fn two_calibrations_are_compared_by_the_ids_that_jobs_lists() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path();
+    for seed in ["1", "2"] {
+        let quick = ["--method", "sequential", "--sets", "2", "--tolerance-deg", "5", "--particles", "400"];
+        let arguments = [&["calibrate", "--powder", "sand", "--seed", seed, "--json"], &quick[..]].concat();
+        expect_status(&flip(data, &arguments), 0);
+    }
+    let jobs = document(&flip(data, &["jobs", "--json"]));
+    let ids: Vec<&str> = jobs["items"].as_array().unwrap().iter().map(|job| job["id"].as_str().unwrap()).collect();
+    let compared = document(&flip(data, &["compare", ids[0], ids[1], "--json"]));
+    assert_eq!((&compared["calibration"]["id"], &compared["with"]["id"]), (&ids[0].into(), &ids[1].into()));
+    assert_eq!(compared["with"]["parameters"].as_array().unwrap().len(), 9);
+    let text = flip(data, &["compare", ids[0], ids[1]]);
+    expect_status(&text, 0);
+    let text = String::from_utf8(text.stdout).unwrap();
+    assert!(text.contains("friction") && text.contains("mean angles differ by"), "{text}");
+    expect_status(&flip(data, &["compare", ids[0], "none"]), 2);
 }
 
 #[test]

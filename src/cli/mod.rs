@@ -7,6 +7,7 @@
 
 mod bench;
 mod calibrate;
+mod compare;
 mod demo;
 mod evaluate;
 mod failure;
@@ -74,6 +75,8 @@ enum Command {
     Calibrate(calibrate::Arguments),
     /// Read measurements from a CSV file, or write them to one.
     Measurements(measurements::Arguments),
+    /// Compare two calibrations.
+    Compare(compare::Arguments),
     /// Learn to weigh on simulated powders.
     Train(train::Arguments),
     /// Measure a policy's errors beside those of simple controllers.
@@ -116,6 +119,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Serve(arguments) => serve::run(common, arguments),
         Command::Demo(arguments) => demo::run(common, arguments),
         Command::Observe(arguments) => observe::run(common, arguments),
+        Command::Compare(arguments) => compare::run(common, arguments),
         Command::Repose(arguments) => repose::run(common, arguments),
         Command::Validate(arguments) => validate::run(common, arguments),
         Command::Calibrate(arguments) => calibrate::run(common, arguments),
