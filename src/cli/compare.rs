@@ -24,6 +24,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     common.print(&comparison, || text(&comparison))
 }
 
+/// Four digits, also of a number that has its first one far behind the point.
+fn short(value: f64) -> String {
+    if value != 0.0 && value.abs() < 1e-3 { format!("{value:.3e}") } else { format!("{value:.4}") }
+}
+
 fn text(comparison: &Comparison) -> String {
     let Comparison { calibration: one, with: other, difference_deg, standard_error_deg, agree } = comparison;
     let number = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"));
@@ -40,7 +45,7 @@ fn text(comparison: &Comparison) -> String {
         row("standard error deg", &|c| number(c.standard_error_deg)),
     ];
     let spread = |c: &ComparedCalibration, k: usize| match c.parameters.get(k) {
-        Some(p) => format!("{:.4} ({:.4} to {:.4})", p.mean, p.lower, p.upper),
+        Some(p) => format!("{} ({} to {})", short(p.mean), short(p.lower), short(p.upper)),
         None => "-".to_owned(),
     };
     let keys = one.parameters.iter().chain(&other.parameters).map(|p| p.key.as_str());
