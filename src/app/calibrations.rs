@@ -44,8 +44,8 @@ pub struct CalibrationRequest {
     pub seed: Option<u64>,
     /// What else was measured, up to 8 observations, for the method `emulator`; default what is registered for the powder.
     pub observations: Option<Vec<Observation>>,
-    /// Grains of larger heaps in which the sets are looked at again, 100 to 100000; default none. It changes no set.
-    pub check_particles: Option<u32>,
+    /// Grains of the heaps that verify the sets, 100 to 100000; default as many as in the others. Not for the method `sequential`.
+    pub verify_particles: Option<u32>,
 }
 
 /// Most observations of a calibration.
@@ -77,10 +77,13 @@ impl App {
     pub async fn start_calibration(&self, request: CalibrationRequest) -> Result<(Job, bool)> {
         let (powder, target) = self.target_of(&request).await?;
         let defaults = Settings::of(request.method.unwrap_or(Method::Emulator));
+        let particles = request.particles.unwrap_or(defaults.particles);
         let settings = Settings {
             sets: request.sets.unwrap_or(defaults.sets),
             tolerance_deg: request.tolerance_deg.unwrap_or(defaults.tolerance_deg),
-            particles: request.particles.unwrap_or(defaults.particles),
+            particles,
+            // As many as in the others is what it is without.
+            verify_particles: request.verify_particles.filter(|count| *count != particles),
             verify_repeats: request.verify_repeats.unwrap_or(defaults.verify_repeats),
             readings: request.readings.unwrap_or(defaults.readings),
             seed: request.seed.unwrap_or(defaults.seed),
@@ -90,19 +93,7 @@ impl App {
         let settings = Settings { trials_max, ..settings }.checked()?;
         let design = (settings.method == Method::Emulator).then(|| Design::with_particles(settings.particles));
         let observations = self.observations_of(&request, settings.method).await?;
-        let check_particles = request.check_particles;
-        if check_particles.is_some_and(|particles| !(100..=100_000).contains(&particles)) {
-            return Err(FieldError::new("check_particles", "must be from 100 to 100000 grains").into());
-        }
-        let spec = CalibrationSpec {
-            powder,
-            target,
-            observations,
-            check_particles,
-            settings,
-            design,
-            simulator: SIMULATOR.to_owned(),
-        };
+        let spec = CalibrationSpec { powder, target, observations, settings, design, simulator: SIMULATOR.to_owned() };
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Calibration(spec)).await?)
     }
 

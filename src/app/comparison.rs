@@ -157,7 +157,6 @@ mod tests {
             runs,
             error_deg: error,
             verified_error_deg: Some(error),
-            larger: None,
         }
     }
 

@@ -26,7 +26,7 @@ pub use crate::jobs::calibrate::{
     CalibrationResult, CalibrationSet, EmulatorUse, Marginal, Method as CalibrationMethod, Pair, Posterior, Shortfall,
 };
 pub use crate::jobs::evaluate::EvaluationResult;
-pub use crate::jobs::observe::{Larger, Observed, Simulated};
+pub use crate::jobs::observe::{Observed, Simulated};
 pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
 pub use crate::store::counts::Counts;
 pub use crate::store::evaluations::{EvaluationRow, EvaluationSummary};

@@ -6,6 +6,10 @@
 //!    worth it.
 //! 4. The points are verified with fresh seeds. The emulator learns from every run; a point that misses is replaced.
 //!
+//! Sets may be verified by heaps of another size than the emulator's ([`Settings::verify_particles`]). The first [`PILOTS`] are then verified
+//! before the others: how far their heaps stand from what the emulator says is the shift between the sizes ([`size_shift`]), and from then on the
+//! emulator is asked for the target less that shift, and told what was seen less that shift.
+//!
 //! A target outside what the emulator can reach gets the nearest point verified instead, and the parameter that stands in the way.
 
 use super::acquisition::probability_within;
@@ -13,13 +17,14 @@ use super::channel::Knowledge;
 use super::emulator::{Emulator, share};
 use super::settings::Settings;
 use super::space::{self, Point};
-use super::trial::{Phase, Planned, Shortfall, Trial};
-use super::verify::{verdict, verified};
+use super::trial::{Outcome, Phase, Planned, Shortfall, Trial};
+use super::verify::{candidates_of, verdict, verified};
 use crate::domain::parameters::{COUNT, PARAMETERS, ParameterSet};
 use crate::domain::powder::Flowability;
 use crate::domain::seed::derive;
 use crate::stats::gaussian_process::Prediction;
 use crate::stats::latin_hypercube::{distance, latin_hypercube};
+use crate::stats::summary;
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
@@ -36,6 +41,8 @@ const POINTS: u64 = u64::MAX - 1;
 const SURE: f64 = 0.95;
 /// Most search trials.
 const SEARCH_MAX: usize = 10;
+/// Sets verified before the shift between two sizes of heaps is known.
+const PILOTS: usize = 2;
 /// Steps of a walk to the nearest angle.
 const WALK: usize = 60;
 
@@ -49,11 +56,14 @@ pub(super) fn plan(
     let left = (settings.trials_max as usize).saturating_sub(trials.len());
     let sets = verified(trials, target, settings);
     let wanted = (settings.sets as usize).saturating_sub(sets.len());
-    let affordable = wanted.min(left / settings.verify_repeats as usize);
+    let shift = size_shift(trials, settings, knowledge.emulator);
+    let unknown = settings.verify_particles.is_some() && shift.is_none();
+    let affordable = wanted.min(left / settings.verify_repeats as usize).min(if unknown { PILOTS } else { usize::MAX });
     if affordable == 0 {
         return Vec::new();
     }
-    let emulator = knowledge.emulator.with(trials);
+    let target = &in_emulator_heaps(target, shift);
+    let emulator = grown(trials, settings, knowledge.emulator);
     let next = trials.iter().map(|trial| trial.candidate + 1).max().unwrap_or(0);
     let verification = |points: &[ParameterSet]| {
         let runs = (next..).zip(points).flat_map(|(candidate, set)| {
@@ -63,8 +73,9 @@ pub(super) fn plan(
     };
     let pool = pool(settings.seed);
     if let Some(nearest) = beyond_reach(&emulator, target, settings, &pool) {
-        // Once: its verification is the answer.
-        return if trials.is_empty() { verification(&[nearest]) } else { Vec::new() };
+        // Once: its verification is the answer. Pilots were verified before anybody knew.
+        let pilots = if settings.verify_particles.is_some() { PILOTS } else { 0 };
+        return if candidates_of(trials).len() <= pilots { verification(&[nearest]) } else { Vec::new() };
     }
     let region = region(&Knowledge { emulator: &emulator, ..*knowledge }, target, settings, pool);
     let of = |phase: Phase| trials.iter().filter(move |t| t.phase == phase).map(|t| t.parameters.to_unit());
@@ -91,19 +102,50 @@ pub(super) fn shortfall(
     settings: &Settings,
     emulator: &Emulator,
 ) -> Option<Shortfall> {
-    let grown = emulator.with(trials);
-    match beyond_reach(&grown, target, settings, &pool(settings.seed)) {
+    let shift = size_shift(trials, settings, emulator);
+    let aim = in_emulator_heaps(target, shift);
+    let emulator = grown(trials, settings, emulator);
+    match beyond_reach(&emulator, &aim, settings, &pool(settings.seed)) {
         Some(nearest) => {
-            let measured = verdict(0, trials, target, settings).map(|set| set.repose_deg);
+            let verdicts = candidates_of(trials).into_iter().filter_map(|k| verdict(k, trials, target, settings));
+            let measured = verdicts.min_by(|a, b| a.verified_error_deg.total_cmp(&b.verified_error_deg));
+            let expected = emulator.mean_deg(&nearest) + shift.unwrap_or(0.0);
             Some(Shortfall {
-                nearest_repose_deg: measured.unwrap_or_else(|| grown.mean_deg(&nearest)),
-                limiting_parameter: limiting(&grown, &nearest, target).map(str::to_owned),
+                nearest_repose_deg: measured.map_or(expected, |set| set.repose_deg),
+                limiting_parameter: limiting(&emulator, &nearest, &aim).map(str::to_owned),
             })
         }
         None => {
             super::nearest(trials).map(|nearest_repose_deg| Shortfall { nearest_repose_deg, limiting_parameter: None })
         }
     }
+}
+
+/// Angle of the heaps that verify less that of heaps of the emulator's size, degrees: the mean over what was verified of what the emulator,
+/// before it has seen any of it, says less. None where they are of one size, or nothing is verified yet.
+pub(super) fn size_shift(trials: &[Trial], settings: &Settings, emulator: &Emulator) -> Option<f64> {
+    settings.verify_particles?;
+    let verified = trials.iter().filter(|trial| trial.phase == Phase::Verification);
+    let shifts: Vec<f64> =
+        verified.filter_map(|t| Some(t.outcome.tip_deg()? - emulator.mean_deg(&t.parameters))).collect();
+    summary::mean(&shifts)
+}
+
+/// A target in heaps of the emulator's size.
+pub fn in_emulator_heaps(target: &Flowability, shift: Option<f64>) -> Flowability {
+    Flowability { repose_deg: target.repose_deg - shift.unwrap_or(0.0), ..*target }
+}
+
+/// The emulator after what was simulated, all of it in heaps of the emulator's size.
+fn grown(trials: &[Trial], settings: &Settings, emulator: &Emulator) -> Emulator {
+    let shift = size_shift(trials, settings, emulator).unwrap_or(0.0);
+    let moved = trials.iter().cloned().map(|mut trial| {
+        if let (Phase::Verification, Outcome::Heap(heap)) = (trial.phase, &mut trial.outcome) {
+            heap.tip_deg -= shift;
+        }
+        trial
+    });
+    emulator.with(&moved.collect::<Vec<_>>())
 }
 
 fn pool(seed: u64) -> Vec<ParameterSet> {

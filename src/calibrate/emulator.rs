@@ -17,7 +17,7 @@
 //! pure function of what came before, so an interrupted one goes on and ends with the same bytes.
 
 use super::space::{self, Point};
-use super::trial::{Outcome, Planned, Trial};
+use super::trial::{Outcome, Planned, Pour, Trial};
 use super::{Error, Heap};
 use crate::domain::job::Progress;
 use crate::domain::parameters::ParameterSet;
@@ -89,7 +89,7 @@ const COMMON: f64 = 0.09;
 /// | argument | meaning |
 /// |----------|---------|
 /// | `history` | heaps of an interrupted build of the same design, in order; replayed, never simulated again |
-/// | `simulate` | parameters, readings and seed to a heap, or why there is none; called from several threads, must be pure |
+/// | `simulate` | parameters, grains and readings, and seed to a heap, or why there is none; called from several threads, must be pure |
 /// | `on_run` | hears every new heap (not the replayed ones) in order of its index; `Break` stops |
 ///
 /// # Errors
@@ -98,7 +98,7 @@ pub fn build<E: Display + Send>(
     design: &Design,
     directions: Directions,
     history: &[Trial],
-    simulate: impl Fn(&ParameterSet, u32, u64) -> Result<Heap, E> + Sync,
+    simulate: impl Fn(&ParameterSet, Pour, u64) -> Result<Heap, E> + Sync,
     mut on_run: impl FnMut(&Trial, &Progress) -> ControlFlow<()>,
 ) -> Result<Emulator, Error> {
     let mut runs: Vec<Trial> = Vec::new();
@@ -106,8 +106,10 @@ pub fn build<E: Display + Send>(
         let round = plan(design, directions, &runs);
         let known = super::replay(&round, &mut runs, history, None)?;
         for batch in round[known..].chunks(super::CHUNK) {
-            let heap =
-                |p: &Planned| Outcome::of(simulate(&p.parameters, p.readings, p.seed).map_err(|e| e.to_string()));
+            let heap = |p: &Planned| {
+                let pour = Pour { particles: design.particles, readings: p.readings };
+                Outcome::of(simulate(&p.parameters, pour, p.seed).map_err(|error| error.to_string()))
+            };
             let outcomes: Vec<Outcome> = batch.par_iter().map(heap).collect();
             for (planned, outcome) in batch.iter().zip(outcomes) {
                 let run = planned.clone().concluded(runs.len() as u32, outcome, None);

@@ -21,6 +21,11 @@ pub(super) fn clean_deg(set: &ParameterSet) -> f64 {
     22.0 + 18.0 * friction.powf(0.7) + 12.0 * attraction * (1.0 + 0.2 * reach) + 2.0 * wall * friction
 }
 
+/// By how much a heap of so many grains is flatter than one of 2000, degrees; a little more for steep ones.
+fn flatter_deg(set: &ParameterSet, particles: u32) -> f64 {
+    0.7 * (f64::from(particles) / 2000.0).log2() * (1.0 + 0.3 * numbers(set)[0])
+}
+
 /// Standard deviation of a reading.
 fn noise_deg(set: &ParameterSet) -> f64 {
     0.7 + numbers(set)[1]
@@ -31,11 +36,15 @@ pub(super) fn normal(seed: u64, k: u64) -> f64 {
 }
 
 /// A heap read so often, with what its readings have in common.
-pub(super) fn formula(set: &ParameterSet, readings: u32, seed: u64) -> Result<Heap, String> {
+pub(super) fn formula(set: &ParameterSet, Pour { particles, readings }: Pour, seed: u64) -> Result<Heap, String> {
     let sd = noise_deg(set);
     let common = 0.3 * sd * normal(seed, 1000);
     let tips: Vec<f64> = (0..readings)
-        .map(|k| clean_deg(set) + common + sd * (1.0f64 - 0.09).sqrt() * normal(seed, u64::from(k)))
+        .map(|k| {
+            clean_deg(set) - flatter_deg(set, particles)
+                + common
+                + sd * (1.0f64 - 0.09).sqrt() * normal(seed, u64::from(k))
+        })
         .collect();
     let tip_deg = summary::mean(&tips).unwrap();
     Ok(Heap { tip_deg, tip_sd_deg: summary::sd(&tips), cone_deg: tip_deg, creep_deg_per_s: 0.0 })
@@ -94,9 +103,9 @@ fn an_interrupted_build_goes_on_and_ends_with_the_same_bytes_on_any_number_of_th
         });
         assert_eq!(stopped.unwrap_err(), Error::Stopped);
         let simulated = AtomicU32::new(0);
-        let counted = |set: &ParameterSet, readings: u32, seed: u64| {
+        let counted = |set: &ParameterSet, pour: Pour, seed: u64| {
             simulated.fetch_add(1, Ordering::Relaxed);
-            formula(set, readings, seed)
+            formula(set, pour, seed)
         };
         let resumed =
             pool.install(|| build(&design, numbers, &heard, counted, |_, _| ControlFlow::Continue(()))).unwrap();
@@ -339,4 +348,37 @@ fn without_solutions_the_published_bounds_shrink_to_the_best_tenth_until_nothing
         shrunk += 1;
     }
     assert!(shrunk >= 2, "{} trials", trials.len());
+}
+
+#[test]
+fn sets_verified_in_larger_heaps_have_the_angle_there_and_the_shift_between_the_sizes_is_told() {
+    let emulator = emulator();
+    let target = Flowability { repose_deg: 33.0, sd_deg: 2.0, n: 5 };
+    let settings = Settings { verify_particles: Some(8000), ..settings(4) };
+    let mut trials = Vec::new();
+    let whole = calibrate(&target, &settings, Some((&emulator).into()), &[], formula, |trial, _| {
+        trials.push(trial.clone());
+        ControlFlow::Continue(())
+    })
+    .unwrap();
+    assert_eq!(whole.sets.len(), 10);
+    let there = |set: &ParameterSet| clean_deg(set) - flatter_deg(set, 8000);
+    let angles: Vec<f64> = whole.sets.iter().map(|set| there(&set.parameters)).collect();
+    assert!((summary::mean(&angles).unwrap() - 33.0).abs() < 0.3, "{angles:?}");
+    let shifts: Vec<f64> = whole.sets.iter().map(|set| -flatter_deg(&set.parameters, 8000)).collect();
+    assert!((whole.size_shift_deg.unwrap() - summary::mean(&shifts).unwrap()).abs() < 0.3);
+    // The pilots miss by the shift; hardly a set after them does.
+    let wasted = whole.verification_runs / settings.verify_repeats - 10;
+    assert!((1..=4).contains(&wasted), "{wasted} sets verified for nothing");
+    let resumed = calibrate(&target, &settings, Some((&emulator).into()), &trials[..25], formula, |_, _| {
+        ControlFlow::Continue(())
+    });
+    assert_eq!(resumed.unwrap(), whole);
+    // Heaps of one size have no shift, and out of reach is out of reach.
+    assert_eq!(run(&emulator, 33.0, &self::settings(4)).size_shift_deg, None);
+    let steep = run(&emulator, 70.0, &settings);
+    let nearest = steep.shortfall.unwrap().nearest_repose_deg;
+    assert!(steep.sets.is_empty() && (35.0..60.0).contains(&nearest), "{nearest}");
+    let refused = Settings { verify_particles: Some(8000), ..Settings::default() }.checked();
+    assert_eq!(refused.unwrap_err().field, "verify_particles");
 }

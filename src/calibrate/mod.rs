@@ -37,10 +37,11 @@ mod emulator_tests;
 mod tests;
 
 pub use acquisition::{expected_improvement, probability_within};
+pub use amortised::in_emulator_heaps;
 pub use channel::{Channel, Instrument, Knowledge, Probe};
 pub use emulator::{DIRECTIONS, Design, Directions, Emulator, build};
 pub use settings::{Method, Settings};
-pub use trial::{CalibratedSet, Calibration, Heap, Outcome, Phase, Shortfall, Trial};
+pub use trial::{CalibratedSet, Calibration, Heap, Outcome, Phase, Pour, Shortfall, Trial};
 
 use crate::domain::FieldError;
 use crate::domain::job::Progress;
@@ -125,7 +126,7 @@ fn nearest_text(tip_deg: Option<f64>) -> String {
 /// | `settings` | method, tolerance, budget, seed |
 /// | `knowledge` | the emulator, for the method of that name, and what else was measured; its heaps count once, not in every calibration |
 /// | `history` | trials of an interrupted run with the same target and settings, in order; replayed, never simulated again |
-/// | `simulate` | parameters, readings and seed to a heap, or why there is none; called from several threads, must be pure |
+/// | `simulate` | parameters, grains and readings, and seed to a heap, or why there is none; called from several threads, must be pure |
 /// | `on_trial` | hears every new trial (not the replayed ones) in order of its index; `Break` stops |
 ///
 /// The same target, settings and `simulate` give the same bytes at any number of threads, interrupted or not.
@@ -137,12 +138,15 @@ pub fn calibrate<E: Display + Send>(
     settings: &Settings,
     knowledge: Option<Knowledge<'_>>,
     history: &[Trial],
-    simulate: impl Fn(&ParameterSet, u32, u64) -> Result<Heap, E> + Sync,
+    simulate: impl Fn(&ParameterSet, Pour, u64) -> Result<Heap, E> + Sync,
     mut on_trial: impl FnMut(&Trial, &Progress) -> ControlFlow<()>,
 ) -> Result<Calibration, Error> {
     let settings = settings.clone().checked()?;
     let target = Flowability::new(target.repose_deg, target.sd_deg, target.n)?;
-    let outcome = |p: &Planned| Outcome::of(simulate(&p.parameters, p.readings, p.seed).map_err(|e| e.to_string()));
+    let outcome = |p: &Planned| {
+        let heap = simulate(&p.parameters, settings.pour(p.phase, p.readings), p.seed);
+        Outcome::of(heap.map_err(|error| error.to_string()))
+    };
     let mut trials: Vec<Trial> = Vec::new();
     loop {
         let round = match (settings.method, &knowledge) {
@@ -227,7 +231,8 @@ fn conclude(
     settings: &Settings,
     emulator: Option<&Emulator>,
 ) -> Result<Calibration, Error> {
-    let calibration = summarised(trials, target, settings);
+    let shift = emulator.and_then(|emulator| amortised::size_shift(trials, settings, emulator));
+    let calibration = Calibration { size_shift_deg: shift.map(trial::micro), ..summarised(trials, target, settings) };
     if calibration.sets.len() >= settings.sets as usize {
         return Ok(calibration);
     }
@@ -272,6 +277,7 @@ fn summarised(trials: &[Trial], target: &Flowability, settings: &Settings) -> Ca
         sd_error_deg: summary::sd(&errors),
         verified_error_deg: summary::mean(&verified),
         sets,
+        size_shift_deg: None,
         shortfall: None,
     }
 }

@@ -1,5 +1,6 @@
 //! What a calibration may be told.
 
+use super::trial::{Phase, Pour};
 use crate::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
@@ -64,6 +65,10 @@ pub struct Settings {
     pub seed: u64,
     /// Grains in each simulated heap, 100 to 100 000; the caller hands it to the simulator. Default 2000.
     pub particles: u32,
+    /// Grains in each heap that verifies a set, 100 to 100 000; default as many as in the others. Heaps of more grains are flatter: the
+    /// emulator learns by how much and aims for it. Not for the method `sequential`, whose own process would take one size for the other.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub verify_particles: Option<u32>,
 }
 
 impl Default for Settings {
@@ -81,6 +86,7 @@ impl Default for Settings {
             stagnation: 100,
             seed: 1,
             particles: 2000,
+            verify_particles: None,
         }
     }
 }
@@ -104,6 +110,15 @@ impl Settings {
         }
     }
 
+    /// How the heaps of a phase are poured, read so often.
+    pub fn pour(&self, phase: Phase, readings: u32) -> Pour {
+        let particles = match phase {
+            Phase::Search => self.particles,
+            Phase::Verification => self.verify_particles.unwrap_or(self.particles),
+        };
+        Pour { particles, readings }
+    }
+
     /// The settings if each is within its bounds.
     ///
     /// # Errors
@@ -123,6 +138,13 @@ impl Settings {
         bounded("accept_deg", self.accept_deg, 0.1, 10.0, "deg")?;
         count("stagnation", self.stagnation, 1, 1000)?;
         count("particles", self.particles, 100, 100_000)?;
+        if let Some(particles) = self.verify_particles {
+            count("verify_particles", particles, 100, 100_000)?;
+            if self.method == Method::Sequential {
+                let advice = "is not for the method `sequential`: leave it out, or take the method `emulator`";
+                return Err(FieldError::new("verify_particles", advice));
+            }
+        }
         Ok(self)
     }
 }

@@ -4,9 +4,12 @@ use crate::stats::latin_hypercube::{distance, latin_hypercube};
 use crate::stats::normal::quantile;
 use std::sync::Mutex;
 
+/// How the heaps are poured that ask the formula by themselves; it does not matter.
+const POUR: Pour = Pour { particles: 2000, readings: 1 };
+
 /// A formula shaped like the real simulator: friction raises the angle with falling slope, cohesion over gravity
 /// raises it, six parameters do nothing, each seed adds noise of SD 1 deg.
-fn formula(set: &ParameterSet, _: u32, seed: u64) -> Result<Heap, String> {
+fn formula(set: &ParameterSet, _: Pour, seed: u64) -> Result<Heap, String> {
     let uniform = ((derive(seed, &[1]) >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
     heap(clean_deg(set) + quantile(uniform))
 }
@@ -35,7 +38,7 @@ fn run(deg: f64, settings: &Settings) -> Result<Calibration, Error> {
 /// The result and every trial that was heard.
 fn recorded(
     settings: &Settings,
-    simulate: impl Fn(&ParameterSet, u32, u64) -> Result<Heap, String> + Sync,
+    simulate: impl Fn(&ParameterSet, Pour, u64) -> Result<Heap, String> + Sync,
 ) -> (Vec<Trial>, Result<Calibration, Error>) {
     let mut trials = Vec::new();
     let result = calibrate(&target(36.03), settings, None, &[], simulate, |trial, _| {
@@ -89,7 +92,7 @@ fn random_search_needs_several_times_as_many_simulations() {
     let (mut spent, mut sets) = (0, 0);
     for (i, point) in latin_hypercube(10_000, &mut Pcg64::seed_from_u64(1)).iter().enumerate() {
         let set = ParameterSet::from_unit(*point);
-        let tip = |repeat| formula(&set, 1, derive(9, &[i as u64, repeat])).unwrap().tip_deg;
+        let tip = |repeat| formula(&set, POUR, derive(9, &[i as u64, repeat])).unwrap().tip_deg;
         spent += 1;
         if (tip(0) - powder.repose_deg).abs() <= settings.tolerance_deg {
             spent += 2;
@@ -115,9 +118,9 @@ fn a_run_cut_after_any_trial_and_resumed_ends_with_the_same_bytes_at_any_number_
             let history: Vec<Trial> = serde_json::from_str(&text).unwrap();
             let asked = Mutex::new(Vec::new());
             let mut heard = history.clone();
-            let counted = |set: &ParameterSet, _: u32, seed| {
+            let counted = |set: &ParameterSet, _: Pour, seed| {
                 asked.lock().unwrap().push(seed);
-                formula(set, 1, seed)
+                formula(set, POUR, seed)
             };
             let hear = |trial: &Trial, _: &Progress| {
                 heard.push(trial.clone());
@@ -216,9 +219,9 @@ fn progress_never_goes_back_and_ends_at_one() {
 #[test]
 fn refused_simulations_are_recorded_and_then_avoided() {
     // Gravity below 0.7 of the published range never gives a heap: half of the box.
-    let picky = |set: &ParameterSet, _: u32, seed| match set.gravity_scale() < 0.7 {
+    let picky = |set: &ParameterSet, _: Pour, seed| match set.gravity_scale() < 0.7 {
         true => Err("the base is not covered".to_owned()),
-        false => formula(set, 1, seed),
+        false => formula(set, POUR, seed),
     };
     let (mut early, mut late) = ((0, 0), (0, 0));
     for seed in 1..=4 {
@@ -275,8 +278,8 @@ fn a_simulator_that_always_refuses_or_answers_nonsense_ends_in_an_explanation() 
 
 #[test]
 fn a_number_that_is_none_now_and_then_never_reaches_a_result() {
-    let broken = |set: &ParameterSet, _: u32, seed: u64| {
-        if seed.is_multiple_of(5) { heap(f64::NAN) } else { formula(set, 1, seed) }
+    let broken = |set: &ParameterSet, _: Pour, seed: u64| {
+        if seed.is_multiple_of(5) { heap(f64::NAN) } else { formula(set, POUR, seed) }
     };
     let (trials, result) = recorded(&few(), broken);
     assert!(trials.iter().any(|t| t.error_deg.is_none()), "the test needs a refusal");

@@ -16,6 +16,15 @@ pub enum Phase {
     Verification,
 }
 
+/// How a heap is poured and read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Pour {
+    /// Its grains.
+    pub particles: u32,
+    /// Its readings, over which its angle is the mean.
+    pub readings: u32,
+}
+
 /// One simulated heap.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Heap {
@@ -181,6 +190,8 @@ pub struct Calibration {
     pub sd_error_deg: Option<f64>,
     /// Mean of the sets' verified errors, degrees; none without sets.
     pub verified_error_deg: Option<f64>,
+    /// Angle of the heaps that verify less that of heaps of the emulator's size, degrees; none where they are of one size.
+    pub size_shift_deg: Option<f64>,
     /// Why there are fewer sets than wanted, if there are.
     pub shortfall: Option<Shortfall>,
 }

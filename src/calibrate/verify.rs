@@ -63,7 +63,7 @@ pub(super) fn verified(trials: &[Trial], target: &Flowability, settings: &Settin
 }
 
 /// Candidates that were verified, by the index they have in their verification runs, in order.
-fn candidates_of(trials: &[Trial]) -> Vec<u32> {
+pub(super) fn candidates_of(trials: &[Trial]) -> Vec<u32> {
     let mut indices: Vec<u32> = Vec::new();
     for trial in trials.iter().filter(|t| t.phase == Phase::Verification) {
         if !indices.contains(&trial.candidate) {

@@ -6,8 +6,8 @@ use super::table::table;
 use super::watch::Watch;
 use super::{Common, FIRST_PAGE, observe};
 use crate::app::{
-    App, Calibration, CalibrationMethod, CalibrationRequest, EmulatorUse, Larger, Marginal, Observed, PAPER_LEVELS_DEG,
-    Pair, Posterior,
+    App, Calibration, CalibrationMethod, CalibrationRequest, EmulatorUse, Marginal, Observed, PAPER_LEVELS_DEG, Pair,
+    Posterior,
 };
 use crate::domain::FieldError;
 use crate::domain::observable::Observation;
@@ -19,8 +19,8 @@ use std::fmt::Write;
 
 /// Sets of each level of a data set.
 const DATA_SET_SETS: u32 = 7;
-/// Grains of the heaps in which they are looked at again.
-const DATA_SET_PARTICLES: u32 = 8000;
+/// Grains of the heaps that verify them, for each of the search's heaps.
+const DATA_SET_LARGER: u32 = 2;
 
 /// Arguments of `flip calibrate`.
 #[derive(Debug, clap::Args)]
@@ -37,13 +37,10 @@ pub(super) struct Arguments {
     /// Repeats behind `--repose-deg`.
     #[arg(long, value_name = "N", requires = "repose_deg", allow_negative_numbers = true)]
     n: Option<u32>,
-    /// A data set of flowabilities for training: 28, 33 and 37 deg unless `--repose-deg` says otherwise, 7 sets of each, looked at again in heaps of
-    /// 8000 grains.
+    /// A data set of flowabilities for training: 28, 33 and 37 deg unless `--repose-deg` says otherwise, 7 sets of each, verified by heaps of twice
+    /// the grains.
     #[arg(long)]
     data_set: bool,
-    /// Grains of larger heaps in which the sets are looked at again; it changes no set.
-    #[arg(long, value_name = "N", allow_negative_numbers = true)]
-    check_particles: Option<u32>,
     /// What else was measured: an experiment as `flip observe` has it with `mean`, `sd` and `n`, as in
     /// `flow_time:mass_g=50,orifice_mm=2.54,mean=62,sd=2,n=5`; may be repeated. Left out, what is registered for the powder.
     #[arg(long, value_name = "KIND:SETTING=VALUE,...")]
@@ -84,6 +81,10 @@ pub(super) struct Search {
     /// Heaps by which each set is verified; by default 8, with the method `sequential` 2.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     verify_repeats: Option<u32>,
+    /// Grains of these heaps, when they are to be of another size than the search's; by default of a data set twice as many. Not with the method
+    /// `sequential`.
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    verify_particles: Option<u32>,
     /// Readings of each of these heaps; by default 4, with the method `sequential` 1.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     readings: Option<u32>,
@@ -137,6 +138,10 @@ struct Powder {
     verified_sd_deg: Option<f64>,
     /// Mean standard error of a set's mean over fresh seeds, degrees.
     standard_error_deg: Option<f64>,
+    /// Grains of the heaps that verified, where they are not as many as the search's.
+    verify_particles: Option<u32>,
+    /// Angle of these heaps less that of the search's, degrees.
+    size_shift_deg: Option<f64>,
     emulator: Option<EmulatorUse>,
     /// What the sets make of everything that was measured beside the angle.
     observed: Vec<Observed>,
@@ -162,17 +167,14 @@ struct Set {
     runs: u32,
     error_deg: f64,
     verified_error_deg: Option<f64>,
-    /// The set in larger heaps.
-    larger: Option<Larger>,
 }
 
 /// Calibrate one powder or all, side by side, and print the sets.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let mut search = arguments.search.clone().by(MethodFlag::Emulator);
-    let mut check_particles = arguments.check_particles;
     if arguments.data_set {
         search.sets = search.sets.or(Some(DATA_SET_SETS));
-        check_particles = check_particles.or(Some(DATA_SET_PARTICLES));
+        search.verify_particles = search.verify_particles.or(Some(search.particles.saturating_mul(DATA_SET_LARGER)));
     }
     let typed: Vec<Observation> =
         arguments.observation.iter().map(|text| observe::observation(text)).collect::<Result<_, _>>()?;
@@ -186,7 +188,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         }
         let requests = targets.into_iter().map(|target| {
             let request = request(&target, Some(&search), common.seed);
-            (target, CalibrationRequest { observations: observations.clone(), check_particles, ..request })
+            (target, CalibrationRequest { observations: observations.clone(), ..request })
         });
         let mut done = Vec::new();
         for calibration in calibrate_each(app, &Watch::new(), requests.collect()).await? {
@@ -249,6 +251,7 @@ fn request(target: &Target, search: Option<&Search>, seed: u64) -> CalibrationRe
         particles: search.map(|s| s.particles),
         trials_max: search.and_then(|s| s.trials_max),
         verify_repeats: search.and_then(|s| s.verify_repeats),
+        verify_particles: search.and_then(|s| s.verify_particles),
         readings: search.and_then(|s| s.readings),
         seed: Some(seed),
         ..bare
@@ -280,7 +283,6 @@ fn powder(calibration: Calibration, posterior: Option<Posterior>) -> Result<Powd
         runs: set.runs,
         error_deg: set.error_deg,
         verified_error_deg: set.verified_error_deg,
-        larger: set.larger,
     };
     let errors: Vec<f64> = result.sets.iter().filter_map(|set| set.verified_error_deg).collect();
     let standard = result.sets.iter().filter_map(|set| Some(set.repose_sd_deg? / f64::from(set.runs).sqrt()));
@@ -301,6 +303,8 @@ fn powder(calibration: Calibration, posterior: Option<Posterior>) -> Result<Powd
         verified_error_deg: result.verified_error_deg,
         verified_sd_deg: spread(&errors),
         standard_error_deg: mean(&standard),
+        verify_particles: calibration.settings["verify_particles"].as_u64().map(|count| count as u32),
+        size_shift_deg: result.size_shift_deg,
         emulator: result.emulator,
         observed: result.observed,
         posterior: posterior.map(|Posterior { parameters, together, effective, .. }| Known {
@@ -352,14 +356,11 @@ fn text(document: &Document) -> String {
     ];
     let mut text = table(&header, &document.powders.iter().map(row).collect::<Vec<_>>());
     for p in &document.powders {
-        let larger: Vec<Larger> = p.sets.iter().filter_map(|set| set.larger).collect();
-        let angles: Vec<f64> = larger.iter().filter_map(|larger| larger.repose_deg).collect();
-        if let (Some(first), Some(angle)) = (larger.first(), mean(&angles)) {
-            let spread = two(spread(&angles));
+        if let (Some(particles), Some(shift)) = (p.verify_particles, p.size_shift_deg) {
             let _ = write!(
                 text,
-                "\n{:.2} deg: heaps of {} grains stand at {angle:.2} deg, sd over the sets {spread}",
-                p.target_deg, first.particles
+                "\n{:.2} deg: verified by heaps of {particles} grains, which stand {shift:+.2} deg beside the search's",
+                p.target_deg
             );
         }
         for observed in &p.observed {

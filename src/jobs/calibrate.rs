@@ -2,9 +2,9 @@
 //! calibrations share; the first that needs it builds it.
 
 use super::context::{JobContext, JobError};
-use super::observe::{self, Larger, Observed};
+use super::observe::{self, Observed};
 use super::spec::CalibrationSpec;
-use crate::calibrate::{self, CalibratedSet, Calibration, Channel, Emulator, Heap, Knowledge, Outcome, Phase};
+use crate::calibrate::{self, CalibratedSet, Calibration, Channel, Emulator, Heap, Knowledge, Outcome, Phase, Pour};
 use crate::domain::job::Progress;
 use crate::domain::parameters::ParameterSet;
 use crate::sim::{self, repose};
@@ -42,6 +42,10 @@ pub struct CalibrationResult {
     /// Mean of the sets' verified errors, degrees; absent without sets.
     #[serde(default)]
     pub verified_error_deg: Option<f64>,
+    /// Angle of the heaps that verified less that of heaps of the emulator's size, degrees; absent where they are of one size. The posterior is
+    /// that of the target less this.
+    #[serde(default)]
+    pub size_shift_deg: Option<f64>,
     /// What stood in the way; absent when the target was reached.
     #[serde(default)]
     pub shortfall: Option<Shortfall>,
@@ -91,19 +95,16 @@ pub struct CalibrationSet {
     /// Absolute difference between mean and target, degrees; absent in results stored before it was told apart from `error_deg`.
     #[serde(default)]
     pub verified_error_deg: Option<f64>,
-    /// The set in larger heaps, if they were asked for.
-    #[serde(default)]
-    pub larger: Option<Larger>,
 }
 
 pub(super) fn perform(context: &JobContext, spec: &CalibrationSpec) -> Result<(), JobError> {
     let history = context.read(context.store.all_trials(context.id()))?;
     let history: Vec<calibrate::Trial> = history.into_iter().map(from_row).collect();
-    let heap = |readings| repose::Settings { readings, ..repose::Settings::with_particles(spec.settings.particles) };
     let clock = Clock::default();
-    let simulate = |set: &ParameterSet, readings: u32, seed: u64| {
+    let simulate = |set: &ParameterSet, pour: Pour, seed: u64| {
+        let settings = repose::Settings { readings: pour.readings, ..repose::Settings::with_particles(pour.particles) };
         let begun = Instant::now();
-        let repose = (context.functions.simulate)(set, &heap(readings), seed);
+        let repose = (context.functions.simulate)(set, &settings, seed);
         clock.lock().unwrap_or_else(PoisonError::into_inner).insert(seed, begun.elapsed().as_secs_f64());
         let repose = repose?;
         let repose::Repose { tip_deg, tip_sd_deg, cone_deg, creep_deg_per_s, .. } = repose;
@@ -130,11 +131,11 @@ pub(super) fn perform(context: &JobContext, spec: &CalibrationSpec) -> Result<()
     match (found, unsaved) {
         (_, Some(error)) => Err(error.into()),
         (Ok(calibration), None) => {
-            let posterior = knowledge.map(|known| Posterior::of(known, &spec.target, DRAWS, spec.settings.seed));
+            let target = calibrate::in_emulator_heaps(&spec.target, calibration.size_shift_deg);
+            let posterior = knowledge.map(|known| Posterior::of(known, &target, DRAWS, spec.settings.seed));
             let sets: Vec<ParameterSet> = calibration.sets.iter().map(|set| set.parameters).collect();
             let observed = observe::look(context, &channels, &built, &sets, spec.settings.seed)?;
-            let larger = observe::larger(context, spec, &sets)?;
-            finish(context, spec, calibration, shared.map(|(_, used)| used), posterior, observed, &larger)
+            finish(context, spec, calibration, shared.map(|(_, used)| used), posterior, observed)
         }
         (Err(calibrate::Error::Stopped), None) => Err(JobError::Stopped),
         (Err(error), None) => Err(JobError::Fail(error.to_string())),
@@ -146,7 +147,7 @@ fn emulator(
     context: &JobContext,
     design: &Design,
     simulator: &str,
-    simulate: impl Fn(&ParameterSet, u32, u64) -> Result<Heap, repose::Refusal> + Sync,
+    simulate: impl Fn(&ParameterSet, Pour, u64) -> Result<Heap, repose::Refusal> + Sync,
     clock: &Clock,
 ) -> Result<(Emulator, EmulatorUse), JobError> {
     let id = design.id(simulator);
@@ -201,7 +202,6 @@ fn finish(
     emulator: Option<EmulatorUse>,
     posterior: Option<Posterior>,
     observed: Vec<Observed>,
-    larger: &[Larger],
 ) -> Result<(), JobError> {
     let posterior = match posterior {
         Some(posterior) => {
@@ -214,10 +214,11 @@ fn finish(
         reached: calibration.shortfall.is_none(),
         evaluations: calibration.evaluations,
         verification_runs: calibration.verification_runs,
-        sets: calibration.sets.iter().enumerate().map(|(k, set)| kept(set, larger.get(k))).collect(),
+        sets: calibration.sets.iter().map(kept).collect(),
         mean_error_deg: calibration.mean_error_deg,
         sd_error_deg: calibration.sd_error_deg,
         verified_error_deg: calibration.verified_error_deg,
+        size_shift_deg: calibration.size_shift_deg,
         shortfall: calibration.shortfall,
         emulator,
         posterior,
@@ -239,7 +240,7 @@ fn finish(
     Ok(())
 }
 
-fn kept(set: &CalibratedSet, larger: Option<&Larger>) -> CalibrationSet {
+fn kept(set: &CalibratedSet) -> CalibrationSet {
     CalibrationSet {
         id: set.parameters.id(),
         parameters: set.parameters,
@@ -248,7 +249,6 @@ fn kept(set: &CalibratedSet, larger: Option<&Larger>) -> CalibrationSet {
         runs: set.runs,
         error_deg: set.error_deg,
         verified_error_deg: Some(set.verified_error_deg),
-        larger: larger.copied(),
     }
 }
 

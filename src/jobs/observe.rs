@@ -3,22 +3,19 @@
 
 use super::calibrate::{keep, unless};
 use super::context::{JobContext, JobError};
-use super::spec::CalibrationSpec;
 use crate::calibrate::channel::{self, RUNS};
 use crate::calibrate::{self, Channel, Emulator, Instrument, Probe};
 use crate::domain::observable::{Observable, Observation};
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
 use crate::sim::observe;
-use crate::sim::repose::{self, Refusal};
+use crate::sim::repose::Refusal;
 use crate::stats::summary;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 /// Simulations of each set and observable at the end.
 const REPEATS: u32 = 4;
-/// Seeds of the larger heaps, which no observation has.
-const LARGER: u64 = u64::MAX;
 /// Standard errors within which simulation and measurement agree.
 const SIGNIFICANT: f64 = 2.0;
 
@@ -47,19 +44,6 @@ pub struct Simulated {
     /// Standard deviation over them.
     pub sd: Option<f64>,
     /// Simulations with a result.
-    pub runs: u32,
-}
-
-/// A set in heaps of more grains than it was calibrated with.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct Larger {
-    /// Grains of each heap.
-    pub particles: u32,
-    /// Mean tip angle over the heaps, degrees; absent if each was refused.
-    pub repose_deg: Option<f64>,
-    /// Standard deviation over them, degrees.
-    pub repose_sd_deg: Option<f64>,
-    /// Heaps with an angle.
     pub runs: u32,
 }
 
@@ -119,30 +103,6 @@ pub(super) fn look(
         Ok(Observed { observation, sha256, built: *built, sets: simulated, mean, agrees })
     };
     channels.iter().zip(built).enumerate().map(look).collect()
-}
-
-/// Look at sets again in larger heaps, if that was asked for.
-pub(super) fn larger(
-    context: &JobContext,
-    spec: &CalibrationSpec,
-    sets: &[ParameterSet],
-) -> Result<Vec<Larger>, JobError> {
-    let Some(particles) = spec.check_particles else { return Ok(Vec::new()) };
-    let owner = format!("{}/larger", context.id());
-    let settings = repose::Settings::with_particles(particles);
-    let simulate = |set: &ParameterSet, seed: u64| Ok((context.functions.simulate)(set, &settings, seed)?.tip_deg);
-    let plan = channel::planned(sets, REPEATS, derive(spec.settings.seed, &[LARGER]));
-    let (runs, _) = probes(context, &owner, plan, "larger heaps", simulate)?;
-    let of_set = |runs: &[Probe]| {
-        let tips: Vec<f64> = runs.iter().filter_map(|run| run.reduced).collect();
-        Larger {
-            particles,
-            repose_deg: summary::mean(&tips),
-            repose_sd_deg: summary::sd(&tips),
-            runs: tips.len() as u32,
-        }
-    };
-    Ok(runs.chunks(REPEATS as usize).map(of_set).collect())
 }
 
 fn simulate(

@@ -36,9 +36,6 @@ pub struct CalibrationSpec {
     /// What else was measured.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub observations: Vec<Observation>,
-    /// Grains of the larger heaps in which the sets are looked at again.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub check_particles: Option<u32>,
     /// Settings of the search.
     pub settings: calibrate::Settings,
     /// The design of the emulator it reads sets off; none with a method that has none.

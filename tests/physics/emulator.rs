@@ -1,6 +1,6 @@
 //! The emulator of the product on the product's simulator: held-out heaps are where it says they are.
 
-use flip::calibrate::{Design, Heap, build};
+use flip::calibrate::{Design, Heap, Pour, build};
 use flip::domain::parameters::ParameterSet;
 use flip::domain::seed::derive;
 use flip::sim;
@@ -12,8 +12,8 @@ const PARTICLES: u32 = 2000;
 const READINGS: u32 = 4;
 const HELD_OUT: u64 = 60;
 
-fn heap(set: &ParameterSet, readings: u32, seed: u64) -> Result<Heap, Refusal> {
-    let settings = Settings { readings, ..Settings::with_particles(PARTICLES) };
+fn heap(set: &ParameterSet, Pour { particles, readings }: Pour, seed: u64) -> Result<Heap, Refusal> {
+    let settings = Settings { readings, ..Settings::with_particles(particles) };
     let pile = repose(set, &settings, seed)?;
     Ok(Heap {
         tip_deg: pile.tip_deg,
@@ -43,7 +43,7 @@ fn held_out_heaps_are_where_the_emulator_says_as_often_as_it_says() {
             if !(22.0..52.0).contains(&expected.mean.mean) {
                 return None;
             }
-            let tip_deg = heap(&set, READINGS, derive(98, &[k])).ok()?.tip_deg;
+            let tip_deg = heap(&set, Pour { particles: PARTICLES, readings: READINGS }, derive(98, &[k])).ok()?.tip_deg;
             // The mean of four readings of a heap, which have 0.09 of their variance in common.
             let noise = expected.seed_sd_deg * (1.0 / f64::from(READINGS) + 0.09).sqrt();
             Some((tip_deg - expected.mean.mean) / expected.mean.sd.hypot(noise))

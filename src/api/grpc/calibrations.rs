@@ -15,7 +15,7 @@ impl calibrations_server::Calibrations for Service {
         let request = write(request)?;
         let method = named::<CalibrationMethod, _>("method", request.method)?;
         let StartCalibrationRequest { powder, repose_deg, sd_deg, n, sets, tolerance_deg, particles, .. } = request;
-        let StartCalibrationRequest { trials_max, verify_repeats, readings, seed, check_particles, .. } = request;
+        let StartCalibrationRequest { trials_max, verify_repeats, readings, seed, verify_particles, .. } = request;
         let observations = request.observations.into_iter().enumerate();
         let observations: Vec<_> =
             observations.map(|(k, wire)| observation(&format!("observations[{k}]"), wire)).collect::<Result<_, _>>()?;
@@ -33,7 +33,7 @@ impl calibrations_server::Calibrations for Service {
             readings,
             seed,
             observations: given(observations),
-            check_particles,
+            verify_particles,
         };
         Ok(Response::new(self.app.start_calibration(request).await?.into()))
     }

@@ -104,7 +104,7 @@ same_fields! {
         result: c.result.map(Into::into),
     }
     r: app::CalibrationResult => CalibrationResult {
-        evaluations verification_runs mean_error_deg sd_error_deg verified_error_deg reached
+        evaluations verification_runs mean_error_deg sd_error_deg verified_error_deg reached size_shift_deg
     } {
         sets: all(r.sets),
         shortfall: r.shortfall.map(Into::into),
@@ -116,12 +116,10 @@ same_fields! {
         sets: all(o.sets),
     }
     s: app::Simulated => Simulated { mean sd runs } {}
-    l: app::Larger => Larger { particles repose_deg repose_sd_deg runs } {}
     s: app::Shortfall => Shortfall { nearest_repose_deg limiting_parameter } {}
     e: app::EmulatorUse => EmulatorUse { id sha256 runs built } {}
     s: app::CalibrationSet => CalibrationSet { id repose_deg repose_sd_deg runs error_deg verified_error_deg } {
         parameters: Some(s.parameters.into()),
-        larger: s.larger.map(Into::into),
     }
     p: app::Posterior => Posterior { repose_deg effective } {
         draws: p.draws.into_iter().map(|draw| proto::PosteriorDraw { values: draw.to_vec() }).collect(),
