@@ -6,13 +6,12 @@
 //!
 //! `powders.json` is a list of `{"powder", "repose_deg", "sets": [...nine parameters each], "train": true|false}`; all of
 //! them are weighed, those marked `train` are trained on. `settings.json` overrides fields of `train::Settings`, plus
-//! `preset`, `order`, `save`, and `targets_mg`, `repeats`, `max_steps`, `rivals`, `trace` of the evaluation. With a third
-//! argument that policy is weighed instead of a new one. Progress goes to stderr.
+//! `preset`, `order`, `save`, and `targets_mg`, `repeats`, `max_steps`, `rivals` (names), `response` (of the dispenser), `evaluation_seed`, `trace` of the evaluation. With a third
+//! argument that policy is weighed instead of a new one, with `"learn": false` none. Progress goes to stderr.
 
 use flip::domain::bench::INCLINE_CHANGE_DEG_MAX;
 use flip::domain::parameters::ParameterSet;
-use flip::policy::{self, Controller, Rules, ScheduledStep};
-use flip::sim::balance;
+use flip::policy::{self, Controller, Dispenser, Response, Rules, ScheduledStep};
 use flip::train::environment::{Filling, play, simulated};
 use flip::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
 use flip::train::{Event, Level, Order, Preset, Settings, train};
@@ -39,6 +38,15 @@ fn settings(overrides: &Value) -> anyhow::Result<Settings> {
         }
     }
     Ok(serde_json::from_value::<Settings>(value)?.checked()?)
+}
+
+/// The dispenser's prior with the fields that the file names replaced.
+fn response(overrides: &Value) -> anyhow::Result<Response> {
+    let mut value = serde_json::to_value(Response::FITTED)?;
+    for (key, new) in overrides.get("response").and_then(Value::as_object).into_iter().flatten() {
+        value[key] = new.clone();
+    }
+    Ok(serde_json::from_value::<Response>(value)?.checked()?)
 }
 
 /// Train on these levels, telling each episode; the policy's bytes.
@@ -69,10 +77,10 @@ fn weigh(
     trace: bool,
 ) -> Dose {
     let mut spoon = simulated(settings).fill(set, seed);
-    let (mut steps, mut shakes, mut told) = (0, 0, String::new());
-    let played = play(&mut spoon, rules, &balance::Settings::default(), target_mg, seed, |seen| {
-        let action = controller.propose(steps, seen);
-        steps += 1;
+    let (mut shakes, mut told) = (0, String::new());
+    let mut dosing = controller.begin(rules);
+    let played = play(&mut spoon, rules, &settings.balance, target_mg, seed, |seen| {
+        let action = dosing.propose(seen);
         shakes += u32::from(action.executed_shake_mm() > 0.0);
         let pitch_deg = seen.pitch_deg + action.incline_change_deg;
         told += &format!(" {:.0} mg: {pitch_deg:.0} deg {:.1} mm;", seen.reading_mg, action.executed_shake_mm());
@@ -112,21 +120,30 @@ fn main() -> anyhow::Result<()> {
 
     let started = Instant::now();
     let artifact = match rest.first() {
-        Some(path) => std::fs::read(path)?,
-        None => learn(&levels, &settings)?,
+        Some(path) => Some(std::fs::read(path)?),
+        None if overrides.get("learn") == Some(&json!(false)) => None,
+        None => Some(learn(&levels, &settings)?),
     };
     let train_s = started.elapsed().as_secs_f64();
-    if let Some(path) = overrides.get("save").and_then(Value::as_str) {
-        std::fs::write(path, &artifact)?;
+    if let (Some(path), Some(bytes)) = (overrides.get("save").and_then(Value::as_str), &artifact) {
+        std::fs::write(path, bytes)?;
     }
-    let policy = policy::decode(&artifact)?;
+    let policy = artifact.as_ref().map(|bytes| anyhow::Ok((policy::id(bytes), policy::decode(bytes)?))).transpose()?;
+    let pitch = policy.as_ref().map_or(settings.rules.pitch, |(_, policy)| policy.manifest.rules.pitch);
     let number = |key: &str, default: u64| overrides.get(key).and_then(Value::as_u64).unwrap_or(default) as u32;
     let flag = |key: &str| overrides.get(key) == Some(&json!(true));
-    let rules = Rules { steps_max: number("max_steps", 10), pitch: policy.manifest.rules.pitch, ..Rules::FLIP };
-    let mut contenders = vec![Contender { name: policy::id(&artifact), controller: policy.controller }];
-    if flag("rivals") {
-        contenders.push(Contender { name: "untrained".into(), controller: Controller::untrained(1) });
-        contenders.push(Contender { name: "fixed".into(), controller: Controller::Fixed(ScheduledStep::FIXED) });
+    let rules = Rules { steps_max: number("max_steps", 10), pitch, ..Rules::FLIP };
+    let learnt = policy.map(|(name, policy)| Contender { name, controller: policy.controller });
+    let mut contenders: Vec<Contender> = learnt.into_iter().collect();
+    let rivals: Vec<String> = overrides.get("rivals").cloned().map_or(Ok(Vec::new()), serde_json::from_value)?;
+    for name in rivals {
+        let controller = match name.as_str() {
+            "untrained" => Controller::untrained(1),
+            "fixed" => Controller::Fixed(ScheduledStep::FIXED),
+            "dispenser" => Controller::Dispenser(Dispenser::new(response(&overrides)?)),
+            other => anyhow::bail!("there is no rival `{other}`: untrained, fixed, dispenser"),
+        };
+        contenders.push(Contender { name, controller });
     }
     let targets = overrides.get("targets_mg").cloned().unwrap_or(json!([15.0, 20.0]));
     let plan = Plan {
@@ -134,7 +151,7 @@ fn main() -> anyhow::Result<()> {
         subjects: powders.into_iter().map(|p| Subject { powder: p.level.powder, sets: p.level.sets }).collect(),
         targets_mg: serde_json::from_value(targets)?,
         repeats: number("repeats", 5),
-        seed: 777,
+        seed: overrides.get("evaluation_seed").and_then(Value::as_u64).unwrap_or(777),
     };
     let trace = flag("trace");
     let once =

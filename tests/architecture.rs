@@ -8,7 +8,7 @@ const ARROWS: [(&str, &[&str]); 14] = [
     ("domain", &[]),
     ("stats", &[]),
     ("sim", &["domain"]),
-    ("policy", &["domain"]),
+    ("policy", &["domain", "stats"]),
     ("hardware", &["domain"]),
     ("calibrate", &["domain", "stats"]),
     ("train", &["domain", "sim", "policy", "stats"]),

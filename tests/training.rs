@@ -63,7 +63,7 @@ fn mean_error_mg(controller: &Controller, settings: &Settings) -> f64 {
             let set = &level.sets[dose as usize % 2];
             let seed = derive(987_654_321, &[k as u64, dose]);
             let target_mg = 5.0 + (dose % 11) as f64;
-            let mut steps = 0;
+            let mut dosing = controller.begin(&settings.rules);
             let mut spoon = FORMULA.fill(set, seed);
             let played = play(
                 &mut spoon,
@@ -72,8 +72,7 @@ fn mean_error_mg(controller: &Controller, settings: &Settings) -> f64 {
                 target_mg,
                 seed,
                 |seen: &Observation| {
-                    let action = controller.propose(steps, seen);
-                    steps += 1;
+                    let action = dosing.propose(seen);
                     [(action.incline_change_deg / 8.0) as f32, (action.shake_mm / 8.0 - 1.0) as f32]
                 },
             );

@@ -26,7 +26,7 @@ const LIST_MAX: usize = 20;
 pub struct EvaluationRequest {
     /// Policy id; default the newest.
     pub policy: Option<String>,
-    /// Some of `policy`, `untrained`, `fixed`, `schedule`; default all.
+    /// Some of `policy`, `untrained`, `fixed`, `schedule`, `dispenser`; default all.
     pub controllers: Option<Vec<String>>,
     /// Powder ids; default the five published ones.
     pub powders: Option<Vec<String>>,

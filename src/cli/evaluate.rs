@@ -17,7 +17,7 @@ pub(super) struct Arguments {
     /// Policy id [default: the newest].
     #[arg(long, value_name = "ID")]
     policy: Option<String>,
-    /// Some of policy, untrained, fixed, schedule [default: all].
+    /// Some of policy, untrained, fixed, schedule, dispenser [default: all].
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     controllers: Option<Vec<String>>,
     /// Powder ids [default: the five published powders].

@@ -5,7 +5,7 @@ use super::context::{JobContext, JobError};
 use super::spec::EvaluationSpec;
 use crate::domain::job::Progress;
 use crate::domain::parameters::ParameterSet;
-use crate::policy::{self, Controller, Policy, Rules, Schedule, ScheduledStep};
+use crate::policy::{self, Controller, Dispenser, Policy, Response, Rules, Schedule, ScheduledStep};
 use crate::sim::balance;
 use crate::store;
 use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// The controllers that an evaluation can compare.
-pub const CONTROLLERS: [&str; 4] = [POLICY, "untrained", "fixed", "schedule"];
+pub const CONTROLLERS: [&str; 5] = [POLICY, "untrained", "fixed", "schedule", "dispenser"];
 /// The one that the evaluation is about.
 pub const POLICY: &str = "policy";
 
@@ -84,6 +84,7 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
             "untrained" => Controller::untrained(spec.seed),
             "fixed" => Controller::Fixed(ScheduledStep::FIXED),
             "schedule" => Controller::Schedule(spec.schedule.clone()),
+            "dispenser" => Controller::Dispenser(Dispenser::new(Response::FITTED)),
             other => return Err(JobError::Fail(format!("there is no controller `{other}`"))),
         };
         Ok(Contender { name: name.clone(), controller })

@@ -2,6 +2,7 @@
 
 use super::actor::{Actor, OUTPUTS};
 use super::controller::{Controller, ScheduledStep};
+use super::dispenser::Dispenser;
 use super::manifest::{Kind, Manifest};
 use crate::domain::bench::SHAKE_MM_MAX;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -99,6 +100,10 @@ pub fn decode(bytes: &[u8]) -> Result<Policy, ArtifactError> {
             schedule.steps.iter().try_for_each(|step| checked(step).map(|_| ()))?;
             Controller::Schedule(schedule.clone())
         }
+        Kind::Dispenser { response } => {
+            let checked = response.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?;
+            Controller::Dispenser(Dispenser::new(checked))
+        }
     };
     Ok(Policy { manifest, controller })
 }
@@ -152,6 +157,7 @@ fn checked(step: &ScheduledStep) -> Result<ScheduledStep, ArtifactError> {
 mod tests {
     use super::*;
     use crate::policy::controller::Schedule;
+    use crate::policy::dispenser::Response;
     use crate::policy::episode::Rules;
     use proptest::prelude::*;
 
@@ -168,9 +174,15 @@ mod tests {
         Policy { manifest: Manifest::of_untrained(kind, Rules::PAPER, 0), controller: Controller::Schedule(schedule) }
     }
 
+    fn dispensing() -> Policy {
+        let kind = Kind::Dispenser { response: Response::FITTED };
+        let controller = Controller::Dispenser(Dispenser::new(Response::FITTED));
+        Policy { manifest: Manifest::of_untrained(kind, Rules::FLIP, 0), controller }
+    }
+
     #[test]
     fn a_policy_reads_back_exactly_and_its_id_is_its_content() {
-        for policy in [learned(), scheduled()] {
+        for policy in [learned(), scheduled(), dispensing()] {
             let bytes = encode(&policy);
             assert_eq!(decode(&bytes).unwrap(), policy);
             assert_eq!(encode(&policy), bytes);
@@ -187,6 +199,9 @@ mod tests {
         let mut policy = scheduled();
         policy.manifest.kind = Kind::Schedule { schedule: Schedule { steps: vec![] } };
         assert!(matches!(decode(&encode(&policy)), Err(ArtifactError::Manifest(_))));
+        let mut policy = dispensing();
+        policy.manifest.kind = Kind::Dispenser { response: Response { bend: -1.0, ..Response::FITTED } };
+        assert!(decode(&encode(&policy)).unwrap_err().to_string().contains("bend"));
         let mut policy = scheduled();
         policy.manifest.rules.steps_max = 0;
         assert!(decode(&encode(&policy)).unwrap_err().to_string().contains("steps_max"));
@@ -212,7 +227,7 @@ mod tests {
             bytes[at] = value;
             if let Ok(policy) = decode(&bytes) {
                 let seen = crate::policy::Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg: 0.0 };
-                let action = policy.controller.propose(0, &seen);
+                let action = policy.controller.begin(&policy.manifest.rules).propose(&seen);
                 prop_assert!(action.incline_change_deg.abs() <= 8.0 && (0.0..=16.0).contains(&action.shake_mm));
             }
         }

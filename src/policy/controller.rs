@@ -1,6 +1,8 @@
 //! The controllers FLIP can weigh with.
 
 use super::actor::Actor;
+use super::dispenser::Dispenser;
+use super::episode::Rules;
 use super::observation::{Encoding, Observation};
 use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX};
 use rand::SeedableRng;
@@ -16,6 +18,8 @@ pub enum Controller {
     Fixed(ScheduledStep),
     /// A list of pitches and shakes, whatever happens.
     Schedule(Schedule),
+    /// A model of what a shake lets fall, identified while it doses.
+    Dispenser(Dispenser),
 }
 
 /// A pitch to be at and a shake to make there.
@@ -73,13 +77,47 @@ impl Controller {
         Self::Learned(Actor::untrained(Encoding::Missing, &[128, 128], &mut Pcg64Mcg::seed_from_u64(seed)))
     }
 
-    /// The action for the step after `steps` steps. Deterministic.
-    pub fn propose(&self, steps: u32, observation: &Observation) -> Action {
-        match self {
-            Self::Learned(actor) => actor.act(observation),
-            Self::Fixed(step) => step.approach(observation.pitch_deg),
-            Self::Schedule(schedule) => schedule.step(steps).approach(observation.pitch_deg),
+    /// The controller at the beginning of a weighing within this frame.
+    pub fn begin(&self, rules: &Rules) -> Dosing<'_> {
+        Dosing { controller: self, rules: *rules, done: Vec::new(), proposed: None }
+    }
+}
+
+/// A step that was carried out.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Done {
+    /// What was seen before it.
+    pub before: Observation,
+    /// What was proposed; the guard may have cut it.
+    pub action: Action,
+    /// What was seen after it.
+    pub after: Observation,
+}
+
+/// A controller at work: what it knows of the weighing is what it has seen and proposed.
+#[derive(Debug, Clone)]
+pub struct Dosing<'a> {
+    controller: &'a Controller,
+    rules: Rules,
+    done: Vec<Done>,
+    proposed: Option<(Observation, Action)>,
+}
+
+impl Dosing<'_> {
+    /// The action for the next step, after those proposed before. Deterministic.
+    pub fn propose(&mut self, seen: &Observation) -> Action {
+        if let Some((before, action)) = self.proposed {
+            self.done.push(Done { before, action, after: *seen });
         }
+        let steps = self.done.len() as u32;
+        let action = match self.controller {
+            Controller::Learned(actor) => actor.act(seen),
+            Controller::Fixed(step) => step.approach(seen.pitch_deg),
+            Controller::Schedule(schedule) => schedule.step(steps).approach(seen.pitch_deg),
+            Controller::Dispenser(dispenser) => dispenser.propose(&self.done, seen, &self.rules),
+        };
+        self.proposed = Some((*seen, action));
+        action
     }
 }
 
@@ -90,9 +128,10 @@ mod tests {
     /// Pitches and shakes of the first steps of a controller on a spoon that does as told.
     fn carry_out(controller: &Controller, steps: u32) -> Vec<(f64, f64)> {
         let mut pitch_deg = 0.0;
+        let mut dosing = controller.begin(&Rules::FLIP);
         (0..steps)
-            .map(|k| {
-                let action = controller.propose(k, &Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg });
+            .map(|_| {
+                let action = dosing.propose(&Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg });
                 pitch_deg += action.incline_change_deg;
                 (pitch_deg, action.shake_mm)
             })
@@ -116,9 +155,10 @@ mod tests {
     #[test]
     fn untrained_controllers_differ_by_seed_and_stay_in_range() {
         let seen = Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg: 0.0 };
-        let actions: Vec<Action> = (0..3).map(|seed| Controller::untrained(seed).propose(0, &seen)).collect();
+        let actions: Vec<Action> =
+            (0..3).map(|seed| Controller::untrained(seed).begin(&Rules::FLIP).propose(&seen)).collect();
         assert_ne!(actions[0], actions[1]);
-        assert_eq!(actions[2], Controller::untrained(2).propose(0, &seen));
+        assert_eq!(actions[2], Controller::untrained(2).begin(&Rules::FLIP).propose(&seen));
         assert!(actions.iter().all(|a| a.incline_change_deg.abs() <= 8.0 && (0.0..=16.0).contains(&a.shake_mm)));
     }
 }

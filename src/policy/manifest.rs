@@ -1,6 +1,7 @@
 //! Where a policy came from: everything needed to make it again.
 
 use super::controller::{Schedule, ScheduledStep};
+use super::dispenser::Response;
 use super::episode::Rules;
 use super::observation::Encoding;
 use crate::domain::parameters::ParameterSet;
@@ -28,15 +29,21 @@ pub enum Kind {
         /// The list.
         schedule: Schedule,
     },
+    /// A model of what a shake lets fall, identified while it doses.
+    Dispenser {
+        /// What it expects before it has seen anything.
+        response: Response,
+    },
 }
 
 impl Kind {
-    /// The kind's name in JSON: `learned`, `fixed` or `schedule`.
+    /// The kind's name in JSON: `learned`, `fixed`, `schedule` or `dispenser`.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Learned { .. } => "learned",
             Self::Fixed { .. } => "fixed",
             Self::Schedule { .. } => "schedule",
+            Self::Dispenser { .. } => "dispenser",
         }
     }
 }

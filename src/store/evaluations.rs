@@ -9,7 +9,7 @@ use std::collections::HashMap;
 /// Errors of one controller in one cell of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct EvaluationRow {
-    /// `policy`, `untrained`, `fixed` or `schedule`.
+    /// `policy`, `untrained`, `fixed`, `schedule` or `dispenser`.
     pub controller: String,
     /// Powder id.
     pub powder: String,
@@ -34,7 +34,7 @@ pub struct EvaluationRow {
 /// Errors of one controller over all cells of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct EvaluationSummary {
-    /// `policy`, `untrained`, `fixed` or `schedule`.
+    /// `policy`, `untrained`, `fixed`, `schedule` or `dispenser`.
     pub controller: String,
     /// Mean absolute error, mg.
     pub mae_mg: f64,

@@ -166,13 +166,14 @@ fn score<F: Filling>(schedule: &Schedule, levels: &[Level], tuning: &Tuning, spo
 /// The absolute true error at each target when one spoon is poured by this schedule.
 fn errors_mg(schedule: &Schedule, mut spoon: impl Spoon, tuning: &Tuning, seed: u64) -> Vec<f64> {
     let controller = Controller::Schedule(schedule.clone());
+    let mut dosing = controller.begin(&tuning.rules);
     let mut waiting = tuning.targets_mg.clone();
     let mut errors = Vec::new();
     let mut reading_mg = 0.0;
     for steps in 1..=tuning.rules.steps_max {
         let before_mg = spoon.vial_mg();
         let seen = Observation { reading_mg, target_mg: 0.0, pitch_deg: spoon.pitch_deg() };
-        let action: Action = controller.propose(steps - 1, &seen);
+        let action: Action = dosing.propose(&seen);
         spoon.step(action);
         reading_mg = tuning.balance.read(before_mg, spoon.vial_mg(), seed, steps.into()).mass_mg;
         waiting.retain(|&target_mg| {

@@ -110,13 +110,14 @@ fn dose(
     let mut now = bench.read()?;
     record(tick(bench, 0, start_s, Action::default(), now));
     let mut before = now;
+    let mut dosing = controller.begin(rules);
     for steps in 0.. {
         if stop.load(Ordering::SeqCst) {
             return Ok(End::Stopped);
         }
         let seen = Observation { reading_mg: now.mass_mg, target_mg: order.target_mg, pitch_deg: bench.pitch_deg() };
         let situation = Situation { target_mg: order.target_mg, steps, pitch_deg: seen.pitch_deg, before, now };
-        let allowed = guard(&limits, &situation, controller.propose(steps, &seen));
+        let allowed = guard(&limits, &situation, dosing.propose(&seen));
         let action = match allowed {
             Ok(_) if now.stable && rules.after(steps, &seen) == Episode::Terminated => return Ok(End::Course),
             Ok(action) => action,
