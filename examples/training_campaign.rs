@@ -6,18 +6,20 @@
 //!
 //! `powders.json` is a list of `{"powder", "repose_deg", "sets": [...nine parameters each], "train": true|false}`; all of
 //! them are weighed, those marked `train` are trained on. `settings.json` overrides fields of `train::Settings`, plus
-//! `preset`, `order`, `save`, and `targets_mg`, `repeats`, `max_steps`, `rivals` (names), `response` (of the dispenser), `evaluation_seed`, `trace` of the evaluation. With a third
+//! `preset`, `order`, `save`, and `targets_mg`, `repeats`, `max_steps`, `rivals` (names), `response` (of the dispenser), `evaluation_seed`, `trace`, `blind` (angles of repose are not told) of the evaluation. With a third
 //! argument that policy is weighed instead of a new one, with `"learn": false` none. Progress goes to stderr.
 
-use flip::domain::bench::INCLINE_CHANGE_DEG_MAX;
 use flip::domain::parameters::ParameterSet;
-use flip::policy::{self, Controller, Dispenser, Response, Rules, ScheduledStep};
-use flip::train::environment::{Filling, play, simulated};
+use flip::jobs::bench::{Pour, Poured, Pouring, simulated};
+use flip::policy::{self, Controller, Dispenser, Known, Response, Rules, ScheduledStep};
 use flip::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
-use flip::train::{Event, Level, Order, Preset, Settings, train};
+use flip::train::{Event, Level, Preset, Settings, train};
+use flip::weigh::Order;
 use serde::Deserialize;
 use serde_json::{Value, json};
+use std::fmt::Write;
 use std::ops::ControlFlow;
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 #[derive(Deserialize)]
@@ -30,7 +32,7 @@ struct Powder {
 /// Settings of the preset with the fields that the file names replaced.
 fn settings(overrides: &Value) -> anyhow::Result<Settings> {
     let preset: Preset = serde_json::from_value(overrides.get("preset").cloned().unwrap_or(json!("flip")))?;
-    let order: Order = serde_json::from_value(overrides.get("order").cloned().unwrap_or(json!("curriculum")))?;
+    let order: flip::train::Order = serde_json::from_value(overrides.get("order").cloned().unwrap_or(json!("curriculum")))?;
     let mut value = serde_json::to_value(Settings::of(preset, order, 1))?;
     for (key, new) in overrides.as_object().into_iter().flatten() {
         if let Some(old) = value.get_mut(key) {
@@ -66,30 +68,22 @@ fn learn(levels: &[Level], settings: &Settings) -> anyhow::Result<Vec<u8>> {
     Ok(trained.artifact)
 }
 
-/// One dose on a fresh spoon.
-fn weigh(
-    controller: &Controller,
-    set: &ParameterSet,
-    rules: &Rules,
-    settings: &Settings,
-    target_mg: f64,
-    seed: u64,
-    trace: bool,
-) -> Dose {
-    let mut spoon = simulated(settings).fill(set, seed);
-    let (mut shakes, mut told) = (0, String::new());
-    let mut dosing = controller.begin(rules);
-    let played = play(&mut spoon, rules, &settings.balance, target_mg, seed, |seen| {
-        let action = dosing.propose(seen);
-        shakes += u32::from(action.executed_shake_mm() > 0.0);
-        let pitch_deg = seen.pitch_deg + action.incline_change_deg;
-        told += &format!(" {:.0} mg: {pitch_deg:.0} deg {:.1} mm;", seen.reading_mg, action.executed_shake_mm());
-        [(action.incline_change_deg / INCLINE_CHANGE_DEG_MAX) as f32, (action.shake_mm / 8.0 - 1.0) as f32]
-    });
-    if trace {
-        eprintln!("target {target_mg} mg, dispensed {:.2} mg:{told}", played.dispensed_mg);
+/// One dose by the loop that real weighings use.
+fn weigh(pour: &Pour, pouring: &Pouring, trace: bool) -> anyhow::Result<Dose> {
+    let poured = pour(pouring, &mut |_| {}, &AtomicBool::new(false));
+    if let Some(error) = poured.error {
+        anyhow::bail!("a weighing was aborted: {error}");
     }
-    Dose { dispensed_mg: played.dispensed_mg, reading_mg: played.reading_mg, shakes, seconds: 0.0 }
+    if trace {
+        let mut told = String::new();
+        for tick in &poured.ticks {
+            let shake_mm = tick.action.executed_shake_mm();
+            write!(told, " {:.0} deg {shake_mm:.0} mm {:.1} mg;", tick.pitch_deg, tick.reading.mass_mg)?;
+        }
+        eprintln!("target {} mg, dispensed {:.2} mg:{told}", pouring.order.target_mg, poured.dispensed_mg);
+    }
+    let Poured { dispensed_mg, reading_mg, shakes, seconds, .. } = poured;
+    Ok(Dose { dispensed_mg, reading_mg, shakes, seconds })
 }
 
 fn tell(evaluation: &Evaluation) {
@@ -148,14 +142,23 @@ fn main() -> anyhow::Result<()> {
     let targets = overrides.get("targets_mg").cloned().unwrap_or(json!([15.0, 20.0]));
     let plan = Plan {
         contenders,
-        subjects: powders.into_iter().map(|p| Subject { powder: p.level.powder, sets: p.level.sets }).collect(),
+        subjects: powders.into_iter().map(|p| Subject {
+            powder: p.level.powder,
+            repose_deg: (!flag("blind")).then_some(p.level.repose_deg),
+            sets: p.level.sets,
+        }).collect(),
         targets_mg: serde_json::from_value(targets)?,
         repeats: number("repeats", 5),
         seed: overrides.get("evaluation_seed").and_then(Value::as_u64).unwrap_or(777),
     };
     let trace = flag("trace");
-    let once =
-        |c: &Controller, set: &ParameterSet, mg, seed| anyhow::Ok(weigh(c, set, &rules, &settings, mg, seed, trace));
+    let pour = simulated();
+    let once = |controller: &Controller, subject: &Subject, set: &ParameterSet, target_mg, seed| {
+        let known = Known { readability_mg: settings.balance.readability_mg, repose_deg: subject.repose_deg };
+        let order = Order { target_mg, tolerance_lower_mg: 0.0, tolerance_upper_mg: 0.0, known };
+        let (controller, balance) = (controller.clone(), settings.balance);
+        weigh(&pour, &Pouring { order, controller, rules, balance, set: *set, seed }, trace)
+    };
     let evaluation = evaluate(&plan, once)?;
     tell(&evaluation);
     let timing = json!({ "train_s": train_s, "all_s": started.elapsed().as_secs_f64() });

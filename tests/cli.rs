@@ -208,12 +208,12 @@ fn measurements_come_from_a_file_and_go_back_into_one() {
 }
 
 #[test]
-fn a_missing_policy_exits_2_and_names_the_command_that_makes_one() {
+fn a_policy_that_does_not_exist_exits_2_before_anything_is_calibrated() {
     let folder = tempfile::tempdir().unwrap();
     for arguments in [&["weigh", "--powder", "salt", "--target-mg", "15"] as &[&str], &["evaluate"]] {
-        let output = flip(folder.path(), arguments);
+        let output = flip(folder.path(), &[arguments, &["--policy", "p-0"]].concat());
         expect_status(&output, 2);
-        assert!(stderr(&output).contains("flip train"), "{arguments:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains("there is no policy `p-0`"), "{arguments:?}: {}", stderr(&output));
     }
 }
 

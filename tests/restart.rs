@@ -135,7 +135,8 @@ async fn ten_kills_during_a_calibration_and_a_training_lose_nothing_and_repeat_n
     let episodes = service.items(&episodes).await;
     assert!(episodes.len() == 12 && is_whole(&episodes));
 
-    let policies = service.get("/v1/policies").await["items"].as_array().unwrap().clone();
+    let mut policies = service.get("/v1/policies").await["items"].as_array().unwrap().clone();
+    policies.retain(|policy| policy["kind"] == "learned");
     assert_eq!(policies.len(), 1, "one training, one policy");
     let sets = service.get("/v1/parameter-sets").await["items"].as_array().unwrap().clone();
     assert_eq!(sets.len(), found["sets"].as_array().unwrap().len());

@@ -3,7 +3,7 @@
 use flip::domain::bench::PitchLimits;
 use flip::domain::parameters::ParameterSet;
 use flip::domain::seed::derive;
-use flip::policy::{Controller, Episode, Observation, decode};
+use flip::policy::{Controller, Episode, Known, Observation, decode};
 use flip::sim::balance;
 use flip::train::environment::{Filling, play};
 use flip::train::formula::Formula;
@@ -63,7 +63,7 @@ fn mean_error_mg(controller: &Controller, settings: &Settings) -> f64 {
             let set = &level.sets[dose as usize % 2];
             let seed = derive(987_654_321, &[k as u64, dose]);
             let target_mg = 5.0 + (dose % 11) as f64;
-            let mut dosing = controller.begin(&settings.rules);
+            let mut dosing = controller.begin(&settings.rules, &Known::default());
             let mut spoon = FORMULA.fill(set, seed);
             let played = play(
                 &mut spoon,

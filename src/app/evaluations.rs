@@ -24,7 +24,7 @@ const LIST_MAX: usize = 20;
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EvaluationRequest {
-    /// Policy id; default the newest.
+    /// Policy id; default the newest, which is the shipped one as long as nothing was trained.
     pub policy: Option<String>,
     /// Some of `policy`, `untrained`, `fixed`, `schedule`, `dispenser`; default all.
     pub controllers: Option<Vec<String>>,
@@ -71,7 +71,7 @@ impl App {
     /// Queue an evaluation. `false`: the same one was asked for before, and this is its job.
     ///
     /// # Errors
-    /// `Invalid`; `Conflict` (`policy_missing`, `calibration_missing`).
+    /// `Invalid`; `Conflict` (`calibration_missing`).
     pub async fn start_evaluation(&self, request: EvaluationRequest) -> Result<(Job, bool)> {
         checked(&request)?;
         let policy = self.policy_to_evaluate(request.policy.as_deref()).await?;
@@ -82,10 +82,11 @@ impl App {
         };
         let mut subjects = Vec::new();
         for (k, id) in powders.iter().enumerate() {
-            let id = self.powder_of(&format!("powders[{k}]"), id).await?.id;
+            let powder = self.powder_of(&format!("powders[{k}]"), id).await?;
+            let (id, repose_deg) = (powder.id, powder.flowability.map(|measured| measured.repose_deg));
             let sets = self.sets_to_weigh(&id, &policy).await?;
             within_the_spoon(&id, &targets_mg, &sets)?;
-            subjects.push(EvaluationPowder { powder: id, sets: sets.into_iter().map(|set| set.id).collect() });
+            subjects.push(EvaluationPowder { powder: id, repose_deg, sets: sets.into_iter().map(|set| set.id).collect() });
         }
         let spec = EvaluationSpec {
             policy: policy.id,
@@ -109,11 +110,7 @@ impl App {
             });
         }
         let newest = self.store().policies(PageQuery::first(1).window(1)?).await?.items;
-        newest.into_iter().next().ok_or_else(|| {
-            let advice =
-                "there is no policy yet: run `flip train` or POST /v1/trainings, and evaluate when it has succeeded";
-            Error::conflict("policy_missing", advice)
-        })
+        newest.into_iter().next().ok_or_else(|| Error::not_found("policy", "shipped"))
     }
 
     /// The sets that stand for a powder: those of its newest calibration that the policy has not met, if there are any.

@@ -51,6 +51,7 @@ pub use trainings::{Training, TrainingLevel, TrainingRequest};
 pub use weighings::{Target, Tolerance, WeighingDetail, WeighingRequest};
 
 use crate::jobs::Jobs;
+use crate::policy;
 use crate::store::{self, Store};
 use std::path::Path;
 use std::sync::Arc;
@@ -103,6 +104,7 @@ impl App {
     pub async fn open(data_dir: &Path, options: Options) -> std::result::Result<Self, OpenError> {
         let failed = |error| OpenError::of(data_dir, error);
         let store = Store::open(data_dir).await.map_err(failed)?;
+        store_shipped_policy(&store).await.map_err(failed)?;
         let jobs = Jobs::start(store.clone(), options.functions, options.workers).await.map_err(failed)?;
         Ok(Self { inner: Arc::new(Inner { store, jobs: Some(jobs) }) })
     }
@@ -139,6 +141,16 @@ impl App {
     fn jobs_or_refuse(&self) -> Result<&Jobs> {
         self.inner.jobs.as_ref().ok_or_else(|| store::Error::ReadOnly.into())
     }
+}
+
+/// A weighing needs a policy before anything was trained.
+async fn store_shipped_policy(store: &Store) -> store::Result<()> {
+    let shipped = policy::shipped();
+    let manifest = serde_json::to_string(&shipped.policy.manifest);
+    let manifest = manifest.map_err(|error| store::Error::Corrupt(error.to_string()))?;
+    let mut tx = store.write().await?;
+    tx.insert_policy(&shipped.id, shipped.policy.manifest.kind.name(), None, &manifest, &shipped.bytes).await?;
+    tx.commit().await
 }
 
 /// Why a data folder cannot be opened.

@@ -8,6 +8,7 @@ use crate::domain::seed::derive;
 use crate::domain::weighing::WeighRequest;
 use crate::domain::{FieldError, bounded};
 use crate::jobs::bench::{WAITING_MAX, spoon_holds_mg};
+use crate::policy::shipped;
 use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use crate::store::parameter_sets::CalibratedSet;
 use crate::store::policies::Policy;
@@ -33,7 +34,7 @@ pub struct WeighingRequest {
     pub target: Target,
     /// Accepted error.
     pub tolerance: Tolerance,
-    /// Policy id; default the best evaluated one for the powder, the newest if none is evaluated.
+    /// Policy id; default the one with the smallest error in evaluations on the powder, the shipped one if there are none.
     pub policy: Option<String>,
     /// Seed of the simulated bench; default one of its own for each weighing.
     pub seed: Option<u64>,
@@ -78,7 +79,7 @@ impl App {
     ///
     /// # Errors
     /// `Invalid`, `Unprocessable` (the key belongs to another request), `Busy` (64 are waiting), `Conflict`
-    /// (`calibration_missing`, `policy_missing`).
+    /// (`calibration_missing`).
     pub async fn start_weighing(&self, request: WeighingRequest, idempotency_key: &str) -> Result<(Weighing, bool)> {
         check_key(idempotency_key)?;
         let request_sha256 =
@@ -126,13 +127,8 @@ impl App {
 
     async fn policy_for(&self, powder: &str, named: Option<&str>) -> Result<Policy> {
         let id = match named {
-            Some(id) => Some(id.to_owned()),
-            None => self.store().best_policy(powder).await?,
-        };
-        let Some(id) = id else {
-            let advice =
-                "there is no policy yet: run `flip train` or POST /v1/trainings, and weigh when it has succeeded";
-            return Err(Error::conflict("policy_missing", advice));
+            Some(id) => id.to_owned(),
+            None => self.store().best_policy(powder).await?.unwrap_or_else(|| shipped().id.clone()),
         };
         self.store().policy(&id).await?.ok_or_else(|| {
             FieldError::new("policy", format!("there is no policy `{id}`: GET /v1/policies lists them")).into()

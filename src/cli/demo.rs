@@ -45,7 +45,6 @@ pub(super) struct Arguments {
 struct Document {
     rows: Vec<Row>,
     mean_abs_error_mg: f64,
-    policy: String,
     training: Learned,
     seed: u64,
     timing: Timing,
@@ -59,18 +58,25 @@ struct Row {
     /// Mean over the powder's calibrated sets.
     aor_simulated_deg: f64,
     target_mg: f64,
+    /// The one that a weighing takes when none is named.
+    policy: String,
     dispensed_mg: f64,
     error_mg: f64,
     shakes: u32,
     /// Time on the bench.
     seconds: f64,
+    /// Error of the same dose with the policy that was trained here.
+    trained_error_mg: f64,
 }
 
 /// What the training came to.
 #[derive(Debug, Serialize)]
 struct Learned {
+    policy: String,
     episodes: u32,
     final_error_mg: f64,
+    /// Mean over the powders.
+    mean_abs_error_mg: f64,
 }
 
 /// Start the service, run the demonstration as a client of the same application, and serve on until told to stop.
@@ -156,17 +162,26 @@ async fn demonstrate(app: &App, common: &Common, arguments: &Arguments) -> Resul
     let mut rows = Vec::new();
     for (powder, calibration) in PUBLISHED.iter().zip(&calibrations) {
         watch.say(&format!("weigh {TARGET_MG} mg of {}", powder.id));
-        let request = request(powder.id, TARGET_MG, TOLERANCE_MG);
-        let request = WeighingRequest { policy: Some(learned.policy.clone()), seed: Some(common.seed), ..request };
-        // The key is made of what the dose depends on: a second run finds the first one's doses and pours nothing.
-        let key = format!("demo-{}-{}-{}-{TARGET_MG}-mg", common.seed, learned.policy, powder.id);
-        rows.push(row(calibration, weigh(app, &watch, request, &key).await?)?);
+        let dose = async |policy: Option<String>| {
+            // The key is made of what the dose depends on: a second run finds the first one's doses and pours nothing.
+            let name = policy.as_deref().unwrap_or("default");
+            let key = format!("demo-{}-{name}-{}-{TARGET_MG}-mg", common.seed, powder.id);
+            let request = request(powder.id, TARGET_MG, TOLERANCE_MG);
+            weigh(app, &watch, WeighingRequest { policy, seed: Some(common.seed), ..request }, &key).await
+        };
+        let with_trained = dose(Some(learned.policy.clone())).await?;
+        rows.push(row(calibration, dose(None).await?, &with_trained)?);
     }
+    let mean = |errors: &dyn Fn(&Row) -> f64| rows.iter().map(|r| errors(r).abs()).sum::<f64>() / rows.len() as f64;
     Ok(Document {
-        mean_abs_error_mg: rows.iter().map(|row| row.error_mg.abs()).sum::<f64>() / rows.len() as f64,
+        mean_abs_error_mg: mean(&|row| row.error_mg),
+        training: Learned {
+            policy: learned.policy,
+            episodes: learned.episodes,
+            final_error_mg: learned.final_error_mg,
+            mean_abs_error_mg: mean(&|row| row.trained_error_mg),
+        },
         rows,
-        policy: learned.policy,
-        training: Learned { episodes: learned.episodes, final_error_mg: learned.final_error_mg },
         seed: common.seed,
         timing: Timing { wall_s: began.elapsed().as_secs_f64() },
     })
@@ -184,20 +199,22 @@ async fn learn(app: &App, watch: &Watch, common: &Common, arguments: &Arguments)
     Ok(training.result.ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?)
 }
 
-fn row(calibration: &Calibration, weighing: Weighing) -> Result<Row, Failure> {
+fn row(calibration: &Calibration, weighing: Weighing, with_trained: &Weighing) -> Result<Row, Failure> {
     let sets = calibration.result.as_ref().map_or(&[] as &[_], |result| &result.sets);
-    let of_weighing = |what: &str| {
-        let why = weighing.error.as_deref().unwrap_or("it did not end");
-        anyhow::anyhow!("weighing {} has no {what}: {why}", weighing.id)
+    let known = |what: &str, value: Option<f64>, of: &Weighing| {
+        let why = of.error.as_deref().unwrap_or("it did not end");
+        value.ok_or_else(|| anyhow::anyhow!("weighing {} has no {what}: {why}", of.id))
     };
     Ok(Row {
         aor_measured_deg: calibration.target.repose_deg,
         aor_simulated_deg: sets.iter().map(|set| set.repose_deg).sum::<f64>() / sets.len() as f64,
         target_mg: weighing.target_mg,
-        dispensed_mg: weighing.dispensed_mg.ok_or_else(|| of_weighing("dispensed mass"))?,
-        error_mg: weighing.error_mg.ok_or_else(|| of_weighing("error"))?,
+        dispensed_mg: known("dispensed mass", weighing.dispensed_mg, &weighing)?,
+        error_mg: known("error", weighing.error_mg, &weighing)?,
+        trained_error_mg: known("error", with_trained.error_mg, with_trained)?,
         shakes: weighing.shakes.unwrap_or_default(),
         seconds: weighing.seconds.unwrap_or_default(),
+        policy: weighing.policy,
         powder: weighing.powder,
     })
 }
@@ -213,6 +230,7 @@ fn text(document: &Document) -> String {
             format!("{:+.2}", r.error_mg),
             r.shakes.to_string(),
             format!("{:.1}", r.seconds),
+            format!("{:+.2}", r.trained_error_mg),
         ]
     };
     let header = [
@@ -224,6 +242,7 @@ fn text(document: &Document) -> String {
         "error mg",
         "shakes",
         "seconds",
+        "error of the trained policy mg",
     ];
     let rows = table(&header, &document.rows.iter().map(row).collect::<Vec<_>>());
     let worst = document.rows.iter().max_by(|a, b| a.error_mg.abs().total_cmp(&b.error_mg.abs()));
@@ -231,11 +250,12 @@ fn text(document: &Document) -> String {
     let within = document.rows.iter().filter(|row| row.error_mg.abs() <= TOLERANCE_MG).count();
     format!(
         "\n{rows}\n\nmean |error| {:.2} mg{worst}; {within} of {} within {TOLERANCE_MG} mg\n\
-         policy {} after {} episodes, mean error of its last 20 {:.2} mg; {:.0} s in all",
+         policy {} trained in {} episodes: mean |error| {:.2} mg, of its last 20 episodes {:.2} mg; {:.0} s in all",
         document.mean_abs_error_mg,
         document.rows.len(),
-        document.policy,
+        document.training.policy,
         document.training.episodes,
+        document.training.mean_abs_error_mg,
         document.training.final_error_mg,
         document.timing.wall_s
     )

@@ -5,7 +5,7 @@ use super::calibrate::{Target, calibrate};
 use super::failure::Failure;
 use super::session::with_app;
 use super::table::table;
-use super::train::{no_policy, require_policy};
+use super::train::require_policy;
 use super::watch::Watch;
 use crate::app::{App, Error, Evaluation, EvaluationRequest, EvaluationResult, EvaluationRow, EvaluationSummary};
 use crate::domain::powder::PUBLISHED;
@@ -89,7 +89,6 @@ async fn evaluate(app: &App, common: &Common, arguments: &Arguments) -> Result<E
             calibrate(app, &watch, &targets, None, common.seed).await?;
             app.start_evaluation(request).await?
         }
-        Err(Error::Conflict { code: "policy_missing", .. }) => return Err(no_policy()),
         started => started?,
     };
     watch.job(app, &job.id, "evaluate").await?;

@@ -5,7 +5,7 @@ use super::failure::Failure;
 use super::session::with_app;
 use super::table::table;
 use super::watch::Watch;
-use super::{Common, FIRST_PAGE};
+use super::Common;
 use crate::app::{App, Error, Job, Order, Preset, Training, TrainingRequest};
 use crate::domain::FieldError;
 use clap::ValueEnum;
@@ -123,24 +123,16 @@ fn levels(request: &TrainingRequest) -> Vec<Target> {
     }
 }
 
-/// Refuse at once when there is no policy to use: training takes longer than anyone expects of the command at hand.
+/// Refuse a policy that does not exist at once, before a calibration of minutes.
 ///
 /// # Errors
-/// `NotNow` names the command that makes one; an unknown id is bad input.
+/// An unknown id is bad input.
 pub(super) async fn require_policy(app: &App, id: Option<&str>) -> Result<(), Failure> {
-    match id {
-        Some(id) => app.policy(id).await.map(drop).map_err(|error| match error {
-            Error::NotFound { .. } => FieldError::new("policy", format!("there is no policy `{id}`")).into(),
-            error => Failure::from(error),
-        }),
-        None if app.policies(FIRST_PAGE).await?.items.is_empty() => Err(no_policy()),
-        None => Ok(()),
-    }
-}
-
-/// The missing prerequisite of a weighing and an evaluation, and the command that makes it.
-pub(super) fn no_policy() -> Failure {
-    Failure::NotNow("there is no policy yet: make one with `flip train --order curriculum`".into())
+    let Some(id) = id else { return Ok(()) };
+    app.policy(id).await.map(drop).map_err(|error| match error {
+        Error::NotFound { .. } => FieldError::new("policy", format!("there is no policy `{id}`")).into(),
+        error => Failure::from(error),
+    })
 }
 
 fn text(document: &Document) -> String {

@@ -4,7 +4,7 @@ use super::Common;
 use super::calibrate::{Target as CalibrationTarget, calibrate};
 use super::failure::Failure;
 use super::session::with_app;
-use super::train::{no_policy, require_policy};
+use super::train::require_policy;
 use super::watch::Watch;
 use crate::app::{App, Error, Target, Tolerance, Weighing, WeighingRequest};
 use crate::domain::weighing::{Outcome, WeighingState};
@@ -98,7 +98,6 @@ pub(super) async fn weigh(app: &App, watch: &Watch, request: WeighingRequest, ke
             calibrate(app, watch, &[target], None, request.seed.unwrap_or(1)).await?;
             app.start_weighing(request, key).await.map_err(in_flags)?
         }
-        Err(Error::Conflict { code: "policy_missing", .. }) => return Err(no_policy()),
         started => started.map_err(in_flags)?,
     };
     loop {

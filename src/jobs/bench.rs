@@ -15,7 +15,7 @@ use crate::domain::bench::Tick;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::weighing::{Outcome, WeighingState};
 use crate::hardware::simulated::SimulatedBench;
-use crate::policy::{self, Controller, Rules};
+use crate::policy::{self, Controller, Known, Rules};
 use crate::sim::{balance, dispense};
 use crate::store::weighings::{Ending, Weighing};
 use crate::store::{self, Store, now};
@@ -275,16 +275,22 @@ impl LaneThread {
             let policy = self.store.policy_bytes(&weighing.policy).await?.ok_or_else(|| missing("policy"))?;
             let set =
                 self.store.parameter_set(&weighing.parameter_set).await?.ok_or_else(|| missing("parameter set"))?;
+            let powder = self.store.powder(&weighing.powder).await?.ok_or_else(|| missing("powder"))?;
+            let balance = balance::Settings::default();
             let policy = policy::decode(&policy).map_err(|error| store::Error::Corrupt(error.to_string()))?;
             Ok(Pouring {
                 order: Order {
                     target_mg: weighing.target_mg,
                     tolerance_lower_mg: weighing.tolerance_lower_mg,
                     tolerance_upper_mg: weighing.tolerance_upper_mg,
+                    known: Known {
+                        readability_mg: balance.readability_mg,
+                        repose_deg: powder.flowability.map(|measured| measured.repose_deg),
+                    },
                 },
                 controller: policy.controller,
                 rules: policy.manifest.rules,
-                balance: balance::Settings::default(),
+                balance,
                 set: set.parameters,
                 seed: weighing.seed,
             })

@@ -5,7 +5,7 @@ use super::context::{JobContext, JobError};
 use super::spec::EvaluationSpec;
 use crate::domain::job::Progress;
 use crate::domain::parameters::ParameterSet;
-use crate::policy::{self, Controller, Dispenser, Policy, Response, Rules, Schedule, ScheduledStep};
+use crate::policy::{self, Controller, Known, Policy, Rules, Schedule, ScheduledStep};
 use crate::sim::balance;
 use crate::store;
 use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
@@ -16,9 +16,11 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// The controllers that an evaluation can compare.
-pub const CONTROLLERS: [&str; 5] = [POLICY, "untrained", "fixed", "schedule", "dispenser"];
+pub const CONTROLLERS: [&str; 5] = [POLICY, "untrained", "fixed", "schedule", DISPENSER];
 /// The one that the evaluation is about.
 pub const POLICY: &str = "policy";
+/// The shipped policy.
+const DISPENSER: &str = "dispenser";
 
 /// What an evaluation found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -34,10 +36,15 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
     let plan = plan(context, spec, &policy)?;
     let rules = Rules { steps_max: spec.max_shakes, ..policy.manifest.rules };
     let doses = Doses::resume(context, &plan)?;
-    let weigh_once = |controller: &Controller, set: &ParameterSet, target_mg: f64, seed: u64| {
+    let weigh_once = |controller: &Controller, subject: &Subject, set: &ParameterSet, target_mg: f64, seed: u64| {
         doses.known_or(controller, set, target_mg, seed, || {
             let pouring = Pouring {
-                order: Order { target_mg, tolerance_lower_mg: 0.0, tolerance_upper_mg: 0.0 },
+                order: Order {
+                    target_mg,
+                    tolerance_lower_mg: 0.0,
+                    tolerance_upper_mg: 0.0,
+                    known: Known { readability_mg: spec.readability_mg, repose_deg: subject.repose_deg },
+                },
                 controller: controller.clone(),
                 rules,
                 balance: balance::Settings { readability_mg: spec.readability_mg, ..balance::Settings::default() },
@@ -63,7 +70,11 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
     };
     context.succeed(&result, async |tx| {
         for (position, row) in (0..).zip(&result.rows) {
-            let about = (row.controller == POLICY).then_some(spec.policy.as_str());
+            let about = match row.controller.as_str() {
+                POLICY => Some(spec.policy.as_str()),
+                DISPENSER => Some(policy::shipped().id.as_str()),
+                _ => None,
+            };
             tx.insert_evaluation_row(context.id(), position, about, row).await?;
         }
         Ok(())
@@ -84,7 +95,7 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
             "untrained" => Controller::untrained(spec.seed),
             "fixed" => Controller::Fixed(ScheduledStep::FIXED),
             "schedule" => Controller::Schedule(spec.schedule.clone()),
-            "dispenser" => Controller::Dispenser(Dispenser::new(Response::FITTED)),
+            DISPENSER => policy::shipped().policy.controller.clone(),
             other => return Err(JobError::Fail(format!("there is no controller `{other}`"))),
         };
         Ok(Contender { name: name.clone(), controller })
@@ -96,7 +107,7 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
             let set = context.read(context.store.parameter_set(id))?;
             sets.push(set.ok_or_else(|| JobError::Fail(format!("there is no parameter set `{id}`")))?.parameters);
         }
-        subjects.push(Subject { powder: powder.powder.clone(), sets });
+        subjects.push(Subject { powder: powder.powder.clone(), repose_deg: powder.repose_deg, sets });
     }
     Ok(Plan {
         contenders: spec.controllers.iter().map(contender).collect::<Result<_, _>>()?,

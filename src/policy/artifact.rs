@@ -156,8 +156,9 @@ fn checked(step: &ScheduledStep) -> Result<ScheduledStep, ArtifactError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::policy::Known;
     use crate::policy::controller::Schedule;
-    use crate::policy::dispenser::Response;
+    use crate::policy::Response;
     use crate::policy::episode::Rules;
     use proptest::prelude::*;
 
@@ -227,7 +228,7 @@ mod tests {
             bytes[at] = value;
             if let Ok(policy) = decode(&bytes) {
                 let seen = crate::policy::Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg: 0.0 };
-                let action = policy.controller.begin(&policy.manifest.rules).propose(&seen);
+                let action = policy.controller.begin(&policy.manifest.rules, &Known::default()).propose(&seen);
                 prop_assert!(action.incline_change_deg.abs() <= 8.0 && (0.0..=16.0).contains(&action.shake_mm));
             }
         }

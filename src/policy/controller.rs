@@ -2,7 +2,7 @@
 
 use super::actor::Actor;
 use super::dispenser::Dispenser;
-use super::episode::Rules;
+use super::episode::{Ending, Known, Rules};
 use super::observation::{Encoding, Observation};
 use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX};
 use rand::SeedableRng;
@@ -77,9 +77,10 @@ impl Controller {
         Self::Learned(Actor::untrained(Encoding::Missing, &[128, 128], &mut Pcg64Mcg::seed_from_u64(seed)))
     }
 
-    /// The controller at the beginning of a weighing within this frame.
-    pub fn begin(&self, rules: &Rules) -> Dosing<'_> {
-        Dosing { controller: self, rules: *rules, done: Vec::new(), proposed: None }
+    /// The controller at the beginning of a weighing within this frame. A dispenser ends it by its own decision.
+    pub fn begin(&self, rules: &Rules, known: &Known) -> Dosing<'_> {
+        let ending = if matches!(self, Self::Dispenser(_)) { Ending::Decided } else { rules.ending };
+        Dosing { controller: self, rules: Rules { ending, ..*rules }, known: *known, done: Vec::new(), proposed: None }
     }
 }
 
@@ -99,11 +100,17 @@ pub struct Done {
 pub struct Dosing<'a> {
     controller: &'a Controller,
     rules: Rules,
+    known: Known,
     done: Vec<Done>,
     proposed: Option<(Observation, Action)>,
 }
 
 impl Dosing<'_> {
+    /// The frame of the weighing.
+    pub fn rules(&self) -> &Rules {
+        &self.rules
+    }
+
     /// The action for the next step, after those proposed before. Deterministic.
     pub fn propose(&mut self, seen: &Observation) -> Action {
         if let Some((before, action)) = self.proposed {
@@ -114,7 +121,7 @@ impl Dosing<'_> {
             Controller::Learned(actor) => actor.act(seen),
             Controller::Fixed(step) => step.approach(seen.pitch_deg),
             Controller::Schedule(schedule) => schedule.step(steps).approach(seen.pitch_deg),
-            Controller::Dispenser(dispenser) => dispenser.propose(&self.done, seen, &self.rules),
+            Controller::Dispenser(dispenser) => dispenser.propose(&self.done, seen, &self.rules, &self.known),
         };
         self.proposed = Some((*seen, action));
         action
@@ -128,7 +135,7 @@ mod tests {
     /// Pitches and shakes of the first steps of a controller on a spoon that does as told.
     fn carry_out(controller: &Controller, steps: u32) -> Vec<(f64, f64)> {
         let mut pitch_deg = 0.0;
-        let mut dosing = controller.begin(&Rules::FLIP);
+        let mut dosing = controller.begin(&Rules::FLIP, &Known::default());
         (0..steps)
             .map(|_| {
                 let action = dosing.propose(&Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg });
@@ -156,9 +163,9 @@ mod tests {
     fn untrained_controllers_differ_by_seed_and_stay_in_range() {
         let seen = Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg: 0.0 };
         let actions: Vec<Action> =
-            (0..3).map(|seed| Controller::untrained(seed).begin(&Rules::FLIP).propose(&seen)).collect();
+            (0..3).map(|seed| Controller::untrained(seed).begin(&Rules::FLIP, &Known::default()).propose(&seen)).collect();
         assert_ne!(actions[0], actions[1]);
-        assert_eq!(actions[2], Controller::untrained(2).begin(&Rules::FLIP).propose(&seen));
+        assert_eq!(actions[2], Controller::untrained(2).begin(&Rules::FLIP, &Known::default()).propose(&seen));
         assert!(actions.iter().all(|a| a.incline_change_deg.abs() <= 8.0 && (0.0..=16.0).contains(&a.shake_mm)));
     }
 }

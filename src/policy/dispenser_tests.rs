@@ -1,5 +1,5 @@
 use super::*;
-use crate::policy::{Controller, Episode};
+use crate::policy::{Controller, Episode, Known};
 
 const FITTED: Response = Response::FITTED;
 
@@ -11,9 +11,10 @@ struct Dosed {
 }
 
 /// Dose from a spoon that obeys the model, and a balance that shows whole milligrams.
-fn dose(controller: &Controller, spoon: &Guess, target_mg: f64, steps_max: u32, seed: usize) -> Dosed {
+fn dose(controller: &Controller, spoon: &Spoonful, target_mg: f64, steps_max: u32, seed: usize) -> Dosed {
     let rules = Rules { steps_max, ..Rules::FLIP };
-    let mut dosing = controller.begin(&rules);
+    let mut dosing = controller.begin(&rules, &Known::default());
+    let rules = *dosing.rules();
     let (mut pitch_deg, mut poured_mg) = (0.0, 0.0f64);
     let (mut pitches_deg, mut masses_mg) = (Vec::new(), Vec::new());
     for steps in 0.. {
@@ -22,10 +23,13 @@ fn dose(controller: &Controller, spoon: &Guess, target_mg: f64, steps_max: u32, 
             break;
         }
         let action = dosing.propose(&seen);
+        if rules.is_decided(&action) {
+            break;
+        }
         pitch_deg += action.incline_change_deg;
         assert!((rules.pitch.lower_deg..=rules.pitch.upper_deg).contains(&pitch_deg));
         let mean = spoon.mean_mg(&FITTED, pitch_deg, action.executed_shake_mm(), poured_mg);
-        let z = quantile(radical_inverse(7919 * (seed + 1) + steps as usize, 2));
+        let z = student4(radical_inverse(7919 * (seed + 1) + steps as usize, 2));
         let mass = if mean > 0.0 { FITTED.draw(mean, z) } else { 0.0 };
         poured_mg += mass;
         pitches_deg.push(pitch_deg);
@@ -39,8 +43,8 @@ fn dispenser() -> Controller {
 }
 
 /// A spoon that lets go of most at 15 deg, and one that keeps everything below 25.
-const EASY: Guess = Guess { onset_deg: -10.0, slope_mg_deg: 0.7, stroke_mm: 100.0 };
-const HARD: Guess = Guess { onset_deg: 25.0, slope_mg_deg: 1.5, stroke_mm: 150.0 };
+const EASY: Spoonful = Spoonful { onset_deg: -10.0, slope_mg_deg: 0.7, stroke_mm: 100.0 };
+const HARD: Spoonful = Spoonful { onset_deg: 25.0, slope_mg_deg: 1.5, stroke_mm: 150.0 };
 
 #[test]
 fn what_is_let_go_of_is_the_formula() {
@@ -54,27 +58,24 @@ fn what_is_let_go_of_is_the_formula() {
     assert!(HARD.loose_mg(&FITTED, 5.0, 16.0) < 1e-9 && HARD.loose_mg(&FITTED, 60.0, 16.0) == FITTED.held_mg);
     // The pitch for a mean is the inverse.
     for (guess, mean, poured) in [(EASY, 2.0, 3.0), (HARD, 0.4, 9.0)] {
-        let pitch = guess.pitch_for(&FITTED, mean, poured);
+        let pitch = guess.pitch_for(&FITTED, USUAL_MM, mean, poured);
         assert!((guess.mean_mg(&FITTED, pitch, USUAL_MM, poured) - mean).abs() < 1e-6);
     }
 }
 
 #[test]
 fn guesses_have_the_moments_and_correlations_they_are_drawn_from() {
-    let dispenser = Dispenser::new(FITTED);
+    let guesses = Dispenser::new(FITTED).prior(Some(FITTED.repose_deg[0]));
     let columns = [
-        dispenser
-            .guesses
+        guesses
             .iter()
             .map(|g| (g.onset_deg - FITTED.onset_deg[0]) / FITTED.onset_deg[1])
             .collect::<Vec<f64>>(),
-        dispenser
-            .guesses
+        guesses
             .iter()
             .map(|g| (g.slope_mg_deg.ln() - FITTED.ln_slope_mg_deg[0]) / FITTED.ln_slope_mg_deg[1])
             .collect(),
-        dispenser
-            .guesses
+        guesses
             .iter()
             .map(|g| (g.stroke_mm.ln() - FITTED.ln_stroke_mm[0]) / FITTED.ln_stroke_mm[1])
             .collect(),
@@ -94,6 +95,8 @@ fn guesses_have_the_moments_and_correlations_they_are_drawn_from() {
 #[test]
 fn what_the_balance_shows_tells_one_spoon_from_another() {
     let dispenser = Dispenser::new(FITTED);
+    let guesses = dispenser.prior(None);
+    let weights = |done: &[Done]| dispenser.weights(&guesses, done, 1.0);
     let seen = |reading_mg, pitch_deg| Observation { reading_mg, target_mg: 15.0, pitch_deg };
     let shaken = |before_mg, after_mg| Done {
         before: seen(before_mg, 0.0),
@@ -101,9 +104,8 @@ fn what_the_balance_shows_tells_one_spoon_from_another() {
         after: seen(after_mg, 8.0),
     };
     let expected = |done: &[Done]| {
-        let weights = dispenser.weights(done);
-        let next = dispenser
-            .guesses
+        let weights = weights(done);
+        let next = guesses
             .iter()
             .map(|g| g.mean_mg(&FITTED, 16.0, 8.0, done.last().map_or(0.0, |d| d.after.reading_mg)));
         weights.iter().zip(next).map(|(w, m)| w * m).sum::<f64>() / weights.iter().sum::<f64>()
@@ -112,9 +114,9 @@ fn what_the_balance_shows_tells_one_spoon_from_another() {
     assert!(nothing < little && little < much, "{nothing} {little} {much}");
     // Without a shake nothing was learnt.
     let still = Done { action: Action { incline_change_deg: 8.0, shake_mm: 0.0 }, ..shaken(0.0, 0.0) };
-    assert!(dispenser.weights(&[still]).iter().all(|w| *w == 1.0));
+    assert!(weights(&[still]).iter().all(|w| *w == 1.0));
     // However unlikely, a reading leaves weights that are numbers.
-    assert!(dispenser.weights(&[shaken(0.0, 1e6), shaken(1e6, 0.0)]).iter().all(|w| w.is_finite()));
+    assert!(weights(&[shaken(0.0, 1e6), shaken(1e6, 0.0)]).iter().all(|w| w.is_finite()));
 }
 
 #[test]
@@ -124,7 +126,7 @@ fn aims_shrink_with_the_steps_left_and_meet_a_brute_force_search() {
     assert!((1..9).all(|left| aims.of(left, 10.0) >= aims.of(left + 1, 10.0) - 1e-9), "more steps, smaller bites");
     // The last step by brute force: the mean with the least expected loss over many draws.
     let loss = |mean: f64| {
-        let draw = |k: usize| FITTED.draw(mean, quantile((k as f64 + 0.5) / 4000.0));
+        let draw = |k: usize| FITTED.draw(mean, student4((k as f64 + 0.5) / 4000.0));
         (0..4000).map(|k| FITTED.loss(10.0 - draw(k))).sum::<f64>() / 4000.0
     };
     let best = (1..=400).map(|k| k as f64 * 0.05).min_by(|a, b| loss(*a).total_cmp(&loss(*b))).unwrap();
@@ -159,4 +161,20 @@ fn it_climbs_to_where_a_hard_spoon_lets_go_and_takes_its_time_when_it_has_more()
         |steps_max| (0..8).map(|seed| dose(&dispenser, &EASY, 15.0, steps_max, seed).error_mg.abs()).sum::<f64>() / 8.0;
     let (hurried, patient) = (mean(4), mean(20));
     assert!(patient < hurried, "{patient} with 20 steps, {hurried} with 4");
+}
+
+#[test]
+fn the_guesses_that_are_played_are_spread_like_all_of_them() {
+    let guesses = Dispenser::new(FITTED).prior(Some(36.0));
+    let played = resampled(&guesses, &vec![1.0; GUESSES]);
+    let quarters = |values: &[Spoonful]| {
+        let mut counts = [0; 4];
+        let z = values.iter().map(|g| (g.onset_deg - FITTED.onset_deg[0]) / FITTED.onset_deg[1]);
+        z.for_each(|z| counts[usize::from(z > -0.674) + usize::from(z > 0.0) + usize::from(z > 0.674)] += 1);
+        counts
+    };
+    for (all, some) in quarters(&guesses).into_iter().zip(quarters(&played)) {
+        // Even sequences miss their share by a few numbers at most.
+        assert!((88..=104).contains(&all) && (20..=28).contains(&some), "{all} {some}");
+    }
 }

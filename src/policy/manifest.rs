@@ -1,7 +1,7 @@
 //! Where a policy came from: everything needed to make it again.
 
 use super::controller::{Schedule, ScheduledStep};
-use super::dispenser::Response;
+use super::response::Response;
 use super::episode::Rules;
 use super::observation::Encoding;
 use crate::domain::parameters::ParameterSet;

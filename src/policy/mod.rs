@@ -4,17 +4,22 @@
 //! Nothing here needs libtorch; `train` makes the weights, [`Actor`] runs them.
 
 mod actor;
+mod aims;
 mod artifact;
 mod controller;
 mod dispenser;
 mod episode;
 mod manifest;
 mod observation;
+mod response;
+mod shipped;
 
 pub use actor::{Actor, Head, LOG_STD_MAX, LOG_STD_MIN, Malformed, OUTPUTS, normal};
 pub use artifact::{ArtifactError, Policy, decode, encode, id};
 pub use controller::{Controller, Done, Dosing, Schedule, ScheduledStep};
-pub use dispenser::{Dispenser, Response};
-pub use episode::{Ending, Episode, ON_TARGET_MG, Rules, is_on_target};
+pub use dispenser::Dispenser;
+pub use episode::{Ending, Episode, Known, ON_TARGET_MG, Rules, is_on_target};
 pub use manifest::{Kind, LevelManifest, Manifest, SetManifest, Switch, SwitchReason};
 pub use observation::{Encoding, Observation};
+pub use response::{Response, Spoonful};
+pub use shipped::{Shipped, shipped};

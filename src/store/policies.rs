@@ -77,13 +77,10 @@ impl Store {
         }
     }
 
-    /// The policy to weigh a powder with when the caller names none: the one with the smallest evaluated error on the
-    /// powder, else the newest.
+    /// The policy with the smallest evaluated error on the powder; none when none was evaluated.
     pub(crate) async fn best_policy(&self, powder: &str) -> Result<Option<String>> {
-        let sql = "SELECT p.id FROM policy p LEFT JOIN (
-                       SELECT policy, sum(mae_mg * n) / sum(n) AS mae_mg FROM evaluation_row
-                       WHERE powder = ?1 AND policy IS NOT NULL GROUP BY policy) e ON e.policy = p.id
-                   ORDER BY e.mae_mg IS NULL, e.mae_mg, p.seq DESC LIMIT 1";
+        let sql = "SELECT policy FROM evaluation_row WHERE powder = ?1 AND policy IS NOT NULL
+                   GROUP BY policy ORDER BY sum(mae_mg * n) / sum(n), policy LIMIT 1";
         Ok(sqlx::query_scalar(sql).bind(powder).fetch_optional(&self.reader).await?)
     }
 

@@ -5,7 +5,7 @@ use super::spoons::Spoons;
 use super::training::Level;
 use crate::domain::bench::{Action, SHAKE_MM_MAX};
 use crate::domain::seed::derive;
-use crate::policy::{Controller, Episode, Observation, Rules, Schedule, ScheduledStep};
+use crate::policy::{Controller, Episode, Known, Observation, Rules, Schedule, ScheduledStep};
 use crate::sim::balance;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -166,7 +166,7 @@ fn score<F: Filling>(schedule: &Schedule, levels: &[Level], tuning: &Tuning, spo
 /// The absolute true error at each target when one spoon is poured by this schedule.
 fn errors_mg(schedule: &Schedule, mut spoon: impl Spoon, tuning: &Tuning, seed: u64) -> Vec<f64> {
     let controller = Controller::Schedule(schedule.clone());
-    let mut dosing = controller.begin(&tuning.rules);
+    let mut dosing = controller.begin(&tuning.rules, &Known::default());
     let mut waiting = tuning.targets_mg.clone();
     let mut errors = Vec::new();
     let mut reading_mg = 0.0;

@@ -1,7 +1,8 @@
 //! One application for each test, and the formulas it computes with.
 
 use flip::app::{
-    App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Topic, TrainingRequest,
+    App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Target, Tolerance, Topic, TrainingRequest,
+    WeighingRequest,
 };
 use flip::domain::bench::{Action, Reading, Tick};
 use flip::domain::observable::Observable;
@@ -135,5 +136,16 @@ pub async fn until<F: Future<Output = bool>>(what: &str, mut test: impl FnMut() 
     while !test().await {
         assert!(tokio::time::Instant::now() < deadline, "{what}: not in time");
         tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+}
+
+/// A request for so much of a powder, a milligram either way.
+pub fn mg(powder: &str, value: f64) -> WeighingRequest {
+    WeighingRequest {
+        powder: powder.into(),
+        target: Target { value, unit: "mg".into() },
+        tolerance: Tolerance { lower: 1.0, upper: 1.0, unit: "mg".into() },
+        policy: None,
+        seed: None,
     }
 }

@@ -1,6 +1,6 @@
 //! Trainings and evaluations: from calibrated sets to a policy and its errors.
 
-use crate::harness::{calibrated, ended, functions, open, open_in, trained, training_of, until};
+use crate::harness::{calibrated, ended, functions, mg, open, open_in, trained, training_of, until};
 use flip::app::{App, Episode, Error, EvaluationRequest, Functions, JobState, PageQuery, SERIES_LIMIT_MAX};
 use flip::app::{Preset, TrainingRequest};
 use flip::policy;
@@ -76,6 +76,8 @@ async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
     let (_folder, app) = open(functions()).await;
     let policy = trained(&app, "sand").await;
     calibrated(&app, "salt").await;
+    let weighing = app.start_weighing(mg("sand", 15.0), "before-the-evaluation").await.unwrap().0;
+    assert_eq!(weighing.policy, flip::policy::shipped().id, "a training alone is no evidence");
     let request = EvaluationRequest {
         powders: Some(vec!["sand".into(), "salt".into()]),
         controllers: Some(vec!["policy".into(), "fixed".into()]),
@@ -92,6 +94,8 @@ async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
     let evaluated = app.policy(&policy).await.unwrap().evaluated;
     let powders: Vec<(&str, u32)> = evaluated.iter().map(|e| (e.powder.as_str(), e.n)).collect();
     assert_eq!(powders, [("salt", 4), ("sand", 4)]);
+    let weighing = app.start_weighing(mg("sand", 15.0), "after-the-evaluation").await.unwrap().0;
+    assert_eq!(weighing.policy, policy, "the only one whose error is known");
     app.shutdown().await.unwrap();
 }
 
@@ -110,7 +114,7 @@ async fn missing_prerequisites_are_conflicts_that_name_the_command() {
     assert!(code == "calibration_missing" && message.contains("28 deg"), "{message}");
     let evaluate = app.start_evaluation(EvaluationRequest::default()).await;
     let (code, message) = conflict(evaluate.map(|(_, created)| ((), created)));
-    assert!(code == "policy_missing" && message.contains("flip train"), "{message}");
+    assert!(code == "calibration_missing" && message.contains("flip calibrate --powder sand"), "{message}");
     app.shutdown().await.unwrap();
 }
 

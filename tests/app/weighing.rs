@@ -1,22 +1,12 @@
 //! Weighings: committed before they move, never poured twice, stopped, interrupted.
 
-use crate::harness::{calibrated, functions, open, open_in, pour, trained, until};
+use crate::harness::{calibrated, functions, mg, open, open_in, pour, trained, until};
 use flip::app::{App, Error, Functions, PageQuery, Target, Tolerance, Topic, Weighing, WeighingRequest};
 use flip::domain::weighing::{Outcome, WeighingState};
 use futures::StreamExt;
 use futures::future::join_all;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
-
-fn mg(powder: &str, value: f64) -> WeighingRequest {
-    WeighingRequest {
-        powder: powder.into(),
-        target: Target { value, unit: "mg".into() },
-        tolerance: Tolerance { lower: 1.0, upper: 1.0, unit: "mg".into() },
-        policy: None,
-        seed: None,
-    }
-}
 
 async fn done(app: &App, id: &str) -> Weighing {
     let mut events = app.events(Topic::Weighing(id.into()), 0).await.unwrap();
@@ -60,9 +50,10 @@ impl Gate {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_weighing_ends_with_its_outcome_and_its_trace() {
     let (_folder, app) = open(functions()).await;
-    let policy = trained(&app, "sand").await;
+    // Nothing was trained: the shipped policy weighs.
+    calibrated(&app, "sand").await;
     let (weighing, replayed) = app.start_weighing(mg("sand", 15.0), "key-1").await.unwrap();
-    assert!(!replayed && weighing.policy == policy);
+    assert!(!replayed && weighing.policy == flip::policy::shipped().id);
     let weighing = done(&app, &weighing.id).await;
     assert_eq!((weighing.state, weighing.outcome), (WeighingState::Done, Some(Outcome::Within)));
     assert_eq!((weighing.dispensed_mg, weighing.error_mg, weighing.shakes), (Some(15.25), Some(0.25), Some(2)));
@@ -215,8 +206,6 @@ async fn requests_that_cannot_be_met_are_refused_and_store_nothing() {
     let refused = async |request: WeighingRequest, key: &str| code(app.start_weighing(request, key).await.unwrap_err());
     assert_eq!(refused(mg("sand", 15.0), "k").await, "calibration_missing");
     calibrated(&app, "sand").await;
-    assert_eq!(refused(mg("sand", 15.0), "k").await, "policy_missing");
-    trained(&app, "sand").await;
     assert_eq!(refused(mg("sand", 15.0), "").await, "Idempotency-Key");
     assert_eq!(refused(mg("sand", 15.0), &"k".repeat(256)).await, "Idempotency-Key");
     assert_eq!(refused(mg("flour", 15.0), "k").await, "powder");

@@ -1,0 +1,164 @@
+//! What a shaken spoon lets fall, as a model of a few numbers: the prior of a dispenser, and a spoon to practise on.
+
+use crate::domain::{FieldError, bounded};
+use serde::{Deserialize, Serialize};
+
+/// What simulated spoons do, over powders and spoonfuls: the prior of a dispenser, and what it holds to be a loss.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Response {
+    /// Angle of repose of the powders, degrees: mean and standard deviation. What is assumed of a powder whose angle is not known.
+    pub repose_deg: [f64; 2],
+    /// Pitch at which a spoon begins to let go, degrees: mean at the mean angle of repose, and standard deviation at any.
+    pub onset_deg: [f64; 2],
+    /// ln of the mass let go by each further degree, mg: likewise.
+    pub ln_slope_mg_deg: [f64; 2],
+    /// ln of the amplitude that takes most of what is loose, mm: likewise.
+    pub ln_stroke_mm: [f64; 2],
+    /// By how much onset, ln slope and ln stroke grow with each degree of the angle of repose.
+    pub by_repose: [f64; 3],
+    /// Correlations of onset and slope, of onset and stroke, of slope and stroke: a spoon that begins late lets go of more by each degree.
+    pub correlations: [f64; 3],
+    /// Exponent of the amplitude over the stroke.
+    pub bend: f64,
+    /// Degrees that a shake of e mm is worth more than one of 1 mm.
+    pub reach_deg: f64,
+    /// Degrees over which the beginning is spread.
+    pub width_deg: f64,
+    /// Scatter of the root of a small mass, mg^(1/2).
+    pub floor: f64,
+    /// Scatter of the root of a mass in shares of the root of its mean; twice this is the coefficient of variation.
+    pub scatter: f64,
+    /// Factor on the scatter: the spoon is not the model.
+    pub caution: f64,
+    /// Mass that a spoon holds, mg: nothing lets go of more.
+    pub held_mg: f64,
+    /// How much worse than too little too much is.
+    pub overdose_factor: f64,
+}
+
+/// What one filled spoon does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spoonful {
+    /// Pitch at which it begins to let go, degrees.
+    pub onset_deg: f64,
+    /// Mass let go by each further degree, mg.
+    pub slope_mg_deg: f64,
+    /// Amplitude that takes most of what is loose, mm.
+    pub stroke_mm: f64,
+}
+
+impl Response {
+    /// What `benches/dispenser/fit.py` found for 250 courses of fifty calibrated sets (`examples/shake_response.rs`).
+    pub const FITTED: Self = Self {
+        repose_deg: [36.0, 6.0],
+        onset_deg: [-3.42, 32.0],
+        ln_slope_mg_deg: [-0.39, 0.64],
+        ln_stroke_mm: [4.53, 0.98],
+        by_repose: [4.0, 0.04, 0.0],
+        correlations: [0.77, 0.54, 0.64],
+        bend: 0.45,
+        reach_deg: 3.1,
+        width_deg: 0.31,
+        floor: 0.095,
+        scatter: 0.309,
+        caution: 1.5,
+        held_mg: 40.0,
+        overdose_factor: 2.0,
+    };
+
+    /// The response if each number is within its bounds.
+    ///
+    /// # Errors
+    /// The first that is not, by name.
+    pub fn checked(self) -> Result<Self, FieldError> {
+        bounded("repose_deg", self.repose_deg[0], 5.0, 85.0, "deg")?;
+        bounded("repose_deg", self.repose_deg[1], 0.0, 30.0, "deg")?;
+        bounded("onset_deg", self.onset_deg[0], -90.0, 90.0, "deg")?;
+        bounded("onset_deg", self.onset_deg[1], 0.0, 45.0, "deg")?;
+        bounded("ln_slope_mg_deg", self.ln_slope_mg_deg[0], -7.0, 7.0, "")?;
+        bounded("ln_slope_mg_deg", self.ln_slope_mg_deg[1], 0.0, 3.0, "")?;
+        bounded("ln_stroke_mm", self.ln_stroke_mm[0], -3.0, 9.0, "")?;
+        bounded("ln_stroke_mm", self.ln_stroke_mm[1], 0.0, 3.0, "")?;
+        self.by_repose.iter().try_for_each(|b| bounded("by_repose", *b, -10.0, 10.0, "").map(|_| ()))?;
+        self.correlations.iter().try_for_each(|c| bounded("correlations", *c, -0.99, 0.99, "").map(|_| ()))?;
+        if self.roots().iter().flatten().any(|root| root.is_nan()) {
+            return Err(FieldError::new("correlations", "are not those of any three numbers: bring them nearer to 0"));
+        }
+        bounded("bend", self.bend, 0.05, 5.0, "")?;
+        bounded("reach_deg", self.reach_deg, 0.0, 20.0, "deg")?;
+        bounded("width_deg", self.width_deg, 0.01, 20.0, "deg")?;
+        bounded("floor", self.floor, 0.01, 5.0, "mg^(1/2)")?;
+        bounded("scatter", self.scatter, 0.01, 2.0, "")?;
+        bounded("caution", self.caution, 0.1, 10.0, "")?;
+        bounded("held_mg", self.held_mg, 1.0, 1e6, "mg")?;
+        bounded("overdose_factor", self.overdose_factor, 1.0, 100.0, "")?;
+        Ok(self)
+    }
+
+    /// The lower triangle whose product with its transpose has these correlations; not a number if there is none.
+    fn roots(&self) -> [[f64; 3]; 3] {
+        let [ab, ac, bc] = self.correlations;
+        let b = (1.0 - ab * ab).sqrt();
+        let cb = (bc - ab * ac) / b;
+        [[1.0, 0.0, 0.0], [ab, b, 0.0], [ac, cb, (1.0 - ac * ac - cb * cb).sqrt()]]
+    }
+
+    /// Loss of an ending with so much missing, mg; negative is too much.
+    pub(super) fn loss(&self, missing_mg: f64) -> f64 {
+        if missing_mg < 0.0 { -self.overdose_factor * missing_mg } else { missing_mg }
+    }
+
+    /// Scatter of the root of a mass of this mean.
+    pub(super) fn sd(&self, mean_mg: f64) -> f64 {
+        (self.floor.powi(2) + (self.caution * self.scatter).powi(2) * mean_mg).sqrt()
+    }
+
+    /// A mass of this mean, `z` times the scatter from the middle of its root.
+    pub fn draw(&self, mean_mg: f64, z: f64) -> f64 {
+        (mean_mg.sqrt() + z * self.sd(mean_mg)).max(0.0).powi(2)
+    }
+
+    /// Means of onset, ln slope and ln stroke at the mean angle of repose.
+    pub(super) fn means(&self) -> [f64; 3] {
+        [self.onset_deg[0], self.ln_slope_mg_deg[0], self.ln_stroke_mm[0]]
+    }
+
+    /// The spoonful that is `z` standard deviations from these means of onset, ln slope and ln stroke.
+    pub fn spoonful(&self, means: [f64; 3], z: [f64; 3]) -> Spoonful {
+        let sds = [self.onset_deg[1], self.ln_slope_mg_deg[1], self.ln_stroke_mm[1]];
+        let roots = self.roots();
+        let own = |k: usize| means[k] + sds[k] * (0..3).map(|j| roots[k][j] * z[j]).sum::<f64>();
+        Spoonful { onset_deg: own(0), slope_mg_deg: libm::exp(own(1)), stroke_mm: libm::exp(own(2)) }
+    }
+}
+
+impl Spoonful {
+    /// What a shake there could let go of in all, mg.
+    pub(super) fn loose_mg(&self, r: &Response, pitch_deg: f64, shake_mm: f64) -> f64 {
+        let x = (pitch_deg + r.reach_deg * libm::log(shake_mm) - self.onset_deg) / r.width_deg;
+        let softplus = if x > 30.0 { x } else { libm::log1p(libm::exp(x)) };
+        (self.slope_mg_deg * r.width_deg * softplus).min(r.held_mg)
+    }
+
+    /// Share of it that one shake takes.
+    fn share(&self, r: &Response, shake_mm: f64) -> f64 {
+        -libm::expm1(-libm::pow(shake_mm / self.stroke_mm, r.bend))
+    }
+
+    /// Mean of a shake at this pitch after so much has fallen, mg.
+    pub fn mean_mg(&self, r: &Response, pitch_deg: f64, shake_mm: f64, poured_mg: f64) -> f64 {
+        if shake_mm <= 0.0 {
+            return 0.0;
+        }
+        (self.loose_mg(r, pitch_deg, shake_mm) - poured_mg).max(0.0) * self.share(r, shake_mm)
+    }
+
+    /// The pitch at which such a shake has this mean, degrees.
+    pub(super) fn pitch_for(&self, r: &Response, shake_mm: f64, mean_mg: f64, poured_mg: f64) -> f64 {
+        let loose = poured_mg + mean_mg / self.share(r, shake_mm);
+        let y = loose.min(r.held_mg) / (self.slope_mg_deg * r.width_deg);
+        let x = if y > 30.0 { y } else { libm::log(libm::expm1(y.max(1e-9))) };
+        self.onset_deg - r.reach_deg * libm::log(shake_mm) + r.width_deg * x
+    }
+}
