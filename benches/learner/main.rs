@@ -174,8 +174,8 @@ fn print(document: &Value) {
         let ratio = case["ratio"].as_f64().map_or("-".to_owned(), |ratio| format!("{ratio:.2}"));
         println!(
             "{:>6} {:>6} {:>22} {:>22} {ratio:>6}",
-            case["hidden"],
-            case["batch"],
+            case["hidden"].to_string(),
+            case["batch"].to_string(),
             rates("flip"),
             rates("stable_baselines3")
         );
