@@ -1,13 +1,14 @@
 # make run    everything from a clean clone: fetch, build, and run the demonstration (ARGS=--exit ends it after the table)
 # make test   every test: Rust, page in a headless Chromium; prints how many ran
 # make bench-peers   the simulator's speed beside other simulators', which it installs (python3.11, PyPI)
+# make bench-learner   the learner's speed beside Stable-Baselines3's, which it installs (python3, PyPI)
 # make calibration-report   the published method and ours on the five powders, twenty minutes on two cores
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test setup web chromium bench bench-peers calibration-report lint
+.PHONY: run test setup web chromium bench bench-peers bench-learner calibration-report lint
 
 ARGS ?=
 LOGS := target/test
@@ -55,6 +56,10 @@ bench: setup
 bench-peers: setup
 	benches/peers/run.sh setup
 	cargo run --quiet --release --locked -- bench sim --peers benches/peers $(ARGS)
+
+bench-learner: setup
+	benches/learner/run.sh setup
+	cargo bench --quiet --locked --bench learner -- $(ARGS)
 
 calibration-report: setup
 	cargo build --release --locked

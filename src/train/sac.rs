@@ -214,3 +214,7 @@ fn gradient_of(loss: &Tensor, block: &Tensor) -> Vec<f32> {
 #[cfg(test)]
 #[path = "sac_tests.rs"]
 mod tests;
+
+#[cfg(test)]
+#[path = "lq_tests.rs"]
+mod lq_tests;
