@@ -1,6 +1,6 @@
 //! The controllers FLIP can weigh with.
 
-use super::actor::Actor;
+use super::actor::{Actor, Carried};
 use super::dispenser::Dispenser;
 use super::episode::Rules;
 use super::observation::{Encoding, Observation};
@@ -79,7 +79,11 @@ impl Controller {
 
     /// The controller at the beginning of a weighing within this frame.
     pub fn begin(&self, rules: &Rules) -> Dosing<'_> {
-        Dosing { controller: self, rules: *rules, done: Vec::new(), proposed: None }
+        let carried = match self {
+            Self::Learned(actor) => actor.begin(),
+            Self::Fixed(_) | Self::Schedule(_) | Self::Dispenser(_) => Carried::default(),
+        };
+        Dosing { controller: self, rules: *rules, done: Vec::new(), proposed: None, carried }
     }
 }
 
@@ -101,6 +105,7 @@ pub struct Dosing<'a> {
     rules: Rules,
     done: Vec<Done>,
     proposed: Option<(Observation, Action)>,
+    carried: Carried,
 }
 
 impl Dosing<'_> {
@@ -111,7 +116,7 @@ impl Dosing<'_> {
         }
         let steps = self.done.len() as u32;
         let action = match self.controller {
-            Controller::Learned(actor) => actor.act(seen),
+            Controller::Learned(actor) => actor.act(seen, &mut self.carried),
             Controller::Fixed(step) => step.approach(seen.pitch_deg),
             Controller::Schedule(schedule) => schedule.step(steps).approach(seen.pitch_deg),
             Controller::Dispenser(dispenser) => dispenser.propose(&self.done, seen, &self.rules),
