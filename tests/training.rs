@@ -7,7 +7,10 @@ use flip::policy::{Controller, Episode, Known, Observation, decode};
 use flip::sim::balance;
 use flip::train::environment::{Filling, play};
 use flip::train::formula::Formula;
-use flip::train::{EpisodeRecord, Event, Level, Order, Preset, Settings, TrainError, Trained, train_on};
+use flip::train::{
+    EpisodeRecord, Event, Level, Network, Order, Preset, Replayed, Settings, TrainError, Trained, train_on,
+};
+use safetensors::tensor::{SafeTensors, TensorView};
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -34,6 +37,19 @@ fn small(order: Order) -> Settings {
         updates_per_step: 0.7,
         ..Settings::of(Preset::Flip, order, 3)
     }
+}
+
+/// The same with the recurrent network.
+fn small_recurrent(replayed: Replayed) -> Settings {
+    let relabel_share = if replayed == Replayed::Episodes { 0.5 } else { 0.0 };
+    Settings { network: Network::Recurrent { replayed }, batch: 4, relabel_share, ..small(Order::Curriculum) }
+}
+
+/// Every kind of training that must be reproducible.
+fn kinds() -> [Settings; 4] {
+    let recurrent = [Replayed::StoredState, Replayed::Episodes].map(small_recurrent);
+    let [stored, episodes] = recurrent;
+    [small(Order::Curriculum), small(Order::DomainRandomisation), stored, episodes]
 }
 
 /// Never stops.
@@ -96,8 +112,7 @@ fn a_trained_policy_errs_less_than_half_as_much_as_an_untrained_one() {
 
 #[test]
 fn an_interrupted_training_ends_with_the_same_bytes_as_an_unbroken_one() {
-    for order in [Order::Curriculum, Order::DomainRandomisation] {
-        let settings = small(order);
+    for settings in kinds() {
         let (unbroken, episodes, checkpoints) = run(&settings, None);
         assert_eq!(checkpoints.len(), 3);
         for checkpoint in &checkpoints {
@@ -151,12 +166,57 @@ fn a_stop_within_a_round_drops_the_round_and_loses_nothing() {
 
 #[test]
 fn the_number_of_threads_changes_nothing() {
-    for order in [Order::Curriculum, Order::DomainRandomisation] {
-        let settings = small(order);
+    for settings in kinds() {
         let one = with_threads(1, || run(&settings, None));
         let two = with_threads(2, || run(&settings, None));
-        assert!(one == two, "{order:?}");
+        assert!(one == two, "{:?} {:?}", settings.order, settings.network);
     }
+}
+
+#[test]
+fn a_checkpoint_without_its_stored_states_ends_elsewhere() {
+    let settings = small_recurrent(Replayed::StoredState);
+    let (unbroken, _, checkpoints) = run(&settings, None);
+    let states =
+        |bytes: &[u8]| SafeTensors::deserialize(bytes).unwrap().tensor("replay.states").unwrap().data().to_vec();
+    // 8 episodes so far, each with hidden and cell of 16 units.
+    assert_eq!(states(&checkpoints[0]).len(), 8 * 2 * 16 * 4);
+    let (_, header) = SafeTensors::read_metadata(&checkpoints[0]).unwrap();
+    let tensors = SafeTensors::deserialize(&checkpoints[0]).unwrap();
+    let zeros = vec![0; states(&checkpoints[0]).len()];
+    let lost = tensors.iter().map(|(name, tensor)| {
+        let data = if name == "replay.states" { &zeros } else { tensor.data() };
+        (name, TensorView::new(tensor.dtype(), tensor.shape().to_vec(), data).unwrap())
+    });
+    let lost = safetensors::serialize(lost, header.metadata().clone()).unwrap();
+    assert_ne!(run(&settings, Some(&lost)).0.artifact, unbroken.artifact);
+}
+
+#[test]
+fn a_recurrent_policy_learns_and_weighs_by_what_it_remembers() {
+    let settings = Settings {
+        network: Network::Recurrent { replayed: Replayed::Episodes },
+        hidden: 32,
+        batch: 16,
+        updates_per_step: 1.0,
+        episodes: 120,
+        ..Settings::of(Preset::Flip, Order::Curriculum, 1)
+    };
+    let (trained, ..) = run(&settings, None);
+    let policy = decode(&trained.artifact).unwrap();
+    assert_eq!(policy.manifest.kind.name(), "recurrent");
+    let ours = mean_error_mg(&policy.controller, &settings);
+    let untrained = (0..5).map(|seed| mean_error_mg(&Controller::untrained(seed), &settings)).sum::<f64>() / 5.0;
+    println!("recurrent {ours:.2} mg, untrained {untrained:.2} mg");
+    assert!(ours < untrained / 2.0, "recurrent {ours}, untrained {untrained}");
+    // Seen for the second time within a weighing, the same is not answered in the same way.
+    let seen = Observation { reading_mg: 3.0, target_mg: 10.0, pitch_deg: 12.0 };
+    let twice = || {
+        let mut dosing = policy.controller.begin(&settings.rules);
+        [dosing.propose(&seen), dosing.propose(&seen)]
+    };
+    assert_ne!(twice()[0], twice()[1]);
+    assert_eq!(twice(), twice(), "a weighing begins without memories of the one before");
 }
 
 #[test]
@@ -203,7 +263,7 @@ fn the_papers_preset_plays_ten_steps_and_never_ends_early() {
     assert!(episodes.iter().all(|e| e.steps == 10 && e.ending == Episode::TimedOut));
     let updates = episodes.iter().filter(|e| e.losses.is_some()).count();
     assert_eq!(updates, 10, "updates begin after the 20 random episodes");
-    assert_eq!(trained.manifest.preset, "paper");
+    assert_eq!((trained.manifest.preset.as_str(), trained.manifest.kind.name()), ("paper", "recurrent"));
     assert_eq!(trained.manifest.rules.pitch, PitchLimits::PAPER);
 }
 

@@ -2,17 +2,19 @@
 //!
 //! `cargo bench --bench learner [-- --json]`. An update draws its batch from the replay memory and steps critics, actor,
 //! temperature and targets. Both take turns window by window and are timed in processor time, so what else the machine does
-//! falls on both; one that `benches/learner/run.sh setup` has not installed is left out, with the reason.
+//! falls on both; one that `benches/learner/run.sh setup` has not installed is left out, with the reason. The recurrent networks are the
+//! `paper` preset's, whose batch is of whole episodes of 10 steps; they have no peer.
 
 use flip::domain::bench::PitchLimits;
 use flip::domain::parameters::{COUNT, ParameterSet};
 use flip::policy::{OUTPUTS, Rules, normal};
 use flip::sim::balance;
 use flip::train::environment::{Filling, play};
+use flip::train::episodes::Episode;
 use flip::train::formula::Formula;
 use flip::train::replay::{Memory, Replay};
 use flip::train::sac::Learner;
-use flip::train::{Order, Preset, Settings};
+use flip::train::{Network, Order, Preset, Replayed, Settings};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rustix::time::{ClockId, clock_gettime};
@@ -27,17 +29,17 @@ const WINDOWS: usize = 9;
 const UPDATES: u32 = 100;
 
 /// Steps of random actions on the formula spoon.
-fn remembered(rng: &mut Pcg64Mcg) -> Replay {
-    let mut replay = Replay::new(2000);
+fn remembered(settings: &Settings, rng: &mut Pcg64Mcg) -> Replay {
+    let mut replay = Replay::new(settings);
     let formula = Formula { pitch: PitchLimits::WIDE };
     for seed in 0..200 {
         let mut spoon = formula.fill(&ParameterSet::default(), seed);
         let played = play(&mut spoon, &Rules::PAPER, &balance::Settings::default(), 12.0, seed, |_| {
             [rng.random::<f32>(), 2.0 * rng.random::<f32>() - 1.0]
         });
-        for step in played.steps {
-            replay.push(Memory { step, target_mg: 12.0, parameters: [0.5; COUNT] });
-        }
+        let steps = played.steps.into_iter().map(|step| Memory { step, target_mg: 12.0, parameters: [0.5; COUNT] });
+        let state = if settings.stores_states() { vec![0.1; 2 * settings.hidden as usize] } else { Vec::new() };
+        replay.push(Episode { steps: steps.collect(), state });
     }
     replay
 }
@@ -48,18 +50,18 @@ fn processor_s() -> f64 {
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
-/// FLIP's learner of one size.
-struct Ours<'a> {
+/// FLIP's learner at work.
+struct Ours {
     learner: Learner,
     settings: Settings,
-    replay: &'a Replay,
+    replay: Replay,
     rng: Pcg64Mcg,
 }
 
-impl<'a> Ours<'a> {
-    fn new((hidden, batch): (u32, u32), replay: &'a Replay) -> Self {
-        let settings = Settings { hidden, batch, ..Settings::of(Preset::Flip, Order::Curriculum, 1) };
+impl Ours {
+    fn new(settings: Settings) -> Self {
         let mut rng = Pcg64Mcg::seed_from_u64(1);
+        let replay = remembered(&settings, &mut rng);
         let mut ours = Self { learner: Learner::new(&settings, &mut rng), settings, replay, rng };
         ours.window(20);
         ours
@@ -70,7 +72,7 @@ impl<'a> Ours<'a> {
         let before = processor_s();
         for _ in 0..updates {
             let drawn = self.replay.draw(&self.settings, &mut self.rng);
-            let noise: Vec<f32> = (0..4 * self.settings.batch).map(|_| normal(&mut self.rng)).collect();
+            let noise: Vec<f32> = (0..4 * drawn.reward.len()).map(|_| normal(&mut self.rng)).collect();
             self.learner.update(&drawn, &noise, &self.settings);
         }
         (processor_s() - before) / f64::from(updates)
@@ -129,23 +131,29 @@ fn rates(costs_s: &[f64]) -> Value {
 
 fn main() {
     let as_json = std::env::args().any(|argument| argument == "--json");
-    let replay = remembered(&mut Pcg64Mcg::seed_from_u64(1));
     let mut peer = Peer::start();
     let mut cases = Vec::new();
-    for case in CASES {
-        let mut ours = Ours::new(case, &replay);
+    for (hidden, batch) in CASES {
+        let mut ours = Ours::new(Settings { hidden, batch, ..Settings::of(Preset::Flip, Order::Curriculum, 1) });
         let inputs = ours.settings.encoding.width();
         // The peer makes its learner at the first question: that window is warm-up, not measured.
-        peer = peer.and_then(|mut peer| peer.window(case, inputs, 1).map(|_| peer));
+        peer = peer.and_then(|mut peer| peer.window((hidden, batch), inputs, 1).map(|_| peer));
         let (mut own, mut theirs) = (Vec::new(), Vec::new());
         for _ in 0..WINDOWS {
             own.push(ours.window(UPDATES));
-            theirs.extend(peer.as_mut().and_then(|peer| peer.window(case, inputs, UPDATES)));
+            theirs.extend(peer.as_mut().and_then(|peer| peer.window((hidden, batch), inputs, UPDATES)));
         }
         let (flip, sb3) = (rates(&own), rates(&theirs));
         let ratio = sb3["median"].as_f64().and_then(|theirs| Some(flip["median"].as_f64()? / theirs));
-        cases
-            .push(json!({ "hidden": case.0, "batch": case.1, "flip": flip, "stable_baselines3": sb3, "ratio": ratio }));
+        let network = format!("{hidden} units");
+        cases.push(json!({ "network": network, "batch": batch, "flip": flip, "stable_baselines3": sb3, "ratio": ratio }));
+    }
+    for (name, replayed) in [("stored state", Replayed::StoredState), ("episodes", Replayed::Episodes)] {
+        let paper = Settings::of(Preset::Paper, Order::Curriculum, 1);
+        let mut ours = Ours::new(Settings { network: Network::Recurrent { replayed }, ..paper });
+        let costs_s: Vec<f64> = (0..WINDOWS).map(|_| ours.window(UPDATES / 5)).collect();
+        let network = format!("recurrent, {name}");
+        cases.push(json!({ "network": network, "batch": ours.settings.batch, "flip": rates(&costs_s) }));
     }
     let version = peer.as_ref().map(|peer| peer.version.clone());
     peer.into_iter().for_each(Peer::end);
@@ -161,7 +169,7 @@ fn print(document: &Value) {
     let version = document["stable_baselines3"].as_str().unwrap_or("not measured");
     println!("updates per core-second, {WINDOWS} windows of {UPDATES}: median (least to most)");
     println!("Stable-Baselines3: {version}");
-    println!("{:>6} {:>6} {:>22} {:>22} {:>6}", "units", "batch", "flip", "stable-baselines3", "ratio");
+    println!("{:>24} {:>6} {:>22} {:>22} {:>6}", "network", "batch", "flip", "stable-baselines3", "ratio");
     for case in document["updates_per_core_s"].as_array().into_iter().flatten() {
         let rates = |who: &str| match case[who]["median"].as_f64() {
             Some(median) => format!(
@@ -173,8 +181,8 @@ fn print(document: &Value) {
         };
         let ratio = case["ratio"].as_f64().map_or("-".to_owned(), |ratio| format!("{ratio:.2}"));
         println!(
-            "{:>6} {:>6} {:>22} {:>22} {ratio:>6}",
-            case["hidden"].to_string(),
+            "{:>24} {:>6} {:>22} {:>22} {ratio:>6}",
+            case["network"].as_str().unwrap_or_default(),
             case["batch"].to_string(),
             rates("flip"),
             rates("stable_baselines3")

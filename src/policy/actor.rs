@@ -1,6 +1,8 @@
-//! The network of a learned policy, run forward in plain Rust.
+//! A learned policy, run forward in plain Rust.
 
+use super::manifest::Kind;
 use super::observation::{Encoding, Observation};
+use super::recurrent::Recurrent;
 use crate::domain::bench::Action;
 use rand::{Rng, RngExt};
 
@@ -11,26 +13,83 @@ pub const LOG_STD_MIN: f32 = -20.0;
 /// Upper clamp of the logarithm of the standard deviation.
 pub const LOG_STD_MAX: f32 = 2.0;
 
-/// A squashed Gaussian policy: a multilayer perceptron with ReLU between its layers.
+/// A squashed Gaussian policy.
 ///
 /// ```text
-/// (mean, log_std) = MLP(encode(observation))       a = tanh(mean + exp(log_std) * noise),  noise ~ N(0, 1)
+/// (mean, log_std) = network(encode(observation), what came before)
+/// a = tanh(mean + exp(log_std) * noise),  noise ~ N(0, 1)
 /// ```
 ///
-/// Numerics: f32 weights, f64 sums, so that the result agrees with libtorch's to about 1e-6.
+/// Its network is a multilayer perceptron with ReLU between its layers, which knows nothing of what came before, or the recurrent
+/// one of [`Recurrent`]. Numerics: f32 weights, f64 sums, so that the result agrees with libtorch's to about 1e-6.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Actor {
     encoding: Encoding,
-    layers: Vec<Layer>,
+    network: Network,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+enum Network {
+    FeedForward(Vec<Layer>),
+    Recurrent(Box<Recurrent>),
+}
+
+/// What an actor carries from one step of a weighing to the next; a feed-forward one carries nothing that it reads.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Carried {
+    /// The LSTM's output and its cell, `hidden` numbers each; zeros before the first step.
+    pub lstm: [Vec<f32>; 2],
+    /// The action of the step before, in -1..=1; zeros before the first step.
+    pub last_action: [f32; OUTPUTS],
+}
+
+impl Carried {
+    /// The LSTM's output and then its cell, `[2 * hidden]`; nothing for a feed-forward actor.
+    pub fn to_flat(&self) -> Vec<f32> {
+        self.lstm.concat()
+    }
 }
 
 /// One affine layer: `y[k] = bias[k] + sum_j weight[j * outputs + k] x[j]`.
 #[derive(Debug, Clone, PartialEq)]
-struct Layer {
-    inputs: usize,
-    outputs: usize,
-    weight: Vec<f32>,
-    bias: Vec<f32>,
+pub(super) struct Layer {
+    pub inputs: usize,
+    pub outputs: usize,
+    pub weight: Vec<f32>,
+    pub bias: Vec<f32>,
+}
+
+impl Layer {
+    /// The next layer of this size in `take`, which hands out the flat block piece by piece.
+    pub fn taken(inputs: usize, outputs: usize, take: &mut impl FnMut(usize) -> Vec<f32>) -> Self {
+        Self { inputs, outputs, weight: take(inputs * outputs), bias: take(outputs) }
+    }
+
+    /// `y` for these `inputs` numbers.
+    pub fn sums(&self, x: &[f32]) -> Vec<f64> {
+        let mut y: Vec<f64> = self.bias.iter().map(|&b| f64::from(b)).collect();
+        for (&xj, row) in x.iter().zip(self.weight.chunks_exact(self.outputs)) {
+            for (yk, &w) in y.iter_mut().zip(row) {
+                *yk += f64::from(xj) * f64::from(w);
+            }
+        }
+        y
+    }
+
+    /// `max(y, 0)`.
+    pub fn relu(&self, x: &[f32]) -> Vec<f32> {
+        self.sums(x).into_iter().map(|v| v.max(0.0) as f32).collect()
+    }
+}
+
+/// Layers one after another, with ReLU between them.
+pub(super) fn perceptron(layers: &[Layer], inputs: &[f32]) -> Vec<f32> {
+    let mut x = inputs.to_vec();
+    for (depth, layer) in layers.iter().enumerate() {
+        let last = depth + 1 == layers.len();
+        x = if last { layer.sums(&x).into_iter().map(|v| v as f32).collect() } else { layer.relu(&x) };
+    }
+    x
 }
 
 /// The Gaussian before squashing.
@@ -74,23 +133,25 @@ impl Actor {
                 widths[widths.len() - 1]
             ));
         }
-        if flat.len() != Self::flat_len(widths) {
-            return refuse(format!("widths {widths:?} need {} weights, got {}", Self::flat_len(widths), flat.len()));
+        check_flat(flat, Self::flat_len(widths), &format!("widths {widths:?}"))?;
+        let mut take = taker(flat);
+        let layers = widths.windows(2).map(|w| Layer::taken(w[0], w[1], &mut take)).collect();
+        Ok(Self { encoding, network: Network::FeedForward(layers) })
+    }
+
+    /// The recurrent actor of width `hidden` from one flat block: the tensors of its kind ([`Kind::tensors`]), one after another.
+    ///
+    /// # Errors
+    /// [`Malformed`] when the block has another length, a weight is not finite, or `hidden` is not from 1 to 4096.
+    pub fn recurrent(encoding: Encoding, hidden: usize, flat: &[f32]) -> Result<Self, Malformed> {
+        if !(1..=4096).contains(&hidden) {
+            return Err(Malformed(format!("`hidden` must be from 1 to 4096, is {hidden}")));
         }
-        if let Some(index) = flat.iter().position(|w| !w.is_finite()) {
-            return refuse(format!("weight {index} is not a finite number"));
-        }
-        let mut rest = flat;
-        let mut take = |count: usize| {
-            let (head, tail) = rest.split_at(count);
-            rest = tail;
-            head.to_vec()
-        };
-        let layers = widths
-            .windows(2)
-            .map(|w| Layer { inputs: w[0], outputs: w[1], weight: take(w[0] * w[1]), bias: take(w[1]) })
-            .collect();
-        Ok(Self { encoding, layers })
+        let kind = Kind::Recurrent { encoding, hidden };
+        let needed = kind.tensors().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+        check_flat(flat, needed, &format!("{hidden} hidden units"))?;
+        let network = Recurrent::from_flat(encoding.width(), hidden, flat);
+        Ok(Self { encoding, network: Network::Recurrent(Box::new(network)) })
     }
 
     /// Number of weights of a network with these widths.
@@ -111,56 +172,90 @@ impl Actor {
         Self::from_flat(encoding, &widths, &flat).expect("widths and weights are made to fit")
     }
 
-    /// How observations become inputs.
-    pub fn encoding(&self) -> Encoding {
-        self.encoding
+    /// What a manifest says of it.
+    pub fn kind(&self) -> Kind {
+        let encoding = self.encoding;
+        match &self.network {
+            Network::FeedForward(layers) => {
+                let widths = [encoding.width()].into_iter().chain(layers.iter().map(|layer| layer.outputs)).collect();
+                Kind::Learned { encoding, widths }
+            }
+            Network::Recurrent(network) => Kind::Recurrent { encoding, hidden: network.hidden() },
+        }
     }
 
-    /// Sizes from the inputs to the outputs.
-    pub fn widths(&self) -> Vec<usize> {
-        let mut widths = vec![self.layers[0].inputs];
-        widths.extend(self.layers.iter().map(|layer| layer.outputs));
-        widths
-    }
-
-    /// The weights in the order of [`Actor::from_flat`].
+    /// The weights in the order of [`Actor::from_flat`] or [`Actor::recurrent`].
     pub fn to_flat(&self) -> Vec<f32> {
-        self.layers.iter().flat_map(|layer| layer.weight.iter().chain(&layer.bias)).copied().collect()
+        match &self.network {
+            Network::FeedForward(layers) => flatten(layers),
+            Network::Recurrent(network) => network.to_flat(),
+        }
     }
 
-    /// The Gaussian over unsquashed actions for these inputs.
+    /// What it carries before the first step of a weighing.
+    pub fn begin(&self) -> Carried {
+        match &self.network {
+            Network::FeedForward(_) => Carried::default(),
+            Network::Recurrent(network) => {
+                let zeros = || vec![0.0; network.hidden()];
+                Carried { lstm: [zeros(), zeros()], last_action: [0.0; OUTPUTS] }
+            }
+        }
+    }
+
+    /// The Gaussian over unsquashed actions for these inputs; what is carried advances by one step, but for its last action.
     ///
     /// # Panics
-    /// When `inputs` is not as long as the first layer is wide.
-    pub fn forward(&self, inputs: &[f32]) -> Head {
-        assert_eq!(inputs.len(), self.layers[0].inputs);
-        let mut x = inputs.to_vec();
-        let last = self.layers.len() - 1;
-        for (depth, layer) in self.layers.iter().enumerate() {
-            let mut y: Vec<f64> = layer.bias.iter().map(|&b| f64::from(b)).collect();
-            for (&xj, row) in x.iter().zip(layer.weight.chunks_exact(layer.outputs)) {
-                for (yk, &w) in y.iter_mut().zip(row) {
-                    *yk += f64::from(xj) * f64::from(w);
-                }
-            }
-            x = y.into_iter().map(|v| if depth < last { v.max(0.0) as f32 } else { v as f32 }).collect();
-        }
+    /// When `inputs` is not as long as the first layer is wide, or `carried` is another actor's.
+    pub fn forward(&self, inputs: &[f32], carried: &mut Carried) -> Head {
+        assert_eq!(inputs.len(), self.encoding.width());
+        let x = match &self.network {
+            Network::FeedForward(layers) => perceptron(layers, inputs),
+            Network::Recurrent(network) => network.forward(inputs, carried),
+        };
         Head {
             mean: std::array::from_fn(|k| x[k]),
             log_std: std::array::from_fn(|k| x[OUTPUTS + k].clamp(LOG_STD_MIN, LOG_STD_MAX)),
         }
     }
 
-    /// The action at the centre of the policy, for weighing: `tanh(mean)`.
-    pub fn act(&self, observation: &Observation) -> Action {
-        let head = self.forward(&observation.encode(self.encoding));
-        Action::from_unit(head.mean.map(|mean| f64::from(mean.tanh())))
+    /// The action at the centre of the policy, for weighing: `tanh(mean)`. Called once for each step.
+    pub fn act(&self, observation: &Observation, carried: &mut Carried) -> Action {
+        let head = self.forward(&observation.encode(self.encoding), carried);
+        carried.last_action = head.mean.map(f32::tanh);
+        Action::from_unit(carried.last_action.map(f64::from))
     }
 
     /// A drawn action in -1..=1, for exploring: `tanh(mean + std * noise)`. Two normal numbers are consumed.
-    pub fn sample(&self, observation: &Observation, rng: &mut impl Rng) -> [f32; OUTPUTS] {
-        let head = self.forward(&observation.encode(self.encoding));
-        std::array::from_fn(|k| (head.mean[k] + head.log_std[k].exp() * normal(rng)).tanh())
+    pub fn sample(&self, observation: &Observation, carried: &mut Carried, rng: &mut impl Rng) -> [f32; OUTPUTS] {
+        let head = self.forward(&observation.encode(self.encoding), carried);
+        carried.last_action = std::array::from_fn(|k| (head.mean[k] + head.log_std[k].exp() * normal(rng)).tanh());
+        carried.last_action
+    }
+}
+
+/// The weights of these layers, one after another.
+pub(super) fn flatten(layers: &[Layer]) -> Vec<f32> {
+    layers.iter().flat_map(|layer| layer.weight.iter().chain(&layer.bias)).copied().collect()
+}
+
+/// Hands out a flat block piece by piece; it must be long enough.
+pub(super) fn taker(flat: &[f32]) -> impl FnMut(usize) -> Vec<f32> {
+    let mut rest = flat;
+    move |count| {
+        let (head, tail) = rest.split_at(count);
+        rest = tail;
+        head.to_vec()
+    }
+}
+
+fn check_flat(flat: &[f32], needed: usize, of: &str) -> Result<(), Malformed> {
+    if flat.len() != needed {
+        return Err(Malformed(format!("{of} need {needed} weights, got {}", flat.len())));
+    }
+    match flat.iter().position(|w| !w.is_finite()) {
+        Some(index) => Err(Malformed(format!("weight {index} is not a finite number"))),
+        None => Ok(()),
     }
 }
 
@@ -184,9 +279,10 @@ mod tests {
         flat[3 * 4 + 1] = -1.0;
         flat[16..].copy_from_slice(&[1.0, 0.0, 5.0, -3.0]);
         let actor = Actor::from_flat(Encoding::Missing, &[4, 4], &flat).unwrap();
-        let head = actor.forward(&[0.5, 9.0, 9.0, 0.25]);
+        let head = actor.forward(&[0.5, 9.0, 9.0, 0.25], &mut actor.begin());
         assert_eq!(head, Head { mean: [2.0, -0.25], log_std: [2.0, -3.0] });
-        assert_eq!((actor.to_flat(), actor.widths()), (flat, vec![4, 4]));
+        let kind = Kind::Learned { encoding: Encoding::Missing, widths: vec![4, 4] };
+        assert_eq!((actor.to_flat(), actor.kind()), (flat, kind));
     }
 
     #[test]
@@ -208,10 +304,10 @@ mod tests {
         let mut rng = Pcg64Mcg::seed_from_u64(3);
         let actor = Actor::untrained(Encoding::Missing, &[16], &mut rng);
         let seen = Observation { reading_mg: 2.0, target_mg: 10.0, pitch_deg: 5.0 };
-        let samples: Vec<f32> = (0..2000).map(|_| actor.sample(&seen, &mut rng)[1]).collect();
+        let samples: Vec<f32> = (0..2000).map(|_| actor.sample(&seen, &mut actor.begin(), &mut rng)[1]).collect();
         assert!(samples.iter().all(|a| (-1.0..=1.0).contains(a)));
-        let below =
-            samples.iter().filter(|&&a| a < actor.forward(&seen.encode(Encoding::Missing)).mean[1].tanh()).count();
+        let centre = actor.forward(&seen.encode(Encoding::Missing), &mut actor.begin()).mean[1].tanh();
+        let below = samples.iter().filter(|&&a| a < centre).count();
         // tanh keeps the median: 1000 +- 4 sd of 22.
         assert!((911..=1089).contains(&below), "{below} of 2000 below the median");
     }

@@ -1,6 +1,6 @@
 //! A policy as a file: safetensors with the manifest in its metadata.
 
-use super::actor::{Actor, OUTPUTS};
+use super::actor::{Actor, Malformed, OUTPUTS};
 use super::controller::{Controller, ScheduledStep};
 use super::dispenser::Dispenser;
 use super::manifest::{Kind, Manifest};
@@ -47,19 +47,16 @@ pub fn id(bytes: &[u8]) -> String {
 
 /// A policy's bytes. The same policy gives the same bytes.
 ///
-/// A learned policy has the tensors `layer<k>.weight` of shape `[inputs, outputs]` and `layer<k>.bias`, f32.
+/// A learned policy has the tensors of its kind ([`Kind::tensors`]), f32.
 pub fn encode(policy: &Policy) -> Vec<u8> {
     let mut blocks: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
     if let Controller::Learned(actor) = &policy.controller {
         let flat = actor.to_flat();
-        let mut start = 0;
-        for (k, pair) in actor.widths().windows(2).enumerate() {
-            for (name, shape) in [("weight", vec![pair[0], pair[1]]), ("bias", vec![pair[1]])] {
-                let end = start + shape.iter().product::<usize>();
-                let bytes = flat[start..end].iter().flat_map(|w| w.to_le_bytes()).collect();
-                blocks.push((format!("layer{k}.{name}"), shape, bytes));
-                start = end;
-            }
+        let mut rest = flat.as_slice();
+        for (name, shape) in actor.kind().tensors() {
+            let (block, others) = rest.split_at(shape.iter().product());
+            rest = others;
+            blocks.push((name, shape, block.iter().flat_map(|w| w.to_le_bytes()).collect()));
         }
     }
     let views = blocks.iter().map(|(name, shape, bytes)| {
@@ -86,11 +83,11 @@ pub fn decode(bytes: &[u8]) -> Result<Policy, ArtifactError> {
     check_rules(&manifest)?;
     let tensors = SafeTensors::deserialize(bytes).map_err(broken)?;
     let controller = match &manifest.kind {
-        Kind::Learned { encoding, widths } => {
-            let flat = flatten(&tensors, widths)?;
-            let actor =
-                Actor::from_flat(*encoding, widths, &flat).map_err(|e| ArtifactError::Tensors(e.to_string()))?;
-            Controller::Learned(actor)
+        kind @ Kind::Learned { encoding, widths } => {
+            learned(Actor::from_flat(*encoding, widths, &flatten(&tensors, kind)?))?
+        }
+        kind @ Kind::Recurrent { encoding, hidden } => {
+            learned(Actor::recurrent(*encoding, *hidden, &flatten(&tensors, kind)?))?
         }
         Kind::Fixed { step } => Controller::Fixed(checked(step)?),
         Kind::Schedule { schedule } => {
@@ -108,22 +105,23 @@ pub fn decode(bytes: &[u8]) -> Result<Policy, ArtifactError> {
     Ok(Policy { manifest, controller })
 }
 
+fn learned(actor: Result<Actor, Malformed>) -> Result<Controller, ArtifactError> {
+    actor.map(Controller::Learned).map_err(|e| ArtifactError::Tensors(e.to_string()))
+}
+
 /// The tensors of a network, one after another.
-fn flatten(tensors: &SafeTensors, widths: &[usize]) -> Result<Vec<f32>, ArtifactError> {
-    let expected = 2 * widths.len().saturating_sub(1);
-    if tensors.len() != expected {
-        return Err(ArtifactError::Tensors(format!("{expected} tensors expected, found {}", tensors.len())));
+fn flatten(tensors: &SafeTensors, kind: &Kind) -> Result<Vec<f32>, ArtifactError> {
+    let expected = kind.tensors();
+    if tensors.len() != expected.len() {
+        return Err(ArtifactError::Tensors(format!("{} tensors expected, found {}", expected.len(), tensors.len())));
     }
     let mut flat = Vec::new();
-    for (k, pair) in widths.windows(2).enumerate() {
-        for (name, shape) in [("weight", pair), ("bias", &pair[1..])] {
-            let name = format!("layer{k}.{name}");
-            let tensor = tensors.tensor(&name).map_err(|_| ArtifactError::Tensors(format!("`{name}` is missing")))?;
-            if tensor.dtype() != Dtype::F32 || tensor.shape() != shape {
-                return Err(ArtifactError::Tensors(format!("`{name}` must be F32 of shape {shape:?}")));
-            }
-            flat.extend(tensor.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])));
+    for (name, shape) in expected {
+        let tensor = tensors.tensor(&name).map_err(|_| ArtifactError::Tensors(format!("`{name}` is missing")))?;
+        if tensor.dtype() != Dtype::F32 || tensor.shape() != shape {
+            return Err(ArtifactError::Tensors(format!("`{name}` must be F32 of shape {shape:?}")));
         }
+        flat.extend(tensor.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])));
     }
     Ok(flat)
 }
@@ -142,6 +140,11 @@ fn check_rules(manifest: &Manifest) -> Result<(), ArtifactError> {
     {
         return refuse("`widths` must end with 4");
     }
+    if let Kind::Recurrent { hidden, .. } = &manifest.kind
+        && !(1..=4096).contains(hidden)
+    {
+        return refuse("`hidden` must be from 1 to 4096");
+    }
     Ok(())
 }
 
@@ -156,7 +159,7 @@ fn checked(step: &ScheduledStep) -> Result<ScheduledStep, ArtifactError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::policy::Known;
+    use crate::policy::{Encoding, Known};
     use crate::policy::controller::Schedule;
     use crate::policy::Response;
     use crate::policy::episode::Rules;
@@ -165,8 +168,16 @@ mod tests {
     fn learned() -> Policy {
         let controller = Controller::untrained(5);
         let Controller::Learned(actor) = &controller else { unreachable!() };
-        let kind = Kind::Learned { encoding: actor.encoding(), widths: actor.widths() };
-        Policy { manifest: Manifest::of_untrained(kind, Rules::FLIP, 5), controller }
+        Policy { manifest: Manifest::of_untrained(actor.kind(), Rules::FLIP, 5), controller }
+    }
+
+    /// Four hidden units with weights of every size.
+    fn recurrent() -> Policy {
+        let kind = Kind::Recurrent { encoding: Encoding::Paper, hidden: 4 };
+        let count = kind.tensors().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
+        let flat: Vec<f32> = (0..count).map(|k| (k as f32 * 0.7).sin()).collect();
+        let controller = Controller::Learned(Actor::recurrent(Encoding::Paper, 4, &flat).unwrap());
+        Policy { manifest: Manifest::of_untrained(kind, Rules::PAPER, 0), controller }
     }
 
     fn scheduled() -> Policy {
@@ -183,7 +194,7 @@ mod tests {
 
     #[test]
     fn a_policy_reads_back_exactly_and_its_id_is_its_content() {
-        for policy in [learned(), scheduled(), dispensing()] {
+        for policy in [learned(), recurrent(), scheduled(), dispensing()] {
             let bytes = encode(&policy);
             assert_eq!(decode(&bytes).unwrap(), policy);
             assert_eq!(encode(&policy), bytes);
@@ -197,6 +208,16 @@ mod tests {
         let mut policy = learned();
         policy.manifest.kind = Kind::Learned { encoding: crate::policy::Encoding::Missing, widths: vec![4, 64, 4] };
         assert!(matches!(decode(&encode(&policy)), Err(ArtifactError::Tensors(_))));
+        let refusal = |hidden| {
+            let mut policy = recurrent();
+            policy.manifest.kind = Kind::Recurrent { encoding: Encoding::Paper, hidden };
+            decode(&encode(&policy)).unwrap_err().to_string()
+        };
+        assert!(refusal(5).contains("`seen.weight` must be F32 of shape [3, 5]"), "{}", refusal(5));
+        assert!(refusal(0).contains("`hidden`") && refusal(usize::MAX).contains("`hidden`"));
+        let mut policy = recurrent();
+        policy.manifest.kind = learned().manifest.kind;
+        assert!(decode(&encode(&policy)).unwrap_err().to_string().contains("6 tensors expected, found 14"));
         let mut policy = scheduled();
         policy.manifest.kind = Kind::Schedule { schedule: Schedule { steps: vec![] } };
         assert!(matches!(decode(&encode(&policy)), Err(ArtifactError::Manifest(_))));
@@ -221,15 +242,20 @@ mod tests {
 
     proptest! {
         #[test]
-        fn damaged_bytes_never_panic_and_never_act_out_of_range(at in 0usize..3000, value: u8, noise in proptest::collection::vec(any::<u8>(), 0..200)) {
+        fn damaged_bytes_never_panic_and_never_act_out_of_range(at in 0usize..8000, value: u8, noise in proptest::collection::vec(any::<u8>(), 0..200)) {
             prop_assert!(decode(&noise).is_err());
-            let mut bytes = encode(&scheduled());
-            let at = at % bytes.len();
-            bytes[at] = value;
-            if let Ok(policy) = decode(&bytes) {
-                let seen = crate::policy::Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg: 0.0 };
-                let action = policy.controller.begin(&policy.manifest.rules, &Known::default()).propose(&seen);
-                prop_assert!(action.incline_change_deg.abs() <= 8.0 && (0.0..=16.0).contains(&action.shake_mm));
+            for policy in [scheduled(), recurrent()] {
+                let mut bytes = encode(&policy);
+                let at = at % bytes.len();
+                bytes[at] = value;
+                if let Ok(policy) = decode(&bytes) {
+                    let mut dosing = policy.controller.begin(&policy.manifest.rules, &Known::default());
+                    for reading_mg in [0.0, 5.0] {
+                        let seen = crate::policy::Observation { reading_mg, target_mg: 10.0, pitch_deg: 0.0 };
+                        let action = dosing.propose(&seen);
+                        prop_assert!(action.incline_change_deg.abs() <= 8.0 && (0.0..=16.0).contains(&action.shake_mm));
+                    }
+                }
             }
         }
     }

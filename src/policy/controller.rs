@@ -1,6 +1,6 @@
 //! The controllers FLIP can weigh with.
 
-use super::actor::Actor;
+use super::actor::{Actor, Carried};
 use super::dispenser::Dispenser;
 use super::episode::{Ending, Known, Rules};
 use super::observation::{Encoding, Observation};
@@ -79,8 +79,13 @@ impl Controller {
 
     /// The controller at the beginning of a weighing within this frame. A dispenser ends it by its own decision.
     pub fn begin(&self, rules: &Rules, known: &Known) -> Dosing<'_> {
-        let ending = if matches!(self, Self::Dispenser(_)) { Ending::Decided } else { rules.ending };
-        Dosing { controller: self, rules: Rules { ending, ..*rules }, known: *known, done: Vec::new(), proposed: None }
+        let (ending, carried) = match self {
+            Self::Learned(actor) => (rules.ending, actor.begin()),
+            Self::Fixed(_) | Self::Schedule(_) => (rules.ending, Carried::default()),
+            Self::Dispenser(_) => (Ending::Decided, Carried::default()),
+        };
+        let rules = Rules { ending, ..*rules };
+        Dosing { controller: self, rules, known: *known, done: Vec::new(), proposed: None, carried }
     }
 }
 
@@ -103,6 +108,7 @@ pub struct Dosing<'a> {
     known: Known,
     done: Vec<Done>,
     proposed: Option<(Observation, Action)>,
+    carried: Carried,
 }
 
 impl Dosing<'_> {
@@ -118,7 +124,7 @@ impl Dosing<'_> {
         }
         let steps = self.done.len() as u32;
         let action = match self.controller {
-            Controller::Learned(actor) => actor.act(seen),
+            Controller::Learned(actor) => actor.act(seen, &mut self.carried),
             Controller::Fixed(step) => step.approach(seen.pitch_deg),
             Controller::Schedule(schedule) => schedule.step(steps).approach(seen.pitch_deg),
             Controller::Dispenser(dispenser) => dispenser.propose(&self.done, seen, &self.rules, &self.known),

@@ -4,6 +4,7 @@ use super::controller::{Schedule, ScheduledStep};
 use super::response::Response;
 use super::episode::Rules;
 use super::observation::Encoding;
+use super::recurrent;
 use crate::domain::parameters::ParameterSet;
 use serde::{Deserialize, Serialize};
 
@@ -18,6 +19,13 @@ pub enum Kind {
         encoding: Encoding,
         /// Sizes of the layers from the inputs to the outputs.
         widths: Vec<usize>,
+    },
+    /// The recurrent network of the prior work; its weights are the file's tensors.
+    Recurrent {
+        /// How observations become inputs.
+        encoding: Encoding,
+        /// Units of each branch and of the LSTM.
+        hidden: usize,
     },
     /// One pitch and one shake.
     Fixed {
@@ -37,13 +45,26 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The kind's name in JSON: `learned`, `fixed`, `schedule` or `dispenser`.
+    /// The kind's name in JSON: `learned`, `recurrent`, `fixed`, `schedule` or `dispenser`.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Learned { .. } => "learned",
+            Self::Recurrent { .. } => "recurrent",
             Self::Fixed { .. } => "fixed",
             Self::Schedule { .. } => "schedule",
             Self::Dispenser { .. } => "dispenser",
+        }
+    }
+
+    /// Names and shapes of the tensors that a policy of this kind has in its file, in the order of its flat weights.
+    ///
+    /// `layer<k>.weight` `[inputs, outputs]` and `layer<k>.bias` for a perceptron; a recurrent network has its branches and its LSTM
+    /// before them.
+    pub fn tensors(&self) -> Vec<(String, Vec<usize>)> {
+        match self {
+            Self::Learned { widths, .. } => recurrent::layers(widths),
+            Self::Recurrent { encoding, hidden } => recurrent::tensors(encoding.width(), *hidden),
+            Self::Fixed { .. } | Self::Schedule { .. } | Self::Dispenser { .. } => Vec::new(),
         }
     }
 }

@@ -11,10 +11,11 @@ mod dispenser;
 mod episode;
 mod manifest;
 mod observation;
+mod recurrent;
 mod response;
 mod shipped;
 
-pub use actor::{Actor, Head, LOG_STD_MAX, LOG_STD_MIN, Malformed, OUTPUTS, normal};
+pub use actor::{Actor, Carried, Head, LOG_STD_MAX, LOG_STD_MIN, Malformed, OUTPUTS, normal};
 pub use artifact::{ArtifactError, Policy, decode, encode, id};
 pub use controller::{Controller, Done, Dosing, Schedule, ScheduledStep};
 pub use dispenser::Dispenser;

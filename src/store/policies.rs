@@ -13,7 +13,7 @@ use sqlx::sqlite::SqliteRow;
 pub struct Policy {
     /// Content address: `p-` and 16 hexadecimal digits.
     pub id: String,
-    /// `learned`, `fixed`, `schedule` or `dispenser`.
+    /// `learned`, `recurrent`, `fixed`, `schedule` or `dispenser`.
     pub kind: String,
     /// The training that made it.
     pub training: Option<String>,

@@ -5,7 +5,7 @@
 
 use super::adam::Adam;
 use super::curriculum::Curriculum;
-use super::replay::Replay;
+use super::replay::{Remembered, Replay};
 use super::sac::Learner;
 use super::settings::Settings;
 use super::training::{Level, Progress, State};
@@ -19,7 +19,7 @@ use std::collections::HashMap;
 /// The only metadata key: the format keeps no order among several.
 const KEY: &str = "flip.training";
 /// Raised when the layout changes: an older checkpoint is then refused, not misread.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -30,8 +30,10 @@ struct Header {
     progress: Progress,
     /// Steps of the three optimisers.
     adam_steps: [u64; 3],
-    /// Position of the oldest remembered step.
+    /// Position of the oldest remembered step or episode.
     oldest: usize,
+    /// Steps of each remembered episode; empty where single steps are remembered.
+    lengths: Vec<u32>,
 }
 
 fn fingerprint(levels: &[Level], settings: &Settings) -> String {
@@ -58,7 +60,7 @@ fn blocks(learner: &Learner) -> [(&'static str, &[f32]); 10] {
 
 /// A checkpoint of this state.
 pub(super) fn encode(state: &State, levels: &[Level], settings: &Settings) -> Vec<u8> {
-    let (rows, oldest) = state.replay.to_rows();
+    let Remembered { rows, lengths, states, oldest } = state.replay.to_plain();
     let learner = &state.learner;
     let header = Header {
         version: VERSION,
@@ -67,10 +69,11 @@ pub(super) fn encode(state: &State, levels: &[Level], settings: &Settings) -> Ve
         progress: state.progress.clone(),
         adam_steps: [learner.actor_adam.t, learner.critics_adam.t, learner.alpha_adam.t],
         oldest,
+        lengths,
     };
     let bytes: Vec<(&str, Vec<u8>)> = blocks(learner)
         .into_iter()
-        .chain([("replay", rows.as_slice())])
+        .chain([("replay", rows.as_slice()), ("replay.states", states.as_slice())])
         .map(|(name, block)| (name, block.iter().flat_map(|x| x.to_le_bytes()).collect()))
         .collect();
     let views = bytes
@@ -121,7 +124,12 @@ pub(super) fn decode(bytes: &[u8], levels: &[Level], settings: &Settings) -> Res
     learner.critics = read("critics")?;
     learner.targets = read("targets")?;
     learner.log_alpha = read("log_alpha")?;
-    let replay = Replay::from_rows(&read("replay")?, header.oldest, settings.replay_capacity as usize)
-        .ok_or("`replay` does not fit its capacity")?;
+    let plain = Remembered {
+        rows: read("replay")?,
+        lengths: header.lengths,
+        states: read("replay.states")?,
+        oldest: header.oldest,
+    };
+    let replay = Replay::from_plain(&plain, settings).ok_or("`replay` does not fit its capacity or its network")?;
     Ok(State { learner, replay, curriculum: header.curriculum, progress: header.progress })
 }

@@ -1,6 +1,7 @@
 //! A round of episodes, played in parallel with one snapshot of the policy.
 
 use super::environment::{Filling, Played, play};
+use super::episodes::Episode;
 use super::replay::Memory;
 use super::settings::{Order, Settings};
 use super::spoons::Spoons;
@@ -75,10 +76,11 @@ pub fn play_round<F: Filling>(
                 _ => spoons.take(&plan.set, plan.heap),
             };
             let rng = &mut plan.rng;
+            let mut carried = actor.map(Actor::begin).unwrap_or_default();
             let tilt = settings.warmup_tilt as f32 * rng.random::<f32>();
             let played =
                 play(&mut spoon, &settings.rules, &settings.balance, plan.target_mg, plan.seed, |seen| match actor {
-                    Some(actor) => actor.sample(seen, rng),
+                    Some(actor) => actor.sample(seen, &mut carried, rng),
                     None => random_action(tilt, rng),
                 });
             Some((plan, played))
@@ -92,9 +94,10 @@ fn random_action(tilt: f32, rng: &mut Pcg64Mcg) -> [f32; OUTPUTS] {
     [(uniform() + tilt).clamp(-1.0, 1.0), uniform()]
 }
 
-/// What the learner remembers of an episode.
-pub fn memories(set: &ParameterSet, played: &Played) -> impl Iterator<Item = Memory> {
+/// What the learner remembers of an episode; `actor` is the present one, whether or not it played.
+pub fn remembered(set: &ParameterSet, played: &Played, actor: &Actor, settings: &Settings) -> Episode {
     let parameters = set.to_unit().map(|x| x as f32);
     let target_mg = played.target_mg as f32;
-    played.steps.iter().map(move |&step| Memory { step, target_mg, parameters })
+    let steps = played.steps.iter().map(|&step| Memory { step, target_mg, parameters }).collect();
+    Episode::new(steps, actor, settings)
 }

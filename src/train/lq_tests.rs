@@ -18,6 +18,7 @@
 //! The squash changes this little: from the starts |a*| < 0.5, and the noise, 0.09, is small beside the bend of tanh.
 
 use super::*;
+use crate::domain::parameters::COUNT;
 use crate::train::settings::{Order, Preset};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -141,7 +142,7 @@ fn a_linear_system_with_quadratic_cost_is_controlled_as_the_riccati_equation_say
         let actor = learner.snapshot(&settings).unwrap();
         let policy = |x: [f64; 2]| {
             let inputs = &row(x, settings.encoding.width())[..settings.encoding.width()];
-            actor.forward(inputs).mean.map(|u| f64::from(u).tanh())
+            actor.forward(inputs, &mut actor.begin()).mean.map(|u| f64::from(u).tanh())
         };
         let reached = mean(starts().map(|x| discounted(x, policy)));
         println!("seed {seed}: {reached:.4}, best {best:.4}, margin {margin:.4}, temperature {:.4}", learner.alpha());

@@ -1,7 +1,7 @@
 //! Learning to weigh: parameter sets in, a policy out.
 //!
-//! [`train`] plays episodes on simulated spoons ([`environment`]), remembers their steps ([`replay`]), improves a policy by
-//! Soft Actor-Critic ([`sac`]) and moves from powder to powder as a [`curriculum`] says. [`evaluate`] measures any controller on
+//! [`train`] plays episodes on simulated spoons ([`environment`]), remembers their steps ([`replay`]) or, for a recurrent network,
+//! whole [`episodes`], improves a policy by Soft Actor-Critic ([`sac`]) and moves from powder to powder as a [`curriculum`] says. [`evaluate`] measures any controller on
 //! doses it never practised, and [`schedule`] tunes the open-loop rival that a policy has to beat.
 //!
 //! *Reproducible*: the same levels, settings and seed give the same bytes at any number of threads and across any
@@ -15,9 +15,11 @@ mod checkpoint;
 mod collect;
 pub mod curriculum;
 pub mod environment;
+pub mod episodes;
 pub mod evaluate;
 pub mod formula;
 mod networks;
+mod recurrent;
 pub mod replay;
 pub mod sac;
 pub mod schedule;
@@ -26,5 +28,5 @@ mod spoons;
 mod training;
 
 pub use adam::Adam;
-pub use settings::{Order, PAPER_LEVELS_DEG, Preset, Settings};
+pub use settings::{CriticLoss, Network, Order, PAPER_LEVELS_DEG, Preset, Replayed, Settings};
 pub use training::{EpisodeRecord, Event, Flow, Level, RANDOMISED, TrainError, Trained, train, train_on};

@@ -1,7 +1,8 @@
-//! The steps a learner remembers, and the batches it draws from them.
+//! What a learner remembers, and the batches it draws from it: steps, or whole episodes ([`super::episodes`]).
 
 use super::environment::{Step, reward};
-use super::settings::Settings;
+use super::episodes::{self, Episode};
+use super::settings::{Network, Settings};
 use crate::domain::parameters::COUNT;
 use crate::policy::{Encoding, Ending, ON_TARGET_MG, Observation, is_on_target};
 use rand::{Rng, RngExt};
@@ -21,6 +22,18 @@ pub struct Memory {
 const WIDTH: usize = 8 + COUNT;
 
 impl Memory {
+    /// What was seen before the step, had the target been `target_mg`.
+    pub(super) fn before(&self, target_mg: f64) -> Observation {
+        let s = &self.step;
+        Observation { reading_mg: s.reading_mg.into(), target_mg, pitch_deg: s.pitch_deg.into() }
+    }
+
+    /// What was seen after it.
+    pub(super) fn after(&self, target_mg: f64) -> Observation {
+        let s = &self.step;
+        Observation { reading_mg: s.next_reading_mg.into(), target_mg, pitch_deg: s.next_pitch_deg.into() }
+    }
+
     fn to_row(self) -> [f32; WIDTH] {
         let s = self.step;
         let mut row = [0.0; WIDTH];
@@ -54,12 +67,57 @@ impl Memory {
     }
 }
 
-/// A ring of remembered steps.
+/// A ring: when it is full, the oldest item is forgotten.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Replay {
-    memories: Vec<Memory>,
+pub struct Ring<T> {
+    items: Vec<T>,
     capacity: usize,
     oldest: usize,
+}
+
+impl<T> Ring<T> {
+    fn new(capacity: usize) -> Self {
+        Self { items: Vec::new(), capacity: capacity.max(1), oldest: 0 }
+    }
+
+    fn push(&mut self, item: T) {
+        if self.items.len() < self.capacity {
+            self.items.push(item);
+        } else {
+            self.items[self.oldest] = item;
+            self.oldest = (self.oldest + 1) % self.capacity;
+        }
+    }
+
+    /// Any item, each as likely as another.
+    ///
+    /// # Panics
+    /// When there is none.
+    pub(super) fn pick(&self, rng: &mut impl Rng) -> &T {
+        &self.items[rng.random_range(0..self.items.len())]
+    }
+}
+
+/// What a learner remembers: what its network can learn from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Replay {
+    /// Single steps, for feed-forward networks.
+    Steps(Ring<Memory>),
+    /// Whole episodes, for recurrent ones.
+    Episodes(Ring<Episode>),
+}
+
+/// A [`Replay`] as plain numbers, for a checkpoint.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Remembered {
+    /// Steps, one row each.
+    pub rows: Vec<f32>,
+    /// Steps of each episode; empty where single steps are remembered.
+    pub lengths: Vec<u32>,
+    /// The episodes' stored states, one after another.
+    pub states: Vec<f32>,
+    /// Position of the oldest step or episode.
+    pub oldest: usize,
 }
 
 /// A drawn batch, flat and by rows, ready to become tensors.
@@ -73,67 +131,117 @@ pub struct Batch {
     pub reward: Vec<f32>,
     /// `[batch]`: 1 where the episode went on or was cut off by its step limit, 0 where it terminated.
     pub goes_on: Vec<f32>,
+    /// The way to each row, for a recurrent network.
+    pub courses: Option<Courses>,
+}
+
+/// The episodes that a batch's rows belong to: `steps` is the longest one's, the others are padded with zeros.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Courses {
+    /// Episodes.
+    pub episodes: usize,
+    /// `[steps + 1, episodes, inputs + 2]`: encoded observation and the action of the step before; one row more than steps, since
+    /// something is seen after the last.
+    pub inputs: Vec<f32>,
+    /// `[rows]`: where in `[steps, episodes]` each of the batch's rows is.
+    pub at: Vec<i64>,
+    /// `[episodes, 2 * hidden]`: the actor's state after the first step as it was played; absent where it was not stored.
+    pub stored: Option<Vec<f32>>,
 }
 
 impl Replay {
-    /// Remembers nothing yet, and at most `capacity` steps.
-    pub fn new(capacity: usize) -> Self {
-        Self { memories: Vec::new(), capacity: capacity.max(1), oldest: 0 }
+    /// Remembers nothing yet, and at most what these settings give room for.
+    pub fn new(settings: &Settings) -> Self {
+        let capacity = settings.replay_capacity as usize;
+        match settings.network {
+            Network::FeedForward => Self::Steps(Ring::new(capacity)),
+            Network::Recurrent { .. } => Self::Episodes(Ring::new(capacity / settings.rules.steps_max as usize)),
+        }
     }
 
-    /// Number of remembered steps.
-    pub fn len(&self) -> usize {
-        self.memories.len()
-    }
-
-    /// Nothing is remembered.
-    pub fn is_empty(&self) -> bool {
-        self.memories.is_empty()
-    }
-
-    /// Remember one more step; when full, the oldest is forgotten.
-    pub fn push(&mut self, memory: Memory) {
-        if self.memories.len() < self.capacity {
-            self.memories.push(memory);
-        } else {
-            self.memories[self.oldest] = memory;
-            self.oldest = (self.oldest + 1) % self.capacity;
+    /// Remember an episode. One without steps, whose simulation failed at once, is nothing to learn from.
+    pub fn push(&mut self, episode: Episode) {
+        match self {
+            Self::Steps(ring) => episode.steps.into_iter().for_each(|step| ring.push(step)),
+            Self::Episodes(ring) if !episode.steps.is_empty() => ring.push(episode),
+            Self::Episodes(_) => {}
         }
     }
 
     /// Draw a batch with replacement.
     ///
-    /// A share of the steps is asked about another target in hindsight: what the powder did does not depend on what was
-    /// asked for, so observation, reward and ending are computed anew (Andrychowicz et al., NeurIPS 2017; here with exact
+    /// A share of the steps, or of the episodes, is asked about another target in hindsight: what the powder did does not depend on
+    /// what was asked for, so observation, reward and ending are computed anew (Andrychowicz et al., NeurIPS 2017; here with exact
     /// rewards for any target, not only for one that was reached). New targets are uniform over those for which the
-    /// episode would still have been running before the step.
+    /// episode would still have been running before the step, or its first step.
     ///
     /// # Panics
     /// On an empty memory.
     pub fn draw(&self, settings: &Settings, rng: &mut impl Rng) -> Batch {
-        let mut batch = Batch::default();
-        for _ in 0..settings.batch {
-            let memory = &self.memories[rng.random_range(0..self.memories.len())];
-            let mut target_mg = f64::from(memory.target_mg);
-            if rng.random::<f64>() < settings.relabel_share {
-                target_mg = hindsight_target(memory, settings, rng).unwrap_or(target_mg);
+        match self {
+            Self::Steps(ring) => {
+                let mut batch = Batch::default();
+                for _ in 0..settings.batch {
+                    let memory = ring.pick(rng);
+                    let target_mg = drawn_target(memory, settings, rng);
+                    batch.push(memory, target_mg, settings);
+                }
+                batch
             }
-            batch.push(memory, target_mg, settings);
+            Self::Episodes(ring) => episodes::draw(ring, settings, rng),
         }
-        batch
     }
 
-    /// Everything as flat rows and the position of the oldest, for a checkpoint.
-    pub fn to_rows(&self) -> (Vec<f32>, usize) {
-        (self.memories.iter().flat_map(|m| m.to_row()).collect(), self.oldest)
+    /// Everything as plain numbers.
+    pub fn to_plain(&self) -> Remembered {
+        let rows = |steps: &mut dyn Iterator<Item = &Memory>| steps.flat_map(|m| m.to_row()).collect();
+        match self {
+            Self::Steps(ring) => {
+                Remembered { rows: rows(&mut ring.items.iter()), oldest: ring.oldest, ..Remembered::default() }
+            }
+            Self::Episodes(ring) => Remembered {
+                rows: rows(&mut ring.items.iter().flat_map(|episode| &episode.steps)),
+                lengths: ring.items.iter().map(|episode| episode.steps.len() as u32).collect(),
+                states: ring.items.iter().flat_map(|episode| &episode.state).copied().collect(),
+                oldest: ring.oldest,
+            },
+        }
     }
 
-    /// The inverse of [`Replay::to_rows`]; `None` when the numbers cannot be such a memory.
-    pub fn from_rows(rows: &[f32], oldest: usize, capacity: usize) -> Option<Self> {
-        let memories: Vec<Memory> = rows.chunks_exact(WIDTH).map(Memory::from_row).collect();
-        let fits = rows.len().is_multiple_of(WIDTH) && memories.len() <= capacity && oldest < capacity.max(1);
-        fits.then_some(Self { memories, capacity: capacity.max(1), oldest })
+    /// The inverse of [`Replay::to_plain`]; `None` when the numbers cannot be such a memory.
+    pub fn from_plain(plain: &Remembered, settings: &Settings) -> Option<Self> {
+        let mut steps: Vec<Memory> = plain.rows.chunks_exact(WIDTH).map(Memory::from_row).collect();
+        let whole = plain.rows.len().is_multiple_of(WIDTH);
+        let fill = |capacity: usize, count: usize| whole && count <= capacity && plain.oldest < capacity;
+        match Self::new(settings) {
+            Self::Steps(ring) => {
+                let fits = fill(ring.capacity, steps.len()) && plain.lengths.is_empty() && plain.states.is_empty();
+                fits.then_some(Self::Steps(Ring { items: steps, oldest: plain.oldest, ..ring }))
+            }
+            Self::Episodes(ring) => {
+                let state = if settings.stores_states() { 2 * settings.hidden as usize } else { 0 };
+                let total: u64 = plain.lengths.iter().map(|&length| u64::from(length)).sum();
+                let fits = fill(ring.capacity, plain.lengths.len())
+                    && !plain.lengths.contains(&0)
+                    && total == steps.len() as u64
+                    && plain.states.len() == state * plain.lengths.len();
+                let items = plain.lengths.iter().enumerate().map(|(k, &length)| Episode {
+                    steps: steps.drain(..length as usize).collect(),
+                    state: plain.states[k * state..(k + 1) * state].to_vec(),
+                });
+                fits.then(|| Self::Episodes(Ring { items: items.collect(), oldest: plain.oldest, ..ring }))
+            }
+        }
     }
+}
+
+/// The target that a step, or the episode it begins, is asked about: its own, or one in hindsight.
+pub(super) fn drawn_target(memory: &Memory, settings: &Settings, rng: &mut impl Rng) -> f64 {
+    let own_mg = f64::from(memory.target_mg);
+    if rng.random::<f64>() < settings.relabel_share {
+        return hindsight_target(memory, settings, rng).unwrap_or(own_mg);
+    }
+    own_mg
 }
 
 /// A target for which this step would have been taken too; `None` when there is none in range.
@@ -161,24 +269,21 @@ pub fn training_reward(settings: &Settings, target_mg: f64, true_mg: f64, termin
 }
 
 impl Batch {
-    fn push(&mut self, memory: &Memory, target_mg: f64, settings: &Settings) {
+    /// Add a step as if the target had been `target_mg`; true when it ends the episode.
+    pub(super) fn push(&mut self, memory: &Memory, target_mg: f64, settings: &Settings) -> bool {
         let s = &memory.step;
-        let seen = |reading_mg: f32, pitch_deg: f32| Observation {
-            reading_mg: reading_mg.into(),
-            target_mg,
-            pitch_deg: pitch_deg.into(),
-        };
         let encoding: Encoding = settings.encoding;
-        seen(s.reading_mg, s.pitch_deg).encode_into(encoding, &mut self.now);
+        memory.before(target_mg).encode_into(encoding, &mut self.now);
         self.now.extend(memory.parameters);
         self.now.extend(s.action);
-        let next = seen(s.next_reading_mg, s.next_pitch_deg);
+        let next = memory.after(target_mg);
         next.encode_into(encoding, &mut self.next);
         self.next.extend(memory.parameters);
         let terminated = settings.rules.ending == Ending::OnTarget && is_on_target(next.missing_mg());
         let r = training_reward(settings, target_mg, s.next_true_mg.into(), terminated);
         self.reward.push((settings.reward_scale * r) as f32);
         self.goes_on.push(if terminated { 0.0 } else { 1.0 });
+        terminated
     }
 }
 
@@ -205,15 +310,21 @@ mod tests {
     }
 
     fn settings(preset: Preset) -> Settings {
-        Settings { batch: 400, relabel_share: 1.0, ..Settings::of(preset, Order::Random, 1) }
+        let network = Network::FeedForward;
+        Settings { batch: 400, relabel_share: 1.0, network, ..Settings::of(preset, Order::Random, 1) }
+    }
+
+    /// A memory of these steps.
+    fn replay(settings: &Settings, steps: Vec<Memory>) -> Replay {
+        let mut replay = Replay::new(settings);
+        replay.push(Episode { steps, state: vec![] });
+        replay
     }
 
     #[test]
     fn a_step_without_relabelling_is_given_back_as_it_was_played() {
-        let settings = Settings { relabel_share: 0.0, batch: 1, ..Settings::of(Preset::Paper, Order::Random, 1) };
-        let mut replay = Replay::new(4);
-        replay.push(memory(3.0, 5.0));
-        let batch = replay.draw(&settings, &mut Pcg64Mcg::seed_from_u64(1));
+        let settings = Settings { relabel_share: 0.0, batch: 1, ..settings(Preset::Paper) };
+        let batch = replay(&settings, vec![memory(3.0, 5.0)]).draw(&settings, &mut Pcg64Mcg::seed_from_u64(1));
         let seen = Observation { reading_mg: 3.0, target_mg: 12.0, pitch_deg: 8.0 }.encode(Encoding::Paper);
         assert_eq!(batch.now, [seen, vec![0.5; COUNT], vec![0.25, -0.5]].concat());
         assert_eq!((batch.reward, batch.goes_on), (vec![-6.75], vec![1.0]));
@@ -222,9 +333,7 @@ mod tests {
     #[test]
     fn relabelled_targets_keep_the_dynamics_and_agree_with_reward_and_ending() {
         let settings = settings(Preset::Flip);
-        let mut replay = Replay::new(4);
-        replay.push(memory(3.0, 9.0));
-        let batch = replay.draw(&settings, &mut Pcg64Mcg::seed_from_u64(1));
+        let batch = replay(&settings, vec![memory(3.0, 9.0)]).draw(&settings, &mut Pcg64Mcg::seed_from_u64(1));
         let width = settings.encoding.width();
         let (mut ended, mut overdosed) = (0, 0);
         for (k, now) in batch.now.chunks_exact(width + COUNT + 2).enumerate() {
@@ -246,9 +355,7 @@ mod tests {
     #[test]
     fn a_step_that_no_target_in_range_explains_keeps_its_own() {
         let settings = settings(Preset::Flip);
-        let mut replay = Replay::new(4);
-        replay.push(memory(14.5, 16.0));
-        let batch = replay.draw(&settings, &mut Pcg64Mcg::seed_from_u64(1));
+        let batch = replay(&settings, vec![memory(14.5, 16.0)]).draw(&settings, &mut Pcg64Mcg::seed_from_u64(1));
         assert!(batch.goes_on.iter().all(|&g| g == 0.0));
     }
 
@@ -264,15 +371,15 @@ mod tests {
 
     #[test]
     fn the_oldest_step_is_forgotten_first_and_rows_bring_everything_back() {
-        let mut replay = Replay::new(3);
-        for k in 0..5 {
-            replay.push(memory(k as f32, 9.0));
-        }
-        let readings: Vec<f32> = replay.memories.iter().map(|m| m.step.reading_mg).collect();
-        assert_eq!((readings, replay.oldest), (vec![3.0, 4.0, 2.0], 2));
-        let (rows, oldest) = replay.to_rows();
-        assert_eq!(Replay::from_rows(&rows, oldest, 3), Some(replay));
-        assert_eq!(Replay::from_rows(&rows, oldest, 2), None);
-        assert_eq!(Replay::from_rows(&rows[1..], oldest, 3), None);
+        let settings = |replay_capacity| Settings { replay_capacity, ..settings(Preset::Flip) };
+        let steps = |range: std::ops::Range<u32>| range.map(|k| memory(k as f32, 9.0)).collect::<Vec<_>>();
+        let replay = replay(&settings(3), steps(0..5));
+        assert_eq!(replay, Replay::Steps(Ring { items: [steps(3..5), steps(2..3)].concat(), capacity: 3, oldest: 2 }));
+        let plain = replay.to_plain();
+        assert_eq!(Replay::from_plain(&plain, &settings(3)), Some(replay));
+        assert_eq!(Replay::from_plain(&plain, &settings(2)), None);
+        let rows = plain.rows[1..].to_vec();
+        assert_eq!(Replay::from_plain(&Remembered { rows, ..plain.clone() }, &settings(3)), None);
+        assert_eq!(Replay::from_plain(&Remembered { lengths: vec![3], ..plain }, &settings(3)), None);
     }
 }

@@ -8,15 +8,15 @@
 //! |-----------------|----------------------------------------------|-------------------|
 //! | `squash`        | head `[batch, 4]`, noise `[batch, 2]`        | action, log-prob  |
 //! | `td_target`     | reward, goes on, next Q and log-prob         | y `[batch]`       |
-//! | `critic_loss`   | Q `[2, batch]`, y `[batch]`                  | scalar            |
+//! | `critic_loss`   | Q `[2, batch]`, y `[batch]`, which           | scalar            |
 //! | `actor_loss`    | Q `[2, batch]`, log-prob `[batch]`           | scalar            |
 //! | `Learner::update` | batch, noise                               | one step of each  |
 
 use super::adam::Adam;
-use super::networks::{forward, forward_twins, initialise};
+use super::networks::{Networks, Seen};
+use super::recurrent::Course;
 use super::replay::Batch;
-use super::settings::Settings;
-use crate::domain::parameters::COUNT;
+use super::settings::{CriticLoss, Settings};
 use crate::policy::{Actor, LOG_STD_MAX, LOG_STD_MIN, OUTPUTS};
 use rand::Rng;
 use serde::{Deserialize, Serialize};
@@ -57,10 +57,14 @@ pub fn td_target(
     reward + goes_on * value * gamma
 }
 
-/// Eq. 5 for both critics: the sum over the twins of `mean (Q - y)^2 / 2`. Q `[2, batch]`, y `[batch]`.
-pub fn critic_loss(q: &Tensor, y: &Tensor) -> Tensor {
+/// Eq. 5 for both critics: the sum over the twins of `mean d^2 / 2` with `d = Q - y`, or of Huber's `mean |d| - 1/2` where
+/// `|d| > 1`. Q `[2, batch]`, y `[batch]`.
+pub fn critic_loss(q: &Tensor, y: &Tensor, which: CriticLoss) -> Tensor {
     // The mean over 2 * batch entries is half of the sum of the two means.
-    (q - y).square().mean(None)
+    match which {
+        CriticLoss::Squared => (q - y).square().mean(None),
+        CriticLoss::Huber => q.smooth_l1_loss(&y.expand_as(q), tch::Reduction::Mean, 1.0) * 2.0,
+    }
 }
 
 /// Eq. 9: `mean (alpha log pi - min Q)`. Q `[2, batch]`, log-probability `[batch]`.
@@ -105,18 +109,14 @@ pub struct Learner {
     pub critics_adam: Adam,
     /// Optimiser of the temperature.
     pub alpha_adam: Adam,
-    actor_widths: Vec<usize>,
-    critic_widths: Vec<usize>,
+    networks: Networks,
 }
 
 impl Learner {
     /// Freshly initialised networks.
     pub fn new(settings: &Settings, rng: &mut impl Rng) -> Self {
-        let (inputs, hidden) = (settings.encoding.width(), settings.hidden as usize);
-        let actor_widths = vec![inputs, hidden, hidden, 2 * OUTPUTS];
-        let critic_widths = vec![inputs + COUNT + OUTPUTS, hidden, hidden, 1];
-        let actor = initialise(&actor_widths, 1, rng);
-        let critics = initialise(&critic_widths, 2, rng);
+        let networks = Networks::new(settings);
+        let (actor, critics) = networks.initialise(rng);
         Self {
             actor_adam: Adam::new(actor.len()),
             critics_adam: Adam::new(critics.len()),
@@ -125,8 +125,7 @@ impl Learner {
             log_alpha: vec![settings.initial_alpha.ln() as f32],
             actor,
             critics,
-            actor_widths,
-            critic_widths,
+            networks,
         }
     }
 
@@ -137,38 +136,29 @@ impl Learner {
 
     /// The actor as it is now, in plain Rust; `None` when its weights are no longer finite.
     pub fn snapshot(&self, settings: &Settings) -> Option<Actor> {
-        Actor::from_flat(settings.encoding, &self.actor_widths, &self.actor).ok()
-    }
-
-    /// Sizes of the actor's layers.
-    pub fn actor_widths(&self) -> &[usize] {
-        &self.actor_widths
+        self.networks.snapshot(settings.encoding, &self.actor)
     }
 
     /// One update of critics, actor, temperature and targets from one batch.
     ///
-    /// `noise` holds `[2, batch, 2]` standard normal numbers: for the next actions, then for the present ones.
+    /// `noise` holds `[2, rows, 2]` standard normal numbers: for the next actions, then for the present ones.
     pub fn update(&mut self, batch: &Batch, noise: &[f32], settings: &Settings) -> Losses {
         // Of every thread that ever updates: libtorch keeps the number per thread, and one is the reproducible one.
         tch::set_num_threads(1);
-        let n = settings.batch as i64;
-        let state = self.actor_widths[0] as i64 + COUNT as i64;
-        let now = Tensor::from_slice(&batch.now).view([n, state + OUTPUTS as i64]);
-        let next = Tensor::from_slice(&batch.next).view([n, state]);
-        let noise = Tensor::from_slice(noise).view([2, n, OUTPUTS as i64]);
+        let ((now, action), next) = self.seen(batch);
+        let noise = Tensor::from_slice(noise).view([2, -1, OUTPUTS as i64]);
         let alpha = self.alpha();
 
         let y = tch::no_grad(|| self.target(&next, &noise.get(0), batch, alpha, settings.gamma));
         let critics = Tensor::from_slice(&self.critics).view([2, -1]).set_requires_grad(true);
-        let critic_loss = critic_loss(&forward_twins(&critics, &self.critic_widths, &now), &y);
+        let critic_loss = critic_loss(&self.networks.values(&critics, &now, &action), &y, settings.critic_loss);
         let gradient = gradient_of(&critic_loss, &critics);
         self.critics_adam.step(&mut self.critics, &gradient, settings.learning_rate);
 
         let actor = Tensor::from_slice(&self.actor).set_requires_grad(true);
-        let (action, log_prob) = squash(&self.head(&actor, &now), &noise.get(1));
-        let input = Tensor::cat(&[now.narrow(1, 0, state), action], 1);
+        let (action, log_prob) = squash(&self.networks.head(&actor, &now), &noise.get(1));
         let critics = Tensor::from_slice(&self.critics).view([2, -1]);
-        let actor_loss = actor_loss(&forward_twins(&critics, &self.critic_widths, &input), &log_prob, alpha);
+        let actor_loss = actor_loss(&self.networks.values(&critics, &now, &action), &log_prob, alpha);
         let gradient = gradient_of(&actor_loss, &actor);
         self.actor_adam.step(&mut self.actor, &gradient, settings.learning_rate);
 
@@ -188,18 +178,28 @@ impl Learner {
         }
     }
 
-    fn target(&self, next: &Tensor, noise: &Tensor, batch: &Batch, alpha: f64, gamma: f64) -> Tensor {
-        let actor = Tensor::from_slice(&self.actor);
-        let (action, log_prob) = squash(&self.head(&actor, next), noise);
-        let targets = Tensor::from_slice(&self.targets).view([2, -1]);
-        let next_q = forward_twins(&targets, &self.critic_widths, &Tensor::cat(&[next, &action], 1));
-        let (reward, goes_on) = (Tensor::from_slice(&batch.reward), Tensor::from_slice(&batch.goes_on));
-        td_target(&reward, &goes_on, &next_q, &log_prob, alpha, gamma)
+    /// A batch as tensors: what was seen and done, and what was seen next.
+    fn seen(&self, batch: &Batch) -> ((Seen, Tensor), Seen) {
+        let n = batch.reward.len() as i64;
+        let now = Tensor::from_slice(&batch.now).view([n, -1]);
+        let next = Tensor::from_slice(&batch.next).view([n, -1]);
+        let state = next.size()[1];
+        let action = now.narrow(1, state, OUTPUTS as i64);
+        let [before, after] = match (&self.networks, &batch.courses) {
+            (Networks::Recurrent { actor, .. }, Some(courses)) => Course::pair(courses, actor).map(Some),
+            _ => [None, None],
+        };
+        ((Seen { rows: now.narrow(1, 0, state), course: before }, action), Seen { rows: next, course: after })
     }
 
-    /// The actor's outputs for rows that begin with an encoded observation.
-    fn head(&self, actor: &Tensor, rows: &Tensor) -> Tensor {
-        forward(actor, &self.actor_widths, &rows.narrow(1, 0, self.actor_widths[0] as i64))
+    /// What the critics should say of a batch, from the target networks: `[rows]`.
+    fn target(&self, next: &Seen, noise: &Tensor, batch: &Batch, alpha: f64, gamma: f64) -> Tensor {
+        let actor = Tensor::from_slice(&self.actor);
+        let (action, log_prob) = squash(&self.networks.head(&actor, next), noise);
+        let targets = Tensor::from_slice(&self.targets).view([2, -1]);
+        let next_q = self.networks.values(&targets, next, &action);
+        let (reward, goes_on) = (Tensor::from_slice(&batch.reward), Tensor::from_slice(&batch.goes_on));
+        td_target(&reward, &goes_on, &next_q, &log_prob, alpha, gamma)
     }
 }
 

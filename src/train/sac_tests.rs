@@ -1,25 +1,40 @@
 //! The losses and the update against an independent implementation, finite differences and known limits.
 
 use super::*;
-use crate::train::settings::{Order, Preset};
+use crate::domain::parameters::COUNT;
+use crate::policy::Encoding;
+use crate::train::episodes::interleave;
+use crate::train::replay::Courses;
+use crate::train::settings::{Network, Order, Preset, Replayed};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde_json::Value;
 use tch::Kind;
 
-/// Made by `tests/reference/sac_update.py`.
-fn reference() -> Value {
-    serde_json::from_str(include_str!("../../tests/reference/sac_update.json")).unwrap()
+/// Each network and loss with its reference, made by `tests/reference/sac_update.py` and `sac_recurrent_update.py`.
+fn references() -> Vec<(Network, CriticLoss, Value)> {
+    let read = |text: &str| serde_json::from_str::<Value>(text).unwrap();
+    let mut recurrent = read(include_str!("../../tests/reference/sac_recurrent_update.json"));
+    let network = |replayed| Network::Recurrent { replayed };
+    vec![
+        (Network::FeedForward, CriticLoss::Squared, read(include_str!("../../tests/reference/sac_update.json"))),
+        (network(Replayed::StoredState), CriticLoss::Huber, recurrent["stored_state"].take()),
+        (network(Replayed::Episodes), CriticLoss::Squared, recurrent["episodes"].take()),
+    ]
 }
 
 fn numbers(value: &Value) -> Vec<f32> {
     value.as_array().unwrap().iter().map(|x| x.as_f64().unwrap() as f32).collect()
 }
 
-/// The learner, settings, batch and noise that the reference starts from.
-fn start(reference: &Value) -> (Learner, Settings, Batch, Vec<f32>) {
+/// The learner, settings, batch and noise that a reference starts from.
+fn start((network, critic_loss, reference): &(Network, CriticLoss, Value)) -> (Learner, Settings, Batch, Vec<f32>) {
     let number = |key: &str| reference[key].as_f64().unwrap();
+    let recurrent = *network != Network::FeedForward;
     let settings = Settings {
+        network: *network,
+        critic_loss: *critic_loss,
+        encoding: if recurrent { Encoding::Paper } else { Encoding::Missing },
         hidden: number("hidden") as u32,
         batch: number("batch") as u32,
         gamma: number("gamma"),
@@ -33,11 +48,21 @@ fn start(reference: &Value) -> (Learner, Settings, Batch, Vec<f32>) {
     learner.actor = numbers(&reference["actor"]);
     learner.critics = numbers(&reference["critics"]);
     learner.targets = numbers(&reference["targets"]);
+    let courses = recurrent.then(|| {
+        let courses = &reference["courses"];
+        Courses {
+            episodes: settings.batch as usize,
+            inputs: numbers(&courses["inputs"]),
+            at: courses["at"].as_array().unwrap().iter().map(|x| x.as_i64().unwrap()).collect(),
+            stored: (!courses["stored"].is_null()).then(|| numbers(&courses["stored"])),
+        }
+    });
     let batch = Batch {
         now: numbers(&reference["now"]),
         next: numbers(&reference["next"]),
         reward: numbers(&reference["reward"]),
         goes_on: numbers(&reference["goes_on"]),
+        courses,
     };
     (learner, settings, batch, numbers(&reference["noise"]))
 }
@@ -52,52 +77,52 @@ fn assert_close(what: &str, ours: &[f32], expected: &[f32]) {
 
 #[test]
 fn one_update_equals_an_independent_implementation() {
-    let reference = reference();
-    let expected = &reference["expected"];
-    let (mut learner, settings, batch, noise) = start(&reference);
+    for reference in &references() {
+        let expected = &reference.2["expected"];
+        let (mut learner, settings, batch, noise) = start(reference);
 
-    let next = Tensor::from_slice(&batch.next).view([i64::from(settings.batch), -1]);
-    let first = Tensor::from_slice(&noise).view([2, i64::from(settings.batch), 2]).get(0);
-    let y = learner.target(&next, &first, &batch, learner.alpha(), settings.gamma);
-    assert_close("y", &Vec::try_from(y).unwrap(), &numbers(&expected["y"]));
+        let (_, next) = learner.seen(&batch);
+        let first = Tensor::from_slice(&noise).view([2, -1, 2]).get(0);
+        let y = learner.target(&next, &first, &batch, learner.alpha(), settings.gamma);
+        assert_close("y", &Vec::try_from(y).unwrap(), &numbers(&expected["y"]));
 
-    let losses = learner.update(&batch, &noise, &settings);
-    let number = |key: &str| expected[key].as_f64().unwrap() as f32;
-    assert_close("critic loss", &[losses.critic as f32], &[number("critic_loss")]);
-    assert_close("actor loss", &[losses.actor as f32], &[number("actor_loss")]);
-    assert_close("entropy", &[losses.entropy as f32], &[number("entropy")]);
-    // Adam's first moment after one step is a tenth of the gradient.
-    let gradient = |adam: &Adam| adam.m.iter().map(|m| m * 10.0).collect::<Vec<f32>>();
-    assert_close("critics' gradient", &gradient(&learner.critics_adam), &numbers(&expected["critic_gradient"]));
-    assert_close("actor's gradient", &gradient(&learner.actor_adam), &numbers(&expected["actor_gradient"]));
-    assert_close("critics", &learner.critics, &numbers(&expected["critics"]));
-    assert_close("actor", &learner.actor, &numbers(&expected["actor"]));
-    assert_close("targets", &learner.targets, &numbers(&expected["targets"]));
-    assert_close("log alpha", &learner.log_alpha, &[number("log_alpha")]);
+        let losses = learner.update(&batch, &noise, &settings);
+        let number = |key: &str| expected[key].as_f64().unwrap() as f32;
+        assert_close("critic loss", &[losses.critic as f32], &[number("critic_loss")]);
+        assert_close("actor loss", &[losses.actor as f32], &[number("actor_loss")]);
+        assert_close("entropy", &[losses.entropy as f32], &[number("entropy")]);
+        // Adam's first moment after one step is a tenth of the gradient.
+        let gradient = |adam: &Adam| adam.m.iter().map(|m| m * 10.0).collect::<Vec<f32>>();
+        assert_close("critics' gradient", &gradient(&learner.critics_adam), &numbers(&expected["critic_gradient"]));
+        assert_close("actor's gradient", &gradient(&learner.actor_adam), &numbers(&expected["actor_gradient"]));
+        assert_close("critics", &learner.critics, &numbers(&expected["critics"]));
+        assert_close("actor", &learner.actor, &numbers(&expected["actor"]));
+        assert_close("targets", &learner.targets, &numbers(&expected["targets"]));
+        assert_close("log alpha", &learner.log_alpha, &[number("log_alpha")]);
+    }
 }
 
 #[test]
 fn gradients_equal_finite_differences_of_the_losses() {
     // In f64, so that differences of 1e-6 are not drowned in rounding.
-    let double = |values: &Value| {
-        Tensor::from_slice(&values.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect::<Vec<_>>())
-    };
-    let r = reference();
-    let (learner, settings, ..) = start(&r);
-    let (n, state) = (i64::from(settings.batch), 13);
-    let now = double(&r["now"]).view([n, -1]);
-    let noise = double(&r["noise"]).view([2, n, 2]).get(1);
-    let y = double(&r["expected"]["y"]);
-    let critics = double(&r["critics"]).view([2, -1]);
-    let of_critics = |flat: &Tensor| critic_loss(&forward_twins(&flat.view([2, -1]), &learner.critic_widths, &now), &y);
-    let of_actor = |flat: &Tensor| {
-        let head = forward(flat, &learner.actor_widths, &now.narrow(1, 0, learner.actor_widths[0] as i64));
-        let (action, log_prob) = squash(&head, &noise);
-        let q = forward_twins(&critics, &learner.critic_widths, &Tensor::cat(&[now.narrow(1, 0, state), action], 1));
-        actor_loss(&q, &log_prob, 0.3)
-    };
-    check_gradient("critics", &double(&r["critics"]), of_critics);
-    check_gradient("actor", &double(&r["actor"]), of_actor);
+    let double = |values: &[f32]| Tensor::from_slice(&values.iter().map(|&x| f64::from(x)).collect::<Vec<_>>());
+    for reference in &references() {
+        let (learner, _, batch, noise) = start(reference);
+        let ((now, action), _) = learner.seen(&batch);
+        let action = action.to_kind(Kind::Double);
+        let now = Seen { rows: now.rows.to_kind(Kind::Double), course: now.course.map(|c| c.to_kind(Kind::Double)) };
+        let noise = double(&noise).view([2, -1, 2]).get(1);
+        let y = double(&numbers(&reference.2["expected"]["y"]));
+        let critics = double(&learner.critics).view([2, -1]);
+        let of_critics =
+            |flat: &Tensor| critic_loss(&learner.networks.values(&flat.view([2, -1]), &now, &action), &y, reference.1);
+        let of_actor = |flat: &Tensor| {
+            let (action, log_prob) = squash(&learner.networks.head(flat, &now), &noise);
+            actor_loss(&learner.networks.values(&critics, &now, &action), &log_prob, 0.3)
+        };
+        check_gradient("critics", &double(&learner.critics), of_critics);
+        check_gradient("actor", &double(&learner.actor), of_actor);
+    }
 }
 
 fn check_gradient(what: &str, at: &Tensor, loss: impl Fn(&Tensor) -> Tensor) {
@@ -189,6 +214,75 @@ fn a_bandit_with_a_known_answer_is_solved() {
         let noise: Vec<f32> = (0..4 * settings.batch).map(|_| crate::policy::normal(&mut rng)).collect();
         learner.update(&batch, &noise, &settings);
     }
-    let head = learner.snapshot(&settings).unwrap().forward(&vec![0.5; inputs]);
+    let actor = learner.snapshot(&settings).unwrap();
+    let head = actor.forward(&vec![0.5; inputs], &mut actor.begin());
     assert!(head.mean.iter().all(|m| (m.tanh() - 0.5).abs() < 0.1), "{:?}", head.mean.map(f32::tanh));
+}
+
+#[test]
+fn hubers_loss_is_linear_beyond_a_difference_of_one() {
+    // Differences 0.5 and -3 in each twin: (0.125 + 2.5) / 2 for one, twice that for both; squared (0.125 + 4.5) / 2.
+    let (q, y) = (Tensor::from_slice(&[1.5f32, 1.0, 1.5, 1.0]).view([2, 2]), Tensor::from_slice(&[1.0f32, 4.0]));
+    assert!((critic_loss(&q, &y, CriticLoss::Huber).double_value(&[]) - 2.625).abs() < 1e-6);
+    assert!((critic_loss(&q, &y, CriticLoss::Squared).double_value(&[]) - 4.625).abs() < 1e-6);
+}
+
+/// How strongly a cue shows.
+const CUE: f32 = 3.0;
+
+/// Three steps: a cue of -1 or 1 at the first, nothing to be seen later, and at the others a reward of `-3 sum (a - 0.6 cue)^2`.
+fn push_cued_episode(batch: &mut Batch, courses: &mut Vec<Vec<f32>>, inputs: usize, rng: &mut Pcg64Mcg) {
+    let cue = if rng.random::<bool>() { 1.0 } else { -1.0 };
+    let seen = |step: u32| vec![if step == 0 { CUE * cue } else { 0.0 }; inputs];
+    let mut course = [seen(0), vec![0.0; OUTPUTS]].concat();
+    for step in 0..3 {
+        let action: [f32; OUTPUTS] = std::array::from_fn(|_| 2.0 * rng.random::<f32>() - 1.0);
+        batch.now.extend([seen(step), vec![0.5; COUNT], action.to_vec()].concat());
+        batch.next.extend([seen(step + 1), vec![0.5; COUNT]].concat());
+        let error: f32 = action.iter().map(|a| (a - 0.6 * cue).powi(2)).sum();
+        batch.reward.push(if step > 0 { -3.0 * error } else { 0.0 });
+        batch.goes_on.push(if step == 2 { 0.0 } else { 1.0 });
+        course.extend([seen(step + 1), action.to_vec()].concat());
+    }
+    courses.push(course);
+}
+
+/// Mean absolute distance of the last action from the right one after this many updates.
+fn error_after_a_cue(network: Network, updates: u32) -> f32 {
+    let settings = Settings {
+        network,
+        hidden: 32,
+        batch: 32,
+        learning_rate: 3e-3,
+        gamma: 0.5,
+        ..Settings::of(Preset::Flip, Order::Curriculum, 1)
+    };
+    let mut rng = Pcg64Mcg::seed_from_u64(7);
+    let mut learner = Learner::new(&settings, &mut rng);
+    let inputs = settings.encoding.width();
+    for _ in 0..updates {
+        let (mut batch, mut courses) = (Batch::default(), Vec::new());
+        (0..settings.batch).for_each(|_| push_cued_episode(&mut batch, &mut courses, inputs, &mut rng));
+        batch.courses = Some(interleave(&courses, inputs + OUTPUTS, Vec::new()));
+        let noise: Vec<f32> = (0..4 * batch.reward.len()).map(|_| crate::policy::normal(&mut rng)).collect();
+        learner.update(&batch, &noise, &settings);
+    }
+    let actor = learner.snapshot(&settings).unwrap();
+    let off = |cue: f32| {
+        let mut carried = actor.begin();
+        let mut centre = |seen: f32| actor.forward(&vec![seen; inputs], &mut carried).mean.map(f32::tanh);
+        let [_, _, last] = [CUE * cue, 0.0, 0.0].map(&mut centre);
+        last.iter().map(|a| (a - 0.6 * cue).abs()).sum::<f32>() / 2.0
+    };
+    (off(1.0) + off(-1.0)) / 2.0
+}
+
+#[test]
+fn what_was_seen_two_steps_ago_decides_and_only_the_recurrent_learner_knows_it() {
+    let recurrent = error_after_a_cue(Network::Recurrent { replayed: Replayed::Episodes }, 1500);
+    let feed_forward = error_after_a_cue(Network::FeedForward, 1500);
+    println!("recurrent {recurrent:.3}, feed-forward {feed_forward:.3}");
+    assert!(recurrent < 0.15, "{recurrent}");
+    // Whatever it does, it does for both cues: 0.6 off on average, or more.
+    assert!(feed_forward > 0.59, "{feed_forward}");
 }

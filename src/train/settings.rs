@@ -35,6 +35,44 @@ pub enum Order {
     DomainRandomisation,
 }
 
+/// Which network learns.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Network {
+    /// Two hidden layers; an action follows from what is seen now. It learns from single transitions.
+    #[default]
+    FeedForward,
+    /// The prior work's, which remembers the weighing in an LSTM. It learns from whole episodes.
+    Recurrent {
+        /// With which state the LSTMs meet the next observations.
+        replayed: Replayed,
+    },
+}
+
+/// With which state a replayed episode's LSTMs meet its next observations, whose values the critics learn.
+///
+/// What the networks remember before each step begins with zeros at the episode's first step either way, as does a weighing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Replayed {
+    /// The published code's: the state that the actor of that time had after the first step was stored with the episode. It is given to
+    /// today's actor, and to the target critics as well, whose own states mean something else.
+    StoredState,
+    /// Ours: each network goes through the episode from its beginning. At 10 to 30 steps there is nothing to burn in or to cut off.
+    Episodes,
+}
+
+/// How far off a critic is.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CriticLoss {
+    /// Half of the squared difference.
+    #[default]
+    Squared,
+    /// The same up to a difference of 1, and from there on linear (Huber 1964).
+    Huber,
+}
+
 /// Every setting of a training; stored with its job, its checkpoints and its policy.
 ///
 /// Sources: "Haarnoja 2018" is arXiv:1812.05905; "prior work" is the public code of the published robot and of the
@@ -73,9 +111,12 @@ pub struct Settings {
 
     /// Inputs of the networks.
     pub encoding: Encoding,
-    /// Width of both hidden layers. Default 128 (prior work).
+    /// Which network learns. Default feed-forward (ours), recurrent with stored states (prior work).
+    #[serde(default)]
+    pub network: Network,
+    /// Width of the hidden layers and of the LSTM. Default 128 (prior work).
     pub hidden: u32,
-    /// Transitions per update. Default 256 (ours), 16 (prior work).
+    /// Transitions per update; episodes per update for a recurrent network. Default 256 (ours), 16 (prior work).
     pub batch: u32,
     /// Updates per environment step. Default 4 (ours), 1 (prior work).
     pub updates_per_step: f64,
@@ -84,10 +125,14 @@ pub struct Settings {
     /// Random actions tilt the spoon: each warm-up episode draws a mean incline change from 0 to this share of 8 deg, so that
     /// some of them pour. Default 0.6 (ours), 0 (prior work).
     pub warmup_tilt: f64,
-    /// Transitions kept; the oldest is forgotten first. Default 1 000 000 (prior work).
+    /// Transitions kept; the oldest is forgotten first. A recurrent network keeps as many episodes as have room at the most
+    /// steps. Default 1 000 000 (prior work).
     pub replay_capacity: u32,
     /// Adam's step size for actor, critics and temperature. Default 1e-3 (ours), 1e-4 (prior work).
     pub learning_rate: f64,
+    /// How far off a critic is. Default squared (Haarnoja 2018), Huber (prior work).
+    #[serde(default)]
+    pub critic_loss: CriticLoss,
     /// Discount per step. Default 0.9 (ours: the ending counts for ten steps), 0.99 (prior work).
     pub gamma: f64,
     /// Share of the critic that the target network takes over per update. Default 0.005 (Haarnoja 2018).
@@ -105,7 +150,8 @@ pub struct Settings {
     /// 1 is the published reward. Default 2 (ours).
     pub overdose_factor: f64,
     /// Share of each batch whose target is drawn anew in hindsight (Andrychowicz 2017); the powder does not care what was
-    /// asked for. Default 0.8 (ours), 0 (prior work).
+    /// asked for. Whole episodes at once for a recurrent network; stored states belong to the target that was asked for, so with
+    /// them it must be 0. Default 0.8 (ours), 0 (prior work).
     pub relabel_share: f64,
     /// Lowest relabelled target, mg. Default 2: endings are learned from small doses too.
     pub relabel_mg_min: f64,
@@ -131,6 +177,7 @@ impl Settings {
             balance: balance::Settings::default(),
             spoon: dispense::Settings::default(),
             encoding: Encoding::Missing,
+            network: Network::FeedForward,
             hidden: 128,
             batch: 256,
             updates_per_step: 4.0,
@@ -138,6 +185,7 @@ impl Settings {
             warmup_tilt: 0.6,
             replay_capacity: 1_000_000,
             learning_rate: 1e-3,
+            critic_loss: CriticLoss::Squared,
             gamma: 0.9,
             tau: 0.005,
             target_entropy: -2.0,
@@ -157,11 +205,13 @@ impl Settings {
                 rounds_per_checkpoint: 20,
                 rules: Rules::PAPER,
                 encoding: Encoding::Paper,
+                network: Network::Recurrent { replayed: Replayed::StoredState },
                 batch: 16,
                 updates_per_step: 1.0,
                 warmup_episodes: 20,
                 warmup_tilt: 0.0,
                 learning_rate: 1e-4,
+                critic_loss: CriticLoss::Huber,
                 gamma: 0.99,
                 initial_alpha: 1.0,
                 reward_scale: 1.0,
@@ -206,9 +256,19 @@ impl Settings {
         bounded("reward_scale", self.reward_scale, 1e-6, 1e6, "")?;
         bounded("overdose_factor", self.overdose_factor, 0.0, 1000.0, "")?;
         bounded("relabel_share", self.relabel_share, 0.0, 1.0, "")?;
+        if self.stores_states() && self.relabel_share > 0.0 {
+            let advice =
+                "must be 0 with stored states, which belong to the target that was asked for; replay `episodes`";
+            return Err(FieldError::new("relabel_share", advice));
+        }
         bounded("relabel_mg_min", self.relabel_mg_min, 0.1, self.target_mg_max, "mg")?;
         count("curriculum.queue", self.curriculum.queue, 1, 100_000)?;
         Ok(self)
+    }
+
+    /// Episodes are remembered with the actor's state after their first step.
+    pub fn stores_states(&self) -> bool {
+        self.network == Network::Recurrent { replayed: Replayed::StoredState }
     }
 
     /// Most episodes on one of `levels` levels: the published 1330, or an equal share of a smaller budget.
@@ -237,6 +297,10 @@ mod tests {
             (4000, 16, 1e-4, 0.99, 0.005)
         );
         assert_eq!((paper.updates_per_step, paper.relabel_share, paper.overdose_factor), (1.0, 0.0, 1.0));
+        assert_eq!(
+            (paper.network, paper.critic_loss),
+            (Network::Recurrent { replayed: Replayed::StoredState }, CriticLoss::Huber)
+        );
         assert_eq!(paper.level_episodes_max(3), 1330);
     }
 
@@ -245,6 +309,18 @@ mod tests {
         let mut settings = Settings::of(Preset::Flip, Order::Curriculum, 1);
         settings.episodes = 160;
         assert_eq!(settings.level_episodes_max(3), 54);
+    }
+
+    #[test]
+    fn hindsight_is_refused_where_states_are_stored_and_settings_from_before_networks_are_read() {
+        let paper = Settings { relabel_share: 0.5, ..Settings::of(Preset::Paper, Order::Random, 1) };
+        assert_eq!(paper.clone().checked().unwrap_err().field, "relabel_share");
+        let network = Network::Recurrent { replayed: Replayed::Episodes };
+        assert!(Settings { network, ..paper }.checked().is_ok());
+        let flip = Settings::of(Preset::Flip, Order::Random, 1);
+        let mut document = serde_json::to_value(&flip).unwrap();
+        document.as_object_mut().unwrap().retain(|key, _| key != "network" && key != "critic_loss");
+        assert_eq!(serde_json::from_value::<Settings>(document).unwrap(), flip);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The training loop.
 
 use super::checkpoint;
-use super::collect::{Planned, memories, plan, play_round, stream};
+use super::collect::{Planned, plan, play_round, remembered, stream};
 use super::curriculum::Curriculum;
 use super::environment::{Filling, Played, simulated};
 use super::replay::Replay;
@@ -11,7 +11,7 @@ use super::spoons::Spoons;
 use crate::domain::FieldError;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
-use crate::policy::{self, Controller, Episode, Kind, LevelManifest, Manifest, Policy, SetManifest, normal};
+use crate::policy::{self, Controller, Episode, LevelManifest, Manifest, Policy, SetManifest, normal};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
@@ -225,7 +225,7 @@ impl State {
         let steps = if matches!(settings.order, Order::Curriculum | Order::Reverse) { count } else { 1 };
         Self {
             learner: Learner::new(settings, &mut rng),
-            replay: Replay::new(settings.replay_capacity as usize),
+            replay: Replay::new(settings),
             curriculum: Curriculum::new(steps, &settings.curriculum, settings.level_episodes_max(count)),
             progress: Progress { on_level: vec![0; count as usize], ..Progress::default() },
         }
@@ -244,24 +244,22 @@ impl State {
         let planned =
             (first..first + count).map(|index| plan(index, self.curriculum.level(), levels, settings)).collect();
         let diverged = TrainError::Diverged { episodes: first };
-        let actor = match first < settings.warmup_episodes {
-            true => None,
-            false => Some(self.learner.snapshot(settings).ok_or(diverged)?),
+        let actor = self.learner.snapshot(settings).ok_or(diverged)?;
+        let learns = first >= settings.warmup_episodes;
+        let Some(played) = play_round(planned, learns.then_some(&actor), spoons, settings, flow) else {
+            return Ok(None);
         };
-        let Some(played) = play_round(planned, actor.as_ref(), spoons, settings, flow) else { return Ok(None) };
         for (plan, played) in &played {
-            self.remember(plan, played);
-            self.progress.learning_steps += if actor.is_some() { played.steps.len() as u64 } else { 0 };
+            self.replay.push(remembered(&plan.set, played, &actor, settings));
+            self.count(plan, played);
+            self.progress.learning_steps += if learns { played.steps.len() as u64 } else { 0 };
         }
         self.progress.rounds += 1;
         let losses = self.learn(settings);
         Ok(Some(played.iter().map(|(plan, played)| record(plan, played, levels, losses)).collect()))
     }
 
-    fn remember(&mut self, plan: &Planned, played: &Played) {
-        for memory in memories(&plan.set, played) {
-            self.replay.push(memory);
-        }
+    fn count(&mut self, plan: &Planned, played: &Played) {
         let error_mg = (played.target_mg - played.dispensed_mg).abs();
         // Under a random order every episode belongs to the curriculum's only level.
         self.curriculum.record(plan.level, error_mg);
@@ -281,7 +279,7 @@ impl State {
         for _ in 0..count {
             let mut rng = Pcg64Mcg::seed_from_u64(derive(settings.seed, &[stream::UPDATE, self.progress.updates]));
             let batch = self.replay.draw(settings, &mut rng);
-            let noise: Vec<f32> = (0..4 * settings.batch).map(|_| normal(&mut rng)).collect();
+            let noise: Vec<f32> = (0..4 * batch.reward.len()).map(|_| normal(&mut rng)).collect();
             let seen = self.learner.update(&batch, &noise, settings);
             sum.critic += seen.critic;
             sum.actor += seen.actor;
@@ -311,7 +309,7 @@ impl State {
         let recent = &self.progress.recent;
         let final_error_mg = recent.iter().sum::<f64>() / recent.len().max(1) as f64;
         let manifest = Manifest {
-            kind: Kind::Learned { encoding: settings.encoding, widths: actor.widths() },
+            kind: actor.kind(),
             rules: settings.rules,
             preset: match settings.preset {
                 super::Preset::Flip => "flip".to_owned(),
