@@ -104,6 +104,12 @@ pub fn decode(bytes: &[u8]) -> Result<Policy, ArtifactError> {
             let checked = response.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?;
             Controller::Dispenser(Dispenser::new(checked))
         }
+        Kind::Pid { gains } => {
+            Controller::Pid(gains.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?)
+        }
+        Kind::Fuzzy { fuzzy } => {
+            Controller::Fuzzy(fuzzy.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?)
+        }
     };
     Ok(Policy { manifest, controller })
 }
@@ -159,6 +165,8 @@ mod tests {
     use crate::policy::controller::Schedule;
     use crate::policy::dispenser::Response;
     use crate::policy::episode::Rules;
+    use crate::policy::fuzzy::Fuzzy;
+    use crate::policy::pid::{Gains, Pid};
     use proptest::prelude::*;
 
     fn learned() -> Policy {
@@ -180,9 +188,18 @@ mod tests {
         Policy { manifest: Manifest::of_untrained(kind, Rules::FLIP, 0), controller }
     }
 
+    fn rivals() -> [Policy; 2] {
+        let policy =
+            |kind, controller| Policy { manifest: Manifest::of_untrained(kind, Rules::FLIP, 0), controller };
+        [
+            policy(Kind::Pid { gains: Pid::TUNED }, Controller::Pid(Pid::TUNED)),
+            policy(Kind::Fuzzy { fuzzy: Fuzzy::TUNED }, Controller::Fuzzy(Fuzzy::TUNED)),
+        ]
+    }
+
     #[test]
     fn a_policy_reads_back_exactly_and_its_id_is_its_content() {
-        for policy in [learned(), scheduled(), dispensing()] {
+        for policy in [learned(), scheduled(), dispensing()].into_iter().chain(rivals()) {
             let bytes = encode(&policy);
             assert_eq!(decode(&bytes).unwrap(), policy);
             assert_eq!(encode(&policy), bytes);
@@ -202,6 +219,11 @@ mod tests {
         let mut policy = dispensing();
         policy.manifest.kind = Kind::Dispenser { response: Response { bend: -1.0, ..Response::FITTED } };
         assert!(decode(&encode(&policy)).unwrap_err().to_string().contains("bend"));
+        let [mut pid, mut fuzzy] = rivals();
+        pid.manifest.kind = Kind::Pid { gains: Pid { shake: Gains { p: 11.0, i: 0.0, d: 0.0 }, ..Pid::TUNED } };
+        assert!(decode(&encode(&pid)).unwrap_err().to_string().contains("shake.p"));
+        fuzzy.manifest.kind = Kind::Fuzzy { fuzzy: Fuzzy { missing_mg: [3.0, 2.0, 4.0], ..Fuzzy::TUNED } };
+        assert!(decode(&encode(&fuzzy)).unwrap_err().to_string().contains("missing_mg"));
         let mut policy = scheduled();
         policy.manifest.rules.steps_max = 0;
         assert!(decode(&encode(&policy)).unwrap_err().to_string().contains("steps_max"));

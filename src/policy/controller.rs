@@ -3,7 +3,9 @@
 use super::actor::Actor;
 use super::dispenser::Dispenser;
 use super::episode::Rules;
+use super::fuzzy::Fuzzy;
 use super::observation::{Encoding, Observation};
+use super::pid::Pid;
 use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
@@ -20,6 +22,10 @@ pub enum Controller {
     Schedule(Schedule),
     /// A model of what a shake lets fall, identified while it doses.
     Dispenser(Dispenser),
+    /// The prior work's PID rule.
+    Pid(Pid),
+    /// Fuzzy rules on what is missing and what fell.
+    Fuzzy(Fuzzy),
 }
 
 /// A pitch to be at and a shake to make there.
@@ -115,6 +121,8 @@ impl Dosing<'_> {
             Controller::Fixed(step) => step.approach(seen.pitch_deg),
             Controller::Schedule(schedule) => schedule.step(steps).approach(seen.pitch_deg),
             Controller::Dispenser(dispenser) => dispenser.propose(&self.done, seen, &self.rules),
+            Controller::Pid(pid) => pid.propose(&self.done, seen),
+            Controller::Fuzzy(fuzzy) => fuzzy.propose(&self.done, seen),
         };
         self.proposed = Some((*seen, action));
         action

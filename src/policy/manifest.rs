@@ -3,7 +3,9 @@
 use super::controller::{Schedule, ScheduledStep};
 use super::dispenser::Response;
 use super::episode::Rules;
+use super::fuzzy::Fuzzy;
 use super::observation::Encoding;
+use super::pid::Pid;
 use crate::domain::parameters::ParameterSet;
 use serde::{Deserialize, Serialize};
 
@@ -34,16 +36,28 @@ pub enum Kind {
         /// What it expects before it has seen anything.
         response: Response,
     },
+    /// The prior work's PID rule.
+    Pid {
+        /// Its gains.
+        gains: Pid,
+    },
+    /// Fuzzy rules on what is missing and what fell.
+    Fuzzy {
+        /// Their breakpoints and centroids.
+        fuzzy: Fuzzy,
+    },
 }
 
 impl Kind {
-    /// The kind's name in JSON: `learned`, `fixed`, `schedule` or `dispenser`.
+    /// The kind's name in JSON: `learned`, `fixed`, `schedule`, `dispenser`, `pid` or `fuzzy`.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Learned { .. } => "learned",
             Self::Fixed { .. } => "fixed",
             Self::Schedule { .. } => "schedule",
             Self::Dispenser { .. } => "dispenser",
+            Self::Pid { .. } => "pid",
+            Self::Fuzzy { .. } => "fuzzy",
         }
     }
 }

@@ -8,13 +8,17 @@ mod artifact;
 mod controller;
 mod dispenser;
 mod episode;
+mod fuzzy;
 mod manifest;
 mod observation;
+mod pid;
 
 pub use actor::{Actor, Head, LOG_STD_MAX, LOG_STD_MIN, Malformed, OUTPUTS, normal};
 pub use artifact::{ArtifactError, Policy, decode, encode, id};
 pub use controller::{Controller, Done, Dosing, Schedule, ScheduledStep};
 pub use dispenser::{Dispenser, Response};
 pub use episode::{Ending, Episode, ON_TARGET_MG, Rules, is_on_target};
+pub use fuzzy::Fuzzy;
 pub use manifest::{Kind, LevelManifest, Manifest, SetManifest, Switch, SwitchReason};
 pub use observation::{Encoding, Observation};
+pub use pid::{Gains, Pid};
