@@ -21,7 +21,7 @@ pub use crate::domain::job::{JobKind, JobState, Progress};
 pub use crate::domain::observable::Observable;
 pub use crate::domain::powder::{Flowability, Method};
 pub use crate::domain::timestamp::Timestamp;
-pub use crate::jobs::Functions;
+pub use crate::jobs::{Conditions, Functions};
 pub use crate::jobs::calibrate::{
     CalibrationResult, CalibrationSet, EmulatorUse, Marginal, Method as CalibrationMethod, Pair, Posterior, Shortfall,
 };

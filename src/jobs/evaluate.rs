@@ -41,6 +41,7 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
                 controller: controller.clone(),
                 rules,
                 balance: balance::Settings { readability_mg: spec.readability_mg, ..balance::Settings::default() },
+                spoon: spec.conditions.spoon(),
                 set: *set,
                 seed,
             };
@@ -180,6 +181,7 @@ fn row(row: &Row) -> EvaluationRow {
         over_share: row.over_share,
         zero_share: row.zero_share,
         shakes_mean: row.shakes_mean,
+        seconds_mean: Some(row.seconds_mean),
     }
 }
 
@@ -190,5 +192,10 @@ fn summary(summary: &Summary) -> EvaluationSummary {
         ci95: summary.ci95,
         sd_trials_mg: summary.sd_trials_mg,
         sd_within_cells_mg: summary.sd_within_cells_mg,
+        bias_mg: Some(summary.bias_mg),
+        over_share: Some(summary.over_share),
+        zero_share: Some(summary.zero_share),
+        shakes_mean: Some(summary.shakes_mean),
+        seconds_mean: Some(summary.seconds_mean),
     }
 }
