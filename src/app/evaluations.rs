@@ -26,7 +26,7 @@ const LIST_MAX: usize = 20;
 pub struct EvaluationRequest {
     /// Policy id; default the newest.
     pub policy: Option<String>,
-    /// Some of `policy`, `untrained`, `fixed`, `schedule`, `dispenser`; default all.
+    /// Some of `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid`, `fuzzy`; default all.
     pub controllers: Option<Vec<String>>,
     /// Powder ids; default the five published ones.
     pub powders: Option<Vec<String>>,
@@ -38,7 +38,7 @@ pub struct EvaluationRequest {
     pub readability_mg: Option<f64>,
     /// Steps of a weighing, 1 to 100; default 10.
     pub max_shakes: Option<u32>,
-    /// Grains on the spoon, 500 to 5000; default 2500, some 37 mg. Their mass is the powder's, so a target has to be within it.
+    /// Grains on the spoon, 500 to 4000; default 2500, some 37 mg. Their mass is the powder's, so a target has to be within it.
     pub particles: Option<u32>,
     /// Mechanisms that the base simulator leaves out, by name with their amplitudes, as `{"rotation": 1}`; default none. A policy has
     /// met none of them in training.
@@ -181,12 +181,7 @@ fn checked(request: &EvaluationRequest) -> Result<Conditions> {
     Ok(conditions)
 }
 
-fn within_the_spoon(
-    powder: &str,
-    targets_mg: &[f64],
-    sets: &[CalibratedSet],
-    conditions: &Conditions,
-) -> Result<()> {
+fn within_the_spoon(powder: &str, targets_mg: &[f64], sets: &[CalibratedSet], conditions: &Conditions) -> Result<()> {
     let Some(capacity_mg) = conditions.spoon_holds_mg(sets.iter().map(|set| &set.parameters)) else { return Ok(()) };
     let mut check = Check::default();
     for (k, target_mg) in targets_mg.iter().enumerate().filter(|(_, target)| **target > capacity_mg) {

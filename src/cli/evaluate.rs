@@ -20,7 +20,7 @@ pub(super) struct Arguments {
     /// Policy id [default: the newest].
     #[arg(long, value_name = "ID")]
     policy: Option<String>,
-    /// Some of policy, untrained, fixed, schedule, dispenser [default: all].
+    /// Some of policy, untrained, fixed, schedule, dispenser, pid, fuzzy [default: all].
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     controllers: Option<Vec<String>>,
     /// Powder ids [default: the five published powders].
@@ -38,7 +38,7 @@ pub(super) struct Arguments {
     /// Steps of a weighing.
     #[arg(long, value_name = "N", default_value_t = 10, allow_negative_numbers = true)]
     max_shakes: u32,
-    /// Grains on the spoon, 500 to 5000, whose mass is the powder's [default: 2500, some 37 mg].
+    /// Grains on the spoon, 500 to 4000, whose mass is the powder's [default: 2500, some 37 mg].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     particles: Option<u32>,
     /// A mechanism that no training has and its amplitude, as in `rotation=1`; may be repeated. `flip repose` has the same.

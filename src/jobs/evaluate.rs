@@ -5,7 +5,7 @@ use super::context::{JobContext, JobError};
 use super::spec::EvaluationSpec;
 use crate::domain::job::Progress;
 use crate::domain::parameters::ParameterSet;
-use crate::policy::{self, Controller, Dispenser, Policy, Response, Rules, Schedule, ScheduledStep};
+use crate::policy::{self, Controller, Dispenser, Fuzzy, Pid, Policy, Response, Rules, Schedule, ScheduledStep};
 use crate::sim::balance;
 use crate::store;
 use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// The controllers that an evaluation can compare.
-pub const CONTROLLERS: [&str; 5] = [POLICY, "untrained", "fixed", "schedule", "dispenser"];
+pub const CONTROLLERS: [&str; 7] = [POLICY, "untrained", "fixed", "schedule", "dispenser", "pid", "fuzzy"];
 /// The one that the evaluation is about.
 pub const POLICY: &str = "policy";
 
@@ -64,7 +64,9 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
     };
     context.succeed(&result, async |tx| {
         for (position, row) in (0..).zip(&result.rows) {
-            let about = (row.controller == POLICY).then_some(spec.policy.as_str());
+            // Errors under unusual conditions do not say which policy weighs best under usual ones.
+            let counts = row.controller == POLICY && spec.conditions.are_usual();
+            let about = counts.then_some(spec.policy.as_str());
             tx.insert_evaluation_row(context.id(), position, about, row).await?;
         }
         Ok(())
@@ -86,6 +88,8 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
             "fixed" => Controller::Fixed(ScheduledStep::FIXED),
             "schedule" => Controller::Schedule(spec.schedule.clone()),
             "dispenser" => Controller::Dispenser(Dispenser::new(Response::FITTED)),
+            "pid" => Controller::Pid(Pid::TUNED),
+            "fuzzy" => Controller::Fuzzy(Fuzzy::TUNED),
             other => return Err(JobError::Fail(format!("there is no controller `{other}`"))),
         };
         Ok(Contender { name: name.clone(), controller })

@@ -80,7 +80,8 @@ impl Tx {
         Ok(())
     }
 
-    /// Store a row of an evaluation. `policy` is the one the row is about; none for simple controllers.
+    /// Store a row of an evaluation. `policy` is the one that the row counts for; none for other controllers and under
+    /// unusual conditions.
     pub(crate) async fn insert_evaluation_row(
         &mut self,
         evaluation: &str,
