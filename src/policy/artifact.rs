@@ -104,9 +104,7 @@ pub fn decode(bytes: &[u8]) -> Result<Policy, ArtifactError> {
             let checked = response.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?;
             Controller::Dispenser(Dispenser::new(checked))
         }
-        Kind::Pid { gains } => {
-            Controller::Pid(gains.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?)
-        }
+        Kind::Pid { gains } => Controller::Pid(gains.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?),
         Kind::Fuzzy { fuzzy } => {
             Controller::Fuzzy(fuzzy.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?)
         }
@@ -189,8 +187,7 @@ mod tests {
     }
 
     fn rivals() -> [Policy; 2] {
-        let policy =
-            |kind, controller| Policy { manifest: Manifest::of_untrained(kind, Rules::FLIP, 0), controller };
+        let policy = |kind, controller| Policy { manifest: Manifest::of_untrained(kind, Rules::FLIP, 0), controller };
         [
             policy(Kind::Pid { gains: Pid::TUNED }, Controller::Pid(Pid::TUNED)),
             policy(Kind::Fuzzy { fuzzy: Fuzzy::TUNED }, Controller::Fuzzy(Fuzzy::TUNED)),

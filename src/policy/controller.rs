@@ -90,7 +90,8 @@ impl Controller {
 }
 
 /// A step that was carried out.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Done {
     /// What was seen before it.
     pub before: Observation,
@@ -110,6 +111,13 @@ pub struct Dosing<'a> {
 }
 
 impl Dosing<'_> {
+    /// Take up a weighing in its middle: a step that was carried out, with the action that was.
+    pub fn resume(&mut self, step: Done) {
+        self.propose(&step.before);
+        self.proposed = None;
+        self.done.push(step);
+    }
+
     /// The action for the next step, after those proposed before. Deterministic.
     pub fn propose(&mut self, seen: &Observation) -> Action {
         if let Some((before, action)) = self.proposed {
@@ -158,6 +166,24 @@ mod tests {
         let schedule = Schedule { steps: vec![step(12.0, 5.0), step(14.0, 4.0), step(30.0, 3.0)] };
         let done = carry_out(&Controller::Schedule(schedule), 7);
         assert_eq!(done, [(8.0, 0.0), (12.0, 5.0), (14.0, 4.0), (22.0, 0.0), (30.0, 3.0), (30.0, 3.0), (30.0, 3.0)]);
+    }
+
+    #[test]
+    fn a_weighing_taken_up_in_its_middle_goes_on_as_if_it_had_not_been_left() {
+        let seen = |reading_mg, pitch_deg| Observation { reading_mg, target_mg: 15.0, pitch_deg };
+        let course = [seen(0.0, 0.0), seen(0.0, 8.0), seen(3.0, 16.0), seen(4.0, 20.0), seen(9.0, 22.0)];
+        let step = |pitch_deg, shake_mm| ScheduledStep { pitch_deg, shake_mm };
+        let schedule = Schedule { steps: vec![step(12.0, 5.0), step(30.0, 4.0), step(40.0, 3.0)] };
+        for controller in [Controller::Schedule(schedule), Controller::Pid(Pid::TUNED), Controller::Fuzzy(Fuzzy::TUNED)]
+        {
+            let mut whole = controller.begin(&Rules::FLIP);
+            let actions = course.map(|seen| whole.propose(&seen));
+            let mut taken_up = controller.begin(&Rules::FLIP);
+            for k in 0..3 {
+                taken_up.resume(Done { before: course[k], action: actions[k], after: course[k + 1] });
+            }
+            assert_eq!([taken_up.propose(&course[3]), taken_up.propose(&course[4])], actions[3..]);
+        }
     }
 
     #[test]
