@@ -88,8 +88,8 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
             "fixed" => Controller::Fixed(ScheduledStep::FIXED),
             "schedule" => Controller::Schedule(spec.schedule.clone()),
             "dispenser" => Controller::Dispenser(Dispenser::new(Response::FITTED)),
-            "pid" => Controller::Pid(Pid::TUNED),
-            "fuzzy" => Controller::Fuzzy(Fuzzy::TUNED),
+            "pid" => Controller::Pid(Pid::CHOSEN),
+            "fuzzy" => Controller::Fuzzy(Fuzzy::CHOSEN),
             other => return Err(JobError::Fail(format!("there is no controller `{other}`"))),
         };
         Ok(Contender { name: name.clone(), controller })

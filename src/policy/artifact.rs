@@ -189,8 +189,8 @@ mod tests {
     fn rivals() -> [Policy; 2] {
         let policy = |kind, controller| Policy { manifest: Manifest::of_untrained(kind, Rules::FLIP, 0), controller };
         [
-            policy(Kind::Pid { gains: Pid::TUNED }, Controller::Pid(Pid::TUNED)),
-            policy(Kind::Fuzzy { fuzzy: Fuzzy::TUNED }, Controller::Fuzzy(Fuzzy::TUNED)),
+            policy(Kind::Pid { gains: Pid::CHOSEN }, Controller::Pid(Pid::CHOSEN)),
+            policy(Kind::Fuzzy { fuzzy: Fuzzy::CHOSEN }, Controller::Fuzzy(Fuzzy::CHOSEN)),
         ]
     }
 
@@ -217,9 +217,9 @@ mod tests {
         policy.manifest.kind = Kind::Dispenser { response: Response { bend: -1.0, ..Response::FITTED } };
         assert!(decode(&encode(&policy)).unwrap_err().to_string().contains("bend"));
         let [mut pid, mut fuzzy] = rivals();
-        pid.manifest.kind = Kind::Pid { gains: Pid { shake: Gains { p: 11.0, i: 0.0, d: 0.0 }, ..Pid::TUNED } };
+        pid.manifest.kind = Kind::Pid { gains: Pid { shake: Gains { p: 11.0, i: 0.0, d: 0.0 }, ..Pid::CHOSEN } };
         assert!(decode(&encode(&pid)).unwrap_err().to_string().contains("shake.p"));
-        fuzzy.manifest.kind = Kind::Fuzzy { fuzzy: Fuzzy { missing_mg: [3.0, 2.0, 4.0], ..Fuzzy::TUNED } };
+        fuzzy.manifest.kind = Kind::Fuzzy { fuzzy: Fuzzy { missing_mg: [3.0, 2.0, 4.0], ..Fuzzy::CHOSEN } };
         assert!(decode(&encode(&fuzzy)).unwrap_err().to_string().contains("missing_mg"));
         let mut policy = scheduled();
         policy.manifest.rules.steps_max = 0;

@@ -174,7 +174,8 @@ mod tests {
         let course = [seen(0.0, 0.0), seen(0.0, 8.0), seen(3.0, 16.0), seen(4.0, 20.0), seen(9.0, 22.0)];
         let step = |pitch_deg, shake_mm| ScheduledStep { pitch_deg, shake_mm };
         let schedule = Schedule { steps: vec![step(12.0, 5.0), step(30.0, 4.0), step(40.0, 3.0)] };
-        for controller in [Controller::Schedule(schedule), Controller::Pid(Pid::TUNED), Controller::Fuzzy(Fuzzy::TUNED)]
+        for controller in
+            [Controller::Schedule(schedule), Controller::Pid(Pid::CHOSEN), Controller::Fuzzy(Fuzzy::CHOSEN)]
         {
             let mut whole = controller.begin(&Rules::FLIP);
             let actions = course.map(|seen| whole.propose(&seen));

@@ -18,8 +18,8 @@
 //! (d3dd00075c), as far as `Code/FLCBalance_client.py` of github.com/fourteenjiang/Solid-dispensing says: missing mass and density in,
 //! number of shakes out, nine rules in which the missing mass alone decides, strength-weighted centroids. Differs: the amplitude in place
 //! of the number, for a step has one shake; nobody tells this one the density, so it looks at what fell; and there are rules for the tilt,
-//! of which the original publishes the range alone.
-//! The original joins memberships by their minimum; its masses are up to 2 g, so the breakpoints were searched ([`Fuzzy::TUNED`]).
+//! of which that program has the range alone. It joins memberships by their minimum, and its masses are up to 2 g, so the breakpoints are
+//! others ([`Fuzzy::CHOSEN`]).
 
 use super::controller::Done;
 use super::observation::Observation;
@@ -50,8 +50,8 @@ const FAR: usize = 3;
 const TILT: [[usize; 3]; 3] = [[ON, HOLD, BACK], [FAR, ON, HOLD], [FAR, FAR, ON]];
 
 impl Fuzzy {
-    /// PROVISIONAL
-    pub const TUNED: Self = Self {
+    /// Set by hand for doses of some 20 mg. `cargo run --release --example tune_schedule -- sets.json 12 1 fuzzy` searches them.
+    pub const CHOSEN: Self = Self {
         missing_mg: [1.0, 5.0, 15.0],
         fall_mg: [0.0, 2.0, 6.0],
         tilt_deg: [-4.0, 0.0, 4.0, 8.0],
@@ -162,7 +162,7 @@ mod tests {
         assert_eq!(bad.checked().unwrap_err().field, "fall_mg");
         let bad = Fuzzy { tilt_deg: [-9.0, 0.0, 4.0, 8.0], ..PLAIN };
         assert_eq!(bad.checked().unwrap_err().field, "tilt_deg");
-        assert_eq!(Fuzzy::TUNED.checked(), Ok(Fuzzy::TUNED));
+        assert_eq!(Fuzzy::CHOSEN.checked(), Ok(Fuzzy::CHOSEN));
     }
 
     proptest! {
@@ -177,7 +177,7 @@ mod tests {
         fn more_missing_never_tilts_or_shakes_less_and_more_fall_never_tilts_more(
             missing in -5.0..40.0f64, more in 0.0..10.0f64, fall in -2.0..20.0f64, tuned: bool,
         ) {
-            let fuzzy = if tuned { Fuzzy::TUNED } else { PLAIN };
+            let fuzzy = if tuned { Fuzzy::CHOSEN } else { PLAIN };
             let (less, much) = (answer(&fuzzy, missing, fall), answer(&fuzzy, missing + more, fall));
             prop_assert!(much.incline_change_deg >= less.incline_change_deg - 1e-9 && much.shake_mm >= less.shake_mm - 1e-9);
             prop_assert!(answer(&fuzzy, missing, fall + more).incline_change_deg <= less.incline_change_deg + 1e-9);
