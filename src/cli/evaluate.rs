@@ -175,7 +175,7 @@ fn text(document: &Document) -> String {
         let [mean, spread] = PUBLISHED_DOSES_OVERALL_MG;
         text.push_str(&format!(
             "\n\nPublished, real robot: {mean} +- {spread} mg over salt, sugar, sand, sodium bicarbonate and semolina at 15 and \
-             20 mg (arXiv:2506.03896). That is glass and powder, ours is a simulation: the two are not one experiment."
+             20 mg (arXiv:2506.03896). Those doses were weighed by a robot, ours in a simulation: the columns are not one experiment."
         ));
     }
     text
@@ -202,4 +202,77 @@ fn percent(share: Option<f64>) -> String {
 
 fn number(value: Option<f64>, decimals: usize) -> String {
     value.map_or("-".to_owned(), |value| format!("{value:.decimals$}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+
+    fn document(target_mg: f64) -> Document {
+        let extensions: BTreeMap<String, f64> = [("rotation".to_owned(), 1.0)].into();
+        let row = EvaluationRow {
+            controller: "policy".into(),
+            powder: "sodium_bicarbonate".into(),
+            target_mg,
+            n: 5,
+            mae_mg: 1.25,
+            sd_mg: 0.5,
+            bias_mg: -0.25,
+            over_share: 0.2,
+            zero_share: 0.0,
+            shakes_mean: 6.0,
+            seconds_mean: None,
+        };
+        let summary = EvaluationSummary {
+            controller: "policy".into(),
+            mae_mg: 1.25,
+            ci95: [1.0, 1.5],
+            sd_trials_mg: 0.5,
+            sd_within_cells_mg: 0.5,
+            bias_mg: Some(-0.25),
+            over_share: Some(0.2),
+            zero_share: Some(0.0),
+            shakes_mean: Some(6.0),
+            seconds_mean: Some(41.6),
+        };
+        Document {
+            policy: "p-1".into(),
+            repeats: 5,
+            readability_mg: 0.1,
+            max_shakes: 30,
+            conditions: Conditions::named(Some(1500), &extensions).unwrap(),
+            seed: 7,
+            rows: vec![row],
+            summary: vec![summary],
+        }
+    }
+
+    #[test]
+    fn the_text_says_what_weighed_and_puts_the_published_robot_beside_it() {
+        let text = text(&document(15.0));
+        assert!(text.starts_with("Simulation: no powder was weighed."), "{text}");
+        for said in ["steps of 0.1 mg", "at most 30 steps", "1500 grains", "extensions rotation 1", "seed 7"] {
+            assert!(text.lines().next().unwrap().contains(said), "{said} is missing in {text}");
+        }
+        let row = text.lines().find(|line| line.contains("sodium_bicarbonate")).unwrap();
+        let cells: Vec<&str> = row.split_whitespace().collect();
+        assert_eq!(cells[..8], ["policy", "sodium_bicarbonate", "15", "5", "1.25", "3.6", "0.50", "-0.25"]);
+        // Bench time was not kept when this row was stored.
+        assert_eq!(cells.last(), Some(&"-"));
+        let summary = text.lines().find(|line| line.contains("1.00 to 1.50")).unwrap();
+        assert!(
+            summary.contains("-0.25") && summary.contains("20 %") && summary.trim_end().ends_with("42"),
+            "{summary}"
+        );
+        assert!(text.contains("Published, real robot: 2.12 +- 1.53 mg"), "{text}");
+    }
+
+    #[test]
+    fn what_was_not_published_is_not_compared() {
+        let text = text(&document(10.0));
+        assert!(!text.contains("Published, real robot"), "{text}");
+        let row = text.lines().find(|line| line.contains("sodium_bicarbonate")).unwrap();
+        assert_eq!(row.split_whitespace().nth(5), Some("-"));
+    }
 }

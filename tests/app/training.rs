@@ -88,12 +88,12 @@ async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
     let evaluation = app.evaluation(&job.id).await.unwrap();
     assert!(evaluation.conditions.are_usual());
     let unseen =
-        EvaluationRequest { particles: Some(1500), extensions: [("rotation".to_owned(), 1.0)].into(), ..request };
+        EvaluationRequest { particles: Some(3000), extensions: [("rotation".to_owned(), 1.0)].into(), ..request };
     let (other, created) = app.start_evaluation(unseen).await.unwrap();
     assert!(created && other.id != job.id);
     assert_eq!(ended(&app, &other.id).await.state, JobState::Succeeded);
     let conditions = app.evaluation(&other.id).await.unwrap().conditions;
-    assert_eq!((conditions.particles, conditions.extensions.rotation), (1500, 1.0));
+    assert_eq!((conditions.particles, conditions.extensions.rotation), (3000, 1.0));
     let result = evaluation.result.unwrap();
     assert_eq!((evaluation.policy, result.rows.len(), result.summary.len()), (policy.clone(), 8, 2));
     assert!(result.rows.iter().all(|row| row.n == 2 && (row.mae_mg - 0.25).abs() < 1e-9));
