@@ -67,7 +67,9 @@ fn main() -> anyhow::Result<()> {
             courses.extend(seeds.map(|seed| (powder, s, &set.parameters, seed)));
         }
     }
-    println!("powder,aor_deg,set,course,step,pitch_before_deg,pitch_deg,shake_mm,spoon_mg,poured_mg,spilled_mg,d1,d2,d3,d4,d5");
+    println!(
+        "powder,aor_deg,set,course,step,pitch_before_deg,pitch_deg,shake_mm,spoon_mg,poured_mg,spilled_mg,d1,d2,d3,d4,d5"
+    );
     let lines: Vec<String> = courses.par_iter().map(|(powder, s, set, seed)| course(powder, *s, set, *seed)).collect();
     print!("{}", lines.concat());
     Ok(())

@@ -32,7 +32,8 @@ struct Powder {
 /// Settings of the preset with the fields that the file names replaced.
 fn settings(overrides: &Value) -> anyhow::Result<Settings> {
     let preset: Preset = serde_json::from_value(overrides.get("preset").cloned().unwrap_or(json!("flip")))?;
-    let order: flip::train::Order = serde_json::from_value(overrides.get("order").cloned().unwrap_or(json!("curriculum")))?;
+    let order: flip::train::Order =
+        serde_json::from_value(overrides.get("order").cloned().unwrap_or(json!("curriculum")))?;
     let mut value = serde_json::to_value(Settings::of(preset, order, 1))?;
     for (key, new) in overrides.as_object().into_iter().flatten() {
         if let Some(old) = value.get_mut(key) {
@@ -142,11 +143,14 @@ fn main() -> anyhow::Result<()> {
     let targets = overrides.get("targets_mg").cloned().unwrap_or(json!([15.0, 20.0]));
     let plan = Plan {
         contenders,
-        subjects: powders.into_iter().map(|p| Subject {
-            powder: p.level.powder,
-            repose_deg: (!flag("blind")).then_some(p.level.repose_deg),
-            sets: p.level.sets,
-        }).collect(),
+        subjects: powders
+            .into_iter()
+            .map(|p| Subject {
+                powder: p.level.powder,
+                repose_deg: (!flag("blind")).then_some(p.level.repose_deg),
+                sets: p.level.sets,
+            })
+            .collect(),
         targets_mg: serde_json::from_value(targets)?,
         repeats: number("repeats", 5),
         seed: overrides.get("evaluation_seed").and_then(Value::as_u64).unwrap_or(777),

@@ -1,17 +1,19 @@
-//! The best fixed schedule: the open-loop rival that `flip evaluate` compares policies with.
+//! The best fixed schedule, the open-loop rival that `flip evaluate` compares policies with; and the best gains and breakpoints of the
+//! rivals of other robots.
 //!
 //! ```text
 //! flip calibrate --powder all --sets 10 --seed 1 --json > sets.json
-//! cargo run --release --example tune_schedule -- sets.json [candidates] [seed]
+//! cargo run --release --example tune_schedule -- sets.json [candidates] [seed] [schedule|pid|fuzzy]
 //! ```
 //!
-//! Its every advantage is granted: it is tuned on all five powders, not on three, and for the targets of the evaluation, 15 and
-//! 20 mg. Only the heaps differ. Prints the schedule, its error in the search (optimistic: it was chosen for being small), and its
+//! A rival's every advantage is granted: it is tuned on all five powders, not on three, and for the targets of the evaluation, 15 and
+//! 20 mg. Only the heaps differ. Prints the rival, its error in the search (optimistic: it was chosen for being small), and its
 //! error on heaps that the search did not see.
 
 use flip::domain::parameters::ParameterSet;
 use flip::train::environment::simulated;
-use flip::train::schedule::{Tuning, assess, tune};
+use flip::train::rivals::{self, Rival};
+use flip::train::schedule::{self, Tuning};
 use flip::train::{Level, Order, Preset, Settings};
 use serde::Deserialize;
 use serde_json::json;
@@ -38,7 +40,7 @@ struct Set {
 fn main() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [sets, rest @ ..] = arguments.as_slice() else {
-        anyhow::bail!("tune_schedule SETS.json [CANDIDATES] [SEED]");
+        anyhow::bail!("tune_schedule SETS.json [CANDIDATES] [SEED] [schedule|pid|fuzzy]");
     };
     let calibrated: Calibrated = serde_json::from_slice(&std::fs::read(sets)?)?;
     let levels: Vec<Level> = calibrated
@@ -57,9 +59,24 @@ fn main() -> anyhow::Result<()> {
 
     let started = Instant::now();
     let filling = simulated(&Settings::of(Preset::Flip, Order::Curriculum, seed));
-    let tuned = tune(&filling, &levels, &tuning);
-    eprintln!("{} pours in {:.0} s", tuned.pours, started.elapsed().as_secs_f64());
-    let others_mg = assess(&filling, &levels, &tuning, &tuned.schedule, 10, seed + 1);
+    let (tuned, pours, others_mg) = match rest.get(2).map_or("schedule", String::as_str) {
+        "schedule" => {
+            let tuned = schedule::tune(&filling, &levels, &tuning);
+            let others_mg = schedule::assess(&filling, &levels, &tuning, &tuned.schedule, 10, seed + 1);
+            (json!(tuned), tuned.pours, others_mg)
+        }
+        name => {
+            let rival = match name {
+                "pid" => Rival::Pid,
+                "fuzzy" => Rival::Fuzzy,
+                other => anyhow::bail!("`{other}` must be schedule, pid or fuzzy"),
+            };
+            let tuned = rivals::tune(&filling, &levels, &tuning, rival);
+            let others_mg = rivals::assess(&filling, &levels, &tuning, &tuned.controller, 10, seed + 1);
+            (json!(tuned), tuned.pours, others_mg)
+        }
+    };
+    eprintln!("{pours} pours and those on other heaps in {:.0} s", started.elapsed().as_secs_f64());
     println!(
         "{}",
         serde_json::to_string(&json!({ "tuning": tuning, "tuned": tuned, "other_heaps_mae_mg": others_mg }))?

@@ -1,11 +1,12 @@
 //! The command line as scripts see it: the real binary, its exit status, its one document.
 
-use serde_json::Value;
-use std::io::{BufRead, BufReader};
+use flip::policy::{self, Controller, Done, Gains, Kind, Manifest, Observation, Pid, Policy, Rules};
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-const COMMANDS: [&str; 14] = [
+const COMMANDS: [&str; 15] = [
     "serve",
     "demo",
     "repose",
@@ -17,6 +18,7 @@ const COMMANDS: [&str; 14] = [
     "measurements",
     "train",
     "evaluate",
+    "policy",
     "weigh",
     "jobs",
     "token",
@@ -123,7 +125,7 @@ fn validate_prints_what_it_measured_and_knows_its_checks_by_name() {
 #[test]
 fn bad_input_exits_2_and_names_the_field() {
     let folder = tempfile::tempdir().unwrap();
-    let cases: [(&[&str], &str); 25] = [
+    let cases: [(&[&str], &str); 28] = [
         (&["repose", "--friction", "1.31"], "friction: must be a number from 0 to 1.3"),
         (&["repose", "--cohesion", "NaN"], "cohesion: must be a number from 0 to 1.2"),
         (&["repose", "--particle-diameter-mm", "-1"], "particle_diameter_mm"),
@@ -149,6 +151,9 @@ fn bad_input_exits_2_and_names_the_field() {
         (&["weigh", "--powder", "salt", "--target-mg", "-5"], "target_mg"),
         (&["weigh", "--powder", "chalk", "--target-mg", "5"], "powder"),
         (&["serve", "--listen", "0.0.0.0:0"], "listen: 0.0.0.0:0"),
+        (&["policy", "show", "--policy", "p-0"], "policy: there is no policy"),
+        (&["policy", "infer", "--file", "gone.safetensors", "--stdin"], "file: gone.safetensors"),
+        (&["evaluate", "--extension", "rotation"], "extension: must be a name, an equals sign and a number"),
     ];
     for (arguments, named) in cases {
         let output = flip(folder.path(), arguments);
@@ -332,4 +337,90 @@ fn bench_writes_the_same_bed_twice_as_centres_in_metres() {
         assert!(centre.len() == 3 && centre.iter().all(|m| m.abs() < 0.005) && centre[2] > 0.0001, "{line}");
     }
     assert_eq!(first, bed());
+}
+
+/// A PID rule whose sum alone tilts and whose error alone shakes, as a file: its answers can be done by hand.
+fn policy_file(folder: &Path) -> String {
+    let gains = |p, i| Gains { p, i, d: 0.0 };
+    let pid = Pid { incline: gains(0.0, 0.01), shake: gains(0.05, 0.0) };
+    let manifest = Manifest::of_untrained(Kind::Pid { gains: pid }, Rules::FLIP, 0);
+    let file = folder.join("pid.safetensors");
+    std::fs::write(&file, policy::encode(&Policy { manifest, controller: Controller::Pid(pid) })).unwrap();
+    file.to_str().unwrap().to_owned()
+}
+
+#[test]
+fn a_policy_out_of_a_file_answers_once_with_its_history_or_line_by_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = policy_file(folder.path());
+    let seen = |reading_mg: f64, pitch_deg: f64| Observation { reading_mg, target_mg: 10.0, pitch_deg };
+    let infer = |more: &[&str]| {
+        let asked =
+            ["policy", "infer", "--file", &file, "--target-mg", "10", "--pitch-deg", "0.8", "--reading-mg", "4"];
+        flip(folder.path(), &[&asked[..], more].concat())
+    };
+    let expect = |answer: &Value, incline_change_deg: f64, shake_mm: f64, episode: &str| {
+        assert!((answer["incline_change_deg"].as_f64().unwrap() - incline_change_deg).abs() < 1e-9, "{answer}");
+        assert!((answer["shake_mm"].as_f64().unwrap() - shake_mm).abs() < 1e-9, "{answer}");
+        assert_eq!(answer["episode"], episode);
+    };
+    // 6 mg are missing: 0.06 of 8 deg, 0.3 of 16 mm.
+    let alone = infer(&["--json"]);
+    expect_status(&alone, 0);
+    expect(&document(&alone), 0.48, 4.8, "running");
+    // With the 10 mg that were missing before, the sum is 16.
+    let action = flip::domain::bench::Action { incline_change_deg: 0.8, shake_mm: 8.0 };
+    let history = folder.path().join("history.json");
+    let steps = [Done { before: seen(0.0, 0.0), action, after: seen(4.0, 0.8) }];
+    std::fs::write(&history, serde_json::to_string(&steps).unwrap()).unwrap();
+    let remembered = infer(&["--json", "--history", history.to_str().unwrap()]);
+    expect_status(&remembered, 0);
+    expect(&document(&remembered), 1.28, 4.8, "running");
+    assert!(String::from_utf8(infer(&[]).stdout).unwrap().contains("shake 4.80 mm"));
+
+    let lines = |lines: &[Value]| {
+        let mut command = command(folder.path(), &["policy", "infer", "--file", &file, "--stdin"]);
+        let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut stdin = process.stdin.take().unwrap();
+        lines.iter().for_each(|line| writeln!(stdin, "{line}").unwrap());
+        drop(stdin);
+        process.wait_with_output().unwrap()
+    };
+    let course = [seen(0.0, 0.0), seen(4.0, 0.8), seen(9.5, 2.08)].map(|seen| json!(seen));
+    let output = lines(&course);
+    expect_status(&output, 0);
+    let text = String::from_utf8(output.stdout).unwrap();
+    let answers: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(answers.len(), 3);
+    expect(&answers[0], 0.8, 8.0, "running");
+    expect(&answers[1], 1.28, 4.8, "running");
+    expect(&answers[2], 1.32, 0.4, "terminated");
+    let other_target = json!({ "reading_mg": 4.0, "target_mg": 12.0, "pitch_deg": 0.0 });
+    for (line, named) in [(other_target, "target_mg: must stay 10 mg"), (json!({ "reading_mg": 4.0 }), "stdin[2]")] {
+        let refused = lines(&[course[0].clone(), line]);
+        expect_status(&refused, 2);
+        assert!(stderr(&refused).contains(named), "{}", stderr(&refused));
+    }
+}
+
+#[test]
+fn bytes_that_are_no_policy_and_numbers_that_no_bench_shows_are_refused_by_field() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = policy_file(folder.path());
+    let text = folder.path().join("text.safetensors");
+    std::fs::write(&text, "no policy").unwrap();
+    let steps = json!([{ "before": { "reading_mg": 0.0, "target_mg": 10.0, "pitch_deg": 0.0 },
+        "action": { "incline_change_deg": 0.0, "shake_mm": -1.0 }, "after": { "reading_mg": 0.0, "target_mg": 10.0, "pitch_deg": 0.0 } }]);
+    let history = folder.path().join("history.json");
+    std::fs::write(&history, steps.to_string()).unwrap();
+    let infer = |file: &str, pitch: &str, more: &[&str]| {
+        let asked = ["policy", "infer", "--file", file, "--target-mg", "10", "--reading-mg", "4", "--pitch-deg", pitch];
+        let output = flip(folder.path(), &[&asked[..], more].concat());
+        expect_status(&output, 2);
+        stderr(&output)
+    };
+    assert!(infer(text.to_str().unwrap(), "0", &[]).contains("file: this is not a safetensors file"));
+    assert!(infer(&file, "91", &[]).contains("pitch_deg: must be a number from -90 to 90"));
+    let refused = infer(&file, "0", &["--history", history.to_str().unwrap()]);
+    assert!(refused.contains("history[0].action.shake_mm"), "{refused}");
 }

@@ -212,7 +212,7 @@ fn a_recurrent_policy_learns_and_weighs_by_what_it_remembers() {
     // Seen for the second time within a weighing, the same is not answered in the same way.
     let seen = Observation { reading_mg: 3.0, target_mg: 10.0, pitch_deg: 12.0 };
     let twice = || {
-        let mut dosing = policy.controller.begin(&settings.rules);
+        let mut dosing = policy.controller.begin(&settings.rules, &Known::default());
         [dosing.propose(&seen), dosing.propose(&seen)]
     };
     assert_ne!(twice()[0], twice()[1]);

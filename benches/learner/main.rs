@@ -146,7 +146,9 @@ fn main() {
         let (flip, sb3) = (rates(&own), rates(&theirs));
         let ratio = sb3["median"].as_f64().and_then(|theirs| Some(flip["median"].as_f64()? / theirs));
         let network = format!("{hidden} units");
-        cases.push(json!({ "network": network, "batch": batch, "flip": flip, "stable_baselines3": sb3, "ratio": ratio }));
+        cases.push(
+            json!({ "network": network, "batch": batch, "flip": flip, "stable_baselines3": sb3, "ratio": ratio }),
+        );
     }
     for (name, replayed) in [("stored state", Replayed::StoredState), ("episodes", Replayed::Episodes)] {
         let paper = Settings::of(Preset::Paper, Order::Curriculum, 1);

@@ -6,14 +6,14 @@ use super::{App, Error, Result};
 use crate::domain::job::JobKind;
 use crate::domain::powder::PUBLISHED;
 use crate::domain::{FieldError, bounded};
-use crate::jobs::bench::spoon_holds_mg;
 use crate::jobs::evaluate::{CONTROLLERS, EvaluationResult, tuned_schedule};
-use crate::jobs::{EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR};
+use crate::jobs::{Conditions, EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR};
 use crate::store::jobs::{Job, JobRow};
 use crate::store::page::{Page, PageQuery};
 use crate::store::parameter_sets::CalibratedSet;
 use crate::store::policies::Policy;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Targets when none are named, mg.
 const TARGETS_MG: [f64; 2] = [15.0, 20.0];
@@ -26,7 +26,7 @@ const LIST_MAX: usize = 20;
 pub struct EvaluationRequest {
     /// Policy id; default the newest, which is the shipped one as long as nothing was trained.
     pub policy: Option<String>,
-    /// Some of `policy`, `untrained`, `fixed`, `schedule`, `dispenser`; default all.
+    /// Some of `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid`, `fuzzy`; default all.
     pub controllers: Option<Vec<String>>,
     /// Powder ids; default the five published ones.
     pub powders: Option<Vec<String>>,
@@ -38,6 +38,12 @@ pub struct EvaluationRequest {
     pub readability_mg: Option<f64>,
     /// Steps of a weighing, 1 to 100; default 10.
     pub max_shakes: Option<u32>,
+    /// Grains on the spoon, 500 to 4000; default 2500, some 37 mg. Their mass is the powder's, so a target has to be within it.
+    pub particles: Option<u32>,
+    /// Mechanisms that the base simulator leaves out, by name with their amplitudes, as `{"rotation": 1}`; default none. A policy has
+    /// met none of them in training.
+    #[serde(default)]
+    pub extensions: BTreeMap<String, f64>,
     /// Seed; default 1.
     pub seed: Option<u64>,
 }
@@ -61,6 +67,8 @@ pub struct Evaluation {
     pub readability_mg: f64,
     /// Steps of a weighing.
     pub max_shakes: u32,
+    /// What was on the spoon.
+    pub conditions: Conditions,
     /// Seed.
     pub seed: u64,
     /// The errors; absent until it has succeeded.
@@ -73,7 +81,7 @@ impl App {
     /// # Errors
     /// `Invalid`; `Conflict` (`calibration_missing`).
     pub async fn start_evaluation(&self, request: EvaluationRequest) -> Result<(Job, bool)> {
-        checked(&request)?;
+        let conditions = checked(&request)?;
         let policy = self.policy_to_evaluate(request.policy.as_deref()).await?;
         let targets_mg = request.targets_mg.unwrap_or_else(|| TARGETS_MG.to_vec());
         let powders = match request.powders {
@@ -85,8 +93,12 @@ impl App {
             let powder = self.powder_of(&format!("powders[{k}]"), id).await?;
             let (id, repose_deg) = (powder.id, powder.flowability.map(|measured| measured.repose_deg));
             let sets = self.sets_to_weigh(&id, &policy).await?;
-            within_the_spoon(&id, &targets_mg, &sets)?;
-            subjects.push(EvaluationPowder { powder: id, repose_deg, sets: sets.into_iter().map(|set| set.id).collect() });
+            within_the_spoon(&id, &targets_mg, &sets, &conditions)?;
+            subjects.push(EvaluationPowder {
+                powder: id,
+                repose_deg,
+                sets: sets.into_iter().map(|set| set.id).collect(),
+            });
         }
         let spec = EvaluationSpec {
             policy: policy.id,
@@ -97,6 +109,7 @@ impl App {
             repeats: request.repeats.unwrap_or(5),
             readability_mg: request.readability_mg.unwrap_or(1.0),
             max_shakes: request.max_shakes.unwrap_or(10),
+            conditions,
             seed: request.seed.unwrap_or(1),
             simulator: SIMULATOR.to_owned(),
         };
@@ -137,8 +150,8 @@ impl App {
     }
 }
 
-/// What can be checked without looking anything up.
-fn checked(request: &EvaluationRequest) -> Result<()> {
+/// What can be checked without looking anything up; the conditions that the request names.
+fn checked(request: &EvaluationRequest) -> Result<Conditions> {
     let mut check = Check::default();
     check.count("repeats", request.repeats.unwrap_or(5), 1, 100);
     check.count("max_shakes", request.max_shakes.unwrap_or(10), 1, 100);
@@ -161,11 +174,16 @@ fn checked(request: &EvaluationRequest) -> Result<()> {
             check.refuse(field, format!("must hold 1 to {LIST_MAX} entries; leave it out for the default"));
         }
     }
-    check.done()
+    let conditions = Conditions::named(request.particles, &request.extensions).unwrap_or_else(|errors| {
+        errors.into_iter().for_each(|error| check.refuse(&error.field, error.message));
+        Conditions::default()
+    });
+    check.done()?;
+    Ok(conditions)
 }
 
-fn within_the_spoon(powder: &str, targets_mg: &[f64], sets: &[CalibratedSet]) -> Result<()> {
-    let Some(capacity_mg) = spoon_holds_mg(sets.iter().map(|set| &set.parameters)) else { return Ok(()) };
+fn within_the_spoon(powder: &str, targets_mg: &[f64], sets: &[CalibratedSet], conditions: &Conditions) -> Result<()> {
+    let Some(capacity_mg) = conditions.spoon_holds_mg(sets.iter().map(|set| &set.parameters)) else { return Ok(()) };
     let mut check = Check::default();
     for (k, target_mg) in targets_mg.iter().enumerate().filter(|(_, target)| **target > capacity_mg) {
         let field = format!("targets_mg[{k}]");
@@ -199,6 +217,7 @@ fn evaluation(row: JobRow) -> Result<Evaluation> {
         repeats: spec.repeats,
         readability_mg: spec.readability_mg,
         max_shakes: spec.max_shakes,
+        conditions: spec.conditions,
         seed: spec.seed,
         result: row.result.as_deref().map(stored).transpose()?,
     })

@@ -1,14 +1,17 @@
-//! `flip evaluate`: a policy's errors on the simulated bench beside those of simple controllers.
+//! `flip evaluate`: a policy's errors on the simulated bench beside those of other controllers.
 
 use super::Common;
 use super::calibrate::{Target, calibrate};
 use super::failure::Failure;
+use super::parameters;
 use super::session::with_app;
 use super::table::table;
 use super::train::require_policy;
 use super::watch::Watch;
-use crate::app::{App, Error, Evaluation, EvaluationRequest, EvaluationResult, EvaluationRow, EvaluationSummary};
-use crate::domain::powder::PUBLISHED;
+use crate::app::{
+    App, Conditions, Error, Evaluation, EvaluationRequest, EvaluationResult, EvaluationRow, EvaluationSummary,
+};
+use crate::domain::powder::{PUBLISHED, PUBLISHED_DOSES_OVERALL_MG, published_mae_mg};
 use serde::Serialize;
 
 /// Arguments of `flip evaluate`.
@@ -17,7 +20,7 @@ pub(super) struct Arguments {
     /// Policy id [default: the newest].
     #[arg(long, value_name = "ID")]
     policy: Option<String>,
-    /// Some of policy, untrained, fixed, schedule, dispenser [default: all].
+    /// Some of policy, untrained, fixed, schedule, dispenser, pid, fuzzy [default: all].
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     controllers: Option<Vec<String>>,
     /// Powder ids [default: the five published powders].
@@ -35,6 +38,12 @@ pub(super) struct Arguments {
     /// Steps of a weighing.
     #[arg(long, value_name = "N", default_value_t = 10, allow_negative_numbers = true)]
     max_shakes: u32,
+    /// Grains on the spoon, 500 to 4000, whose mass is the powder's [default: 2500, some 37 mg].
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    particles: Option<u32>,
+    /// A mechanism that no training has and its amplitude, as in `rotation=1`; may be repeated. `flip repose` has the same.
+    #[arg(long, value_name = "NAME=AMPLITUDE")]
+    extension: Vec<String>,
 }
 
 /// The document of `flip evaluate`.
@@ -44,6 +53,7 @@ struct Document {
     repeats: u32,
     readability_mg: f64,
     max_shakes: u32,
+    conditions: Conditions,
     seed: u64,
     rows: Vec<EvaluationRow>,
     summary: Vec<EvaluationSummary>,
@@ -60,6 +70,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         repeats: evaluation.repeats,
         readability_mg: evaluation.readability_mg,
         max_shakes: evaluation.max_shakes,
+        conditions: evaluation.conditions,
         seed: evaluation.seed,
         rows,
         summary,
@@ -77,6 +88,8 @@ async fn evaluate(app: &App, common: &Common, arguments: &Arguments) -> Result<E
         repeats: Some(arguments.repeats),
         readability_mg: Some(arguments.readability_mg),
         max_shakes: Some(arguments.max_shakes),
+        particles: arguments.particles,
+        extensions: parameters::amplitudes(&arguments.extension)?,
         seed: Some(common.seed),
     };
     let (job, _) = match app.start_evaluation(request.clone()).await {
@@ -96,23 +109,39 @@ async fn evaluate(app: &App, common: &Common, arguments: &Arguments) -> Result<E
 }
 
 fn text(document: &Document) -> String {
-    let percent = |share: f64| format!("{:.0} %", 100.0 * share);
-    let row = |r: &EvaluationRow| {
+    let published: Vec<Option<f64>> =
+        document.rows.iter().map(|row| published_mae_mg(&row.powder, row.target_mg)).collect();
+    let row = |(r, published): (&EvaluationRow, &Option<f64>)| {
         vec![
             r.controller.clone(),
             r.powder.clone(),
             format!("{}", r.target_mg),
             r.n.to_string(),
             format!("{:.2}", r.mae_mg),
+            published.map_or("-".to_owned(), |mae_mg| format!("{mae_mg:.1}")),
             format!("{:.2}", r.sd_mg),
             format!("{:+.2}", r.bias_mg),
-            percent(r.over_share),
-            percent(r.zero_share),
-            format!("{:.1}", r.shakes_mean),
+            percent(Some(r.over_share)),
+            percent(Some(r.zero_share)),
+            number(Some(r.shakes_mean), 1),
+            number(r.seconds_mean, 0),
         ]
     };
-    let header = ["controller", "powder", "target mg", "n", "MAE mg", "sd mg", "bias mg", "over", "zero", "shakes"];
-    let rows = table(&header, &document.rows.iter().map(row).collect::<Vec<_>>());
+    let header = [
+        "controller",
+        "powder",
+        "target mg",
+        "n",
+        "MAE mg, simulation",
+        "MAE mg, published, real robot",
+        "sd mg",
+        "bias mg",
+        "over",
+        "zero",
+        "shakes",
+        "s",
+    ];
+    let rows = table(&header, &document.rows.iter().zip(&published).map(row).collect::<Vec<_>>());
     let total = |s: &EvaluationSummary| {
         vec![
             s.controller.clone(),
@@ -120,9 +149,129 @@ fn text(document: &Document) -> String {
             format!("{:.2} to {:.2}", s.ci95[0], s.ci95[1]),
             format!("{:.2}", s.sd_trials_mg),
             format!("{:.2}", s.sd_within_cells_mg),
+            s.bias_mg.map_or("-".to_owned(), |bias| format!("{bias:+.2}")),
+            percent(s.over_share),
+            percent(s.zero_share),
+            number(s.shakes_mean, 1),
+            number(s.seconds_mean, 0),
         ]
     };
-    let header = ["controller", "MAE mg", "95 % interval", "sd of trials mg", "sd within cells mg"];
+    let header = [
+        "controller",
+        "MAE mg, simulation",
+        "95 % interval",
+        "sd of trials mg",
+        "sd within cells mg",
+        "bias mg",
+        "over",
+        "zero",
+        "shakes",
+        "s",
+    ];
     let summary = table(&header, &document.summary.iter().map(total).collect::<Vec<_>>());
-    format!("{rows}\n\n{summary}")
+    let mut text = format!("{}\n\n{rows}\n\n{summary}", setting(document));
+    if published.iter().any(Option::is_some) {
+        let [mean, spread] = PUBLISHED_DOSES_OVERALL_MG;
+        text.push_str(&format!(
+            "\n\nPublished, real robot: {mean} +- {spread} mg over salt, sugar, sand, sodium bicarbonate and semolina at 15 and \
+             20 mg (arXiv:2506.03896). Those doses were weighed by a robot, ours in a simulation: the columns are not one experiment."
+        ));
+    }
+    text
+}
+
+/// What was weighed with: the balance, the steps, the spoon.
+fn setting(document: &Document) -> String {
+    let extensions: Vec<String> =
+        document.conditions.amplitudes().iter().map(|(name, amplitude)| format!("{name} {amplitude}")).collect();
+    let extensions = match extensions.is_empty() {
+        true => "no extension".to_owned(),
+        false => format!("extensions {}", extensions.join(", ")),
+    };
+    format!(
+        "Simulation: no powder was weighed. Policy {}; a balance that shows steps of {} mg; at most {} steps a dose; {} grains on \
+         the spoon, {extensions}; seed {}.",
+        document.policy, document.readability_mg, document.max_shakes, document.conditions.particles, document.seed
+    )
+}
+
+fn percent(share: Option<f64>) -> String {
+    share.map_or("-".to_owned(), |share| format!("{:.0} %", 100.0 * share))
+}
+
+fn number(value: Option<f64>, decimals: usize) -> String {
+    value.map_or("-".to_owned(), |value| format!("{value:.decimals$}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+
+    fn document(target_mg: f64) -> Document {
+        let extensions: BTreeMap<String, f64> = [("rotation".to_owned(), 1.0)].into();
+        let row = EvaluationRow {
+            controller: "policy".into(),
+            powder: "sodium_bicarbonate".into(),
+            target_mg,
+            n: 5,
+            mae_mg: 1.25,
+            sd_mg: 0.5,
+            bias_mg: -0.25,
+            over_share: 0.2,
+            zero_share: 0.0,
+            shakes_mean: 6.0,
+            seconds_mean: None,
+        };
+        let summary = EvaluationSummary {
+            controller: "policy".into(),
+            mae_mg: 1.25,
+            ci95: [1.0, 1.5],
+            sd_trials_mg: 0.5,
+            sd_within_cells_mg: 0.5,
+            bias_mg: Some(-0.25),
+            over_share: Some(0.2),
+            zero_share: Some(0.0),
+            shakes_mean: Some(6.0),
+            seconds_mean: Some(41.6),
+        };
+        Document {
+            policy: "p-1".into(),
+            repeats: 5,
+            readability_mg: 0.1,
+            max_shakes: 30,
+            conditions: Conditions::named(Some(1500), &extensions).unwrap(),
+            seed: 7,
+            rows: vec![row],
+            summary: vec![summary],
+        }
+    }
+
+    #[test]
+    fn the_text_says_what_weighed_and_puts_the_published_robot_beside_it() {
+        let text = text(&document(15.0));
+        assert!(text.starts_with("Simulation: no powder was weighed."), "{text}");
+        for said in ["steps of 0.1 mg", "at most 30 steps", "1500 grains", "extensions rotation 1", "seed 7"] {
+            assert!(text.lines().next().unwrap().contains(said), "{said} is missing in {text}");
+        }
+        let row = text.lines().find(|line| line.contains("sodium_bicarbonate")).unwrap();
+        let cells: Vec<&str> = row.split_whitespace().collect();
+        assert_eq!(cells[..8], ["policy", "sodium_bicarbonate", "15", "5", "1.25", "3.6", "0.50", "-0.25"]);
+        // Bench time was not kept when this row was stored.
+        assert_eq!(cells.last(), Some(&"-"));
+        let summary = text.lines().find(|line| line.contains("1.00 to 1.50")).unwrap();
+        assert!(
+            summary.contains("-0.25") && summary.contains("20 %") && summary.trim_end().ends_with("42"),
+            "{summary}"
+        );
+        assert!(text.contains("Published, real robot: 2.12 +- 1.53 mg"), "{text}");
+    }
+
+    #[test]
+    fn what_was_not_published_is_not_compared() {
+        let text = text(&document(10.0));
+        assert!(!text.contains("Published, real robot"), "{text}");
+        let row = text.lines().find(|line| line.contains("sodium_bicarbonate")).unwrap();
+        assert_eq!(row.split_whitespace().nth(5), Some("-"));
+    }
 }

@@ -16,6 +16,7 @@ mod jobs;
 mod measurements;
 mod observe;
 mod parameters;
+mod policy;
 mod repose;
 mod serve;
 mod session;
@@ -81,6 +82,8 @@ enum Command {
     Train(train::Arguments),
     /// Measure a policy's errors beside those of simple controllers.
     Evaluate(evaluate::Arguments),
+    /// List and export policies, and ask one for its next action.
+    Policy(policy::Arguments),
     /// Weigh one dose on the simulated bench.
     Weigh(weigh::Arguments),
     /// Time the simulator, also beside other simulators.
@@ -126,6 +129,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Measurements(arguments) => measurements::run(common, arguments),
         Command::Train(arguments) => train::run(common, arguments),
         Command::Evaluate(arguments) => evaluate::run(common, arguments),
+        Command::Policy(arguments) => policy::run(common, arguments),
         Command::Weigh(arguments) => weigh::run(common, arguments),
         Command::Bench(arguments) => bench::run(common, arguments),
         Command::Jobs(arguments) => jobs::run(common, arguments),

@@ -4,6 +4,7 @@ use crate::domain::FieldError;
 use crate::domain::parameters::{COUNT, PARAMETERS, Parameter, ParameterSet};
 use crate::sim::mechanisms::Extensions;
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
+use std::collections::BTreeMap;
 
 /// The nine values as typed by the caller, not yet checked against their bounds.
 #[derive(Debug, Clone, Copy)]
@@ -55,12 +56,18 @@ fn flag(parameter: &Parameter) -> Arg {
 
 /// The mechanisms that flags name.
 pub(super) fn extensions(flags: &[String]) -> Result<Extensions, FieldError> {
-    flags.iter().try_fold(Extensions::default(), |extensions, flag| {
+    let amplitudes = amplitudes(flags)?;
+    amplitudes.iter().try_fold(Extensions::default(), |extensions, (name, amplitude)| extensions.with(name, *amplitude))
+}
+
+/// Names of mechanisms and their amplitudes as flags give them, not yet checked; of one name the last counts.
+pub(super) fn amplitudes(flags: &[String]) -> Result<BTreeMap<String, f64>, FieldError> {
+    let amplitude = |flag: &String| {
         let parts = flag.split_once('=').and_then(|(name, amplitude)| Some((name, amplitude.parse().ok()?)));
-        let Some((name, amplitude)) = parts else {
+        parts.map(|(name, amplitude)| (name.to_owned(), amplitude)).ok_or_else(|| {
             let message = format!("must be a name, an equals sign and a number, as in `rotation=1`, got `{flag}`");
-            return Err(FieldError::new("extension", message));
-        };
-        extensions.with(name, amplitude)
-    })
+            FieldError::new("extension", message)
+        })
+    };
+    flags.iter().map(amplitude).collect()
 }

@@ -1,11 +1,11 @@
 //! `flip train`: a policy learned on simulated powders.
 
+use super::Common;
 use super::calibrate::{Target, calibrate};
 use super::failure::Failure;
 use super::session::with_app;
 use super::table::table;
 use super::watch::Watch;
-use super::Common;
 use crate::app::{App, Error, Job, Order, Preset, Training, TrainingRequest};
 use crate::domain::FieldError;
 use clap::ValueEnum;

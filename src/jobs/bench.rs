@@ -10,6 +10,7 @@
 //!                   +--process ended--------+-------> [unknown]
 //! ```
 
+use super::conditions::Conditions;
 use super::worker::panic_message;
 use crate::domain::bench::Tick;
 use crate::domain::parameters::ParameterSet;
@@ -35,8 +36,7 @@ const LOOK: Duration = Duration::from_secs(1);
 
 /// What the spoon holds, whichever of these sets is the powder, mg; `None` without sets.
 pub fn spoon_holds_mg<'a>(sets: impl Iterator<Item = &'a ParameterSet>) -> Option<f64> {
-    let spoon = dispense::Settings::default();
-    sets.map(|set| dispense::capacity_mg(set, &spoon)).reduce(f64::min)
+    Conditions::default().spoon_holds_mg(sets)
 }
 
 /// Everything that one weighing needs.
@@ -50,6 +50,8 @@ pub struct Pouring {
     pub rules: Rules,
     /// The balance.
     pub balance: balance::Settings,
+    /// The simulated spoon; its pitch range is that of the rules.
+    pub spoon: dispense::Settings,
     /// The simulated powder on the bench.
     pub set: ParameterSet,
     /// Seed of the bench.
@@ -82,7 +84,7 @@ pub type Pour = Arc<dyn Fn(&Pouring, &mut dyn FnMut(&Tick), &AtomicBool) -> Pour
 /// The closed loop on the simulated bench.
 pub fn simulated() -> Pour {
     Arc::new(|pouring, on_tick, stop| {
-        let spoon = dispense::Settings { pitch: pouring.rules.pitch, ..dispense::Settings::default() };
+        let spoon = dispense::Settings { pitch: pouring.rules.pitch, ..pouring.spoon };
         let mut bench = SimulatedBench::new(&pouring.set, &spoon, &pouring.balance, pouring.seed);
         let weighed = weigh(&mut bench, &pouring.controller, &pouring.rules, &pouring.order, on_tick, stop);
         Poured {
@@ -291,6 +293,7 @@ impl LaneThread {
                 controller: policy.controller,
                 rules: policy.manifest.rules,
                 balance,
+                spoon: dispense::Settings::default(),
                 set: set.parameters,
                 seed: weighing.seed,
             })

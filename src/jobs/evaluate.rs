@@ -5,7 +5,7 @@ use super::context::{JobContext, JobError};
 use super::spec::EvaluationSpec;
 use crate::domain::job::Progress;
 use crate::domain::parameters::ParameterSet;
-use crate::policy::{self, Controller, Known, Policy, Rules, Schedule, ScheduledStep};
+use crate::policy::{self, Controller, Fuzzy, Known, Pid, Policy, Rules, Schedule, ScheduledStep};
 use crate::sim::balance;
 use crate::store;
 use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// The controllers that an evaluation can compare.
-pub const CONTROLLERS: [&str; 5] = [POLICY, "untrained", "fixed", "schedule", DISPENSER];
+pub const CONTROLLERS: [&str; 7] = [POLICY, "untrained", "fixed", "schedule", DISPENSER, "pid", "fuzzy"];
 /// The one that the evaluation is about.
 pub const POLICY: &str = "policy";
 /// The shipped policy.
@@ -48,6 +48,7 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
                 controller: controller.clone(),
                 rules,
                 balance: balance::Settings { readability_mg: spec.readability_mg, ..balance::Settings::default() },
+                spoon: spec.conditions.spoon(),
                 set: *set,
                 seed,
             };
@@ -70,7 +71,9 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
     };
     context.succeed(&result, async |tx| {
         for (position, row) in (0..).zip(&result.rows) {
+            // Errors under unusual conditions do not say which policy weighs best under usual ones.
             let about = match row.controller.as_str() {
+                _ if !spec.conditions.are_usual() => None,
                 POLICY => Some(spec.policy.as_str()),
                 DISPENSER => Some(policy::shipped().id.as_str()),
                 _ => None,
@@ -96,6 +99,8 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
             "fixed" => Controller::Fixed(ScheduledStep::FIXED),
             "schedule" => Controller::Schedule(spec.schedule.clone()),
             DISPENSER => policy::shipped().policy.controller.clone(),
+            "pid" => Controller::Pid(Pid::CHOSEN),
+            "fuzzy" => Controller::Fuzzy(Fuzzy::CHOSEN),
             other => return Err(JobError::Fail(format!("there is no controller `{other}`"))),
         };
         Ok(Contender { name: name.clone(), controller })
@@ -191,6 +196,7 @@ fn row(row: &Row) -> EvaluationRow {
         over_share: row.over_share,
         zero_share: row.zero_share,
         shakes_mean: row.shakes_mean,
+        seconds_mean: Some(row.seconds_mean),
     }
 }
 
@@ -201,5 +207,10 @@ fn summary(summary: &Summary) -> EvaluationSummary {
         ci95: summary.ci95,
         sd_trials_mg: summary.sd_trials_mg,
         sd_within_cells_mg: summary.sd_within_cells_mg,
+        bias_mg: Some(summary.bias_mg),
+        over_share: Some(summary.over_share),
+        zero_share: Some(summary.zero_share),
+        shakes_mean: Some(summary.shakes_mean),
+        seconds_mean: Some(summary.seconds_mean),
     }
 }

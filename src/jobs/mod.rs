@@ -15,6 +15,7 @@
 
 pub mod bench;
 pub mod calibrate;
+mod conditions;
 mod context;
 pub mod evaluate;
 mod lease;
@@ -26,6 +27,7 @@ mod stop;
 pub mod train;
 mod worker;
 
+pub use conditions::Conditions;
 pub use context::JobError;
 pub use spec::{CalibrationSpec, EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR, TrainingSpec};
 

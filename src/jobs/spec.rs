@@ -1,5 +1,6 @@
 //! What a job is to do: everything that its result depends on, and nothing else.
 
+use super::conditions::Conditions;
 use crate::calibrate;
 use crate::domain::job::JobKind;
 use crate::domain::observable::Observation;
@@ -75,6 +76,9 @@ pub struct EvaluationSpec {
     pub readability_mg: f64,
     /// Steps of a weighing.
     pub max_shakes: u32,
+    /// What is on the spoon; left out where it is usual, so that an evaluation of before has the same text.
+    #[serde(default, skip_serializing_if = "Conditions::are_usual")]
+    pub conditions: Conditions,
     /// Seed.
     pub seed: u64,
     /// Version of the simulator: [`SIMULATOR`].

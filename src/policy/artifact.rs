@@ -101,6 +101,10 @@ pub fn decode(bytes: &[u8]) -> Result<Policy, ArtifactError> {
             let checked = response.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?;
             Controller::Dispenser(Dispenser::new(checked))
         }
+        Kind::Pid { gains } => Controller::Pid(gains.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?),
+        Kind::Fuzzy { fuzzy } => {
+            Controller::Fuzzy(fuzzy.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?)
+        }
     };
     Ok(Policy { manifest, controller })
 }
@@ -159,10 +163,12 @@ fn checked(step: &ScheduledStep) -> Result<ScheduledStep, ArtifactError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::policy::{Encoding, Known};
-    use crate::policy::controller::Schedule;
     use crate::policy::Response;
+    use crate::policy::controller::Schedule;
     use crate::policy::episode::Rules;
+    use crate::policy::fuzzy::Fuzzy;
+    use crate::policy::pid::{Gains, Pid};
+    use crate::policy::{Encoding, Known};
     use proptest::prelude::*;
 
     fn learned() -> Policy {
@@ -192,9 +198,17 @@ mod tests {
         Policy { manifest: Manifest::of_untrained(kind, Rules::FLIP, 0), controller }
     }
 
+    fn rivals() -> [Policy; 2] {
+        let policy = |kind, controller| Policy { manifest: Manifest::of_untrained(kind, Rules::FLIP, 0), controller };
+        [
+            policy(Kind::Pid { gains: Pid::CHOSEN }, Controller::Pid(Pid::CHOSEN)),
+            policy(Kind::Fuzzy { fuzzy: Fuzzy::CHOSEN }, Controller::Fuzzy(Fuzzy::CHOSEN)),
+        ]
+    }
+
     #[test]
     fn a_policy_reads_back_exactly_and_its_id_is_its_content() {
-        for policy in [learned(), recurrent(), scheduled(), dispensing()] {
+        for policy in [learned(), recurrent(), scheduled(), dispensing()].into_iter().chain(rivals()) {
             let bytes = encode(&policy);
             assert_eq!(decode(&bytes).unwrap(), policy);
             assert_eq!(encode(&policy), bytes);
@@ -224,6 +238,11 @@ mod tests {
         let mut policy = dispensing();
         policy.manifest.kind = Kind::Dispenser { response: Response { bend: -1.0, ..Response::FITTED } };
         assert!(decode(&encode(&policy)).unwrap_err().to_string().contains("bend"));
+        let [mut pid, mut fuzzy] = rivals();
+        pid.manifest.kind = Kind::Pid { gains: Pid { shake: Gains { p: 11.0, i: 0.0, d: 0.0 }, ..Pid::CHOSEN } };
+        assert!(decode(&encode(&pid)).unwrap_err().to_string().contains("shake.p"));
+        fuzzy.manifest.kind = Kind::Fuzzy { fuzzy: Fuzzy { missing_mg: [3.0, 2.0, 4.0], ..Fuzzy::CHOSEN } };
+        assert!(decode(&encode(&fuzzy)).unwrap_err().to_string().contains("missing_mg"));
         let mut policy = scheduled();
         policy.manifest.rules.steps_max = 0;
         assert!(decode(&encode(&policy)).unwrap_err().to_string().contains("steps_max"));

@@ -3,7 +3,9 @@
 use super::actor::{Actor, Carried};
 use super::dispenser::Dispenser;
 use super::episode::{Ending, Known, Rules};
+use super::fuzzy::Fuzzy;
 use super::observation::{Encoding, Observation};
+use super::pid::Pid;
 use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
@@ -20,6 +22,10 @@ pub enum Controller {
     Schedule(Schedule),
     /// A model of what a shake lets fall, identified while it doses.
     Dispenser(Dispenser),
+    /// The prior work's PID rule.
+    Pid(Pid),
+    /// Fuzzy rules on what is missing and what fell.
+    Fuzzy(Fuzzy),
 }
 
 /// A pitch to be at and a shake to make there.
@@ -81,7 +87,7 @@ impl Controller {
     pub fn begin(&self, rules: &Rules, known: &Known) -> Dosing<'_> {
         let (ending, carried) = match self {
             Self::Learned(actor) => (rules.ending, actor.begin()),
-            Self::Fixed(_) | Self::Schedule(_) => (rules.ending, Carried::default()),
+            Self::Fixed(_) | Self::Schedule(_) | Self::Pid(_) | Self::Fuzzy(_) => (rules.ending, Carried::default()),
             Self::Dispenser(_) => (Ending::Decided, Carried::default()),
         };
         let rules = Rules { ending, ..*rules };
@@ -90,7 +96,8 @@ impl Controller {
 }
 
 /// A step that was carried out.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Done {
     /// What was seen before it.
     pub before: Observation,
@@ -117,6 +124,13 @@ impl Dosing<'_> {
         &self.rules
     }
 
+    /// Take up a weighing in its middle: a step that was carried out, with the action that was.
+    pub fn resume(&mut self, step: Done) {
+        self.propose(&step.before);
+        self.proposed = None;
+        self.done.push(step);
+    }
+
     /// The action for the next step, after those proposed before. Deterministic.
     pub fn propose(&mut self, seen: &Observation) -> Action {
         if let Some((before, action)) = self.proposed {
@@ -128,6 +142,8 @@ impl Dosing<'_> {
             Controller::Fixed(step) => step.approach(seen.pitch_deg),
             Controller::Schedule(schedule) => schedule.step(steps).approach(seen.pitch_deg),
             Controller::Dispenser(dispenser) => dispenser.propose(&self.done, seen, &self.rules, &self.known),
+            Controller::Pid(pid) => pid.propose(&self.done, seen),
+            Controller::Fuzzy(fuzzy) => fuzzy.propose(&self.done, seen),
         };
         self.proposed = Some((*seen, action));
         action
@@ -166,10 +182,30 @@ mod tests {
     }
 
     #[test]
+    fn a_weighing_taken_up_in_its_middle_goes_on_as_if_it_had_not_been_left() {
+        let seen = |reading_mg, pitch_deg| Observation { reading_mg, target_mg: 15.0, pitch_deg };
+        let course = [seen(0.0, 0.0), seen(0.0, 8.0), seen(3.0, 16.0), seen(4.0, 20.0), seen(9.0, 22.0)];
+        let step = |pitch_deg, shake_mm| ScheduledStep { pitch_deg, shake_mm };
+        let schedule = Schedule { steps: vec![step(12.0, 5.0), step(30.0, 4.0), step(40.0, 3.0)] };
+        for controller in
+            [Controller::Schedule(schedule), Controller::Pid(Pid::CHOSEN), Controller::Fuzzy(Fuzzy::CHOSEN)]
+        {
+            let mut whole = controller.begin(&Rules::FLIP, &Known::default());
+            let actions = course.map(|seen| whole.propose(&seen));
+            let mut taken_up = controller.begin(&Rules::FLIP, &Known::default());
+            for k in 0..3 {
+                taken_up.resume(Done { before: course[k], action: actions[k], after: course[k + 1] });
+            }
+            assert_eq!([taken_up.propose(&course[3]), taken_up.propose(&course[4])], actions[3..]);
+        }
+    }
+
+    #[test]
     fn untrained_controllers_differ_by_seed_and_stay_in_range() {
         let seen = Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg: 0.0 };
-        let actions: Vec<Action> =
-            (0..3).map(|seed| Controller::untrained(seed).begin(&Rules::FLIP, &Known::default()).propose(&seen)).collect();
+        let actions: Vec<Action> = (0..3)
+            .map(|seed| Controller::untrained(seed).begin(&Rules::FLIP, &Known::default()).propose(&seen))
+            .collect();
         assert_ne!(actions[0], actions[1]);
         assert_eq!(actions[2], Controller::untrained(2).begin(&Rules::FLIP, &Known::default()).propose(&seen));
         assert!(actions.iter().all(|a| a.incline_change_deg.abs() <= 8.0 && (0.0..=16.0).contains(&a.shake_mm)));

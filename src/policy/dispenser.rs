@@ -151,7 +151,8 @@ impl Dispenser {
     fn expected_loss(&self, frame: &Frame<'_>, seen: &Observation, left: u32, action: Option<Action>) -> f64 {
         let play = |(j, guess): (usize, &Spoonful)| {
             // What is in the vial may be half a step of the display more or less.
-            let poured_mg = (seen.reading_mg + frame.readability_mg * (radical_inverse(j + 1, POURED_BASE) - 0.5)).max(0.0);
+            let poured_mg =
+                (seen.reading_mg + frame.readability_mg * (radical_inverse(j + 1, POURED_BASE) - 0.5)).max(0.0);
             let missing_mg = seen.target_mg - poured_mg;
             let mut moment = Moment { pitch_deg: seen.pitch_deg, poured_mg, missing_mg, left };
             let Some(action) = action else { return self.response.loss(missing_mg) };

@@ -67,18 +67,9 @@ fn what_is_let_go_of_is_the_formula() {
 fn guesses_have_the_moments_and_correlations_they_are_drawn_from() {
     let guesses = Dispenser::new(FITTED).prior(Some(FITTED.repose_deg[0]));
     let columns = [
-        guesses
-            .iter()
-            .map(|g| (g.onset_deg - FITTED.onset_deg[0]) / FITTED.onset_deg[1])
-            .collect::<Vec<f64>>(),
-        guesses
-            .iter()
-            .map(|g| (g.slope_mg_deg.ln() - FITTED.ln_slope_mg_deg[0]) / FITTED.ln_slope_mg_deg[1])
-            .collect(),
-        guesses
-            .iter()
-            .map(|g| (g.stroke_mm.ln() - FITTED.ln_stroke_mm[0]) / FITTED.ln_stroke_mm[1])
-            .collect(),
+        guesses.iter().map(|g| (g.onset_deg - FITTED.onset_deg[0]) / FITTED.onset_deg[1]).collect::<Vec<f64>>(),
+        guesses.iter().map(|g| (g.slope_mg_deg.ln() - FITTED.ln_slope_mg_deg[0]) / FITTED.ln_slope_mg_deg[1]).collect(),
+        guesses.iter().map(|g| (g.stroke_mm.ln() - FITTED.ln_stroke_mm[0]) / FITTED.ln_stroke_mm[1]).collect(),
     ];
     let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>() / a.len() as f64;
     for column in &columns {
@@ -105,9 +96,8 @@ fn what_the_balance_shows_tells_one_spoon_from_another() {
     };
     let expected = |done: &[Done]| {
         let weights = weights(done);
-        let next = guesses
-            .iter()
-            .map(|g| g.mean_mg(&FITTED, 16.0, 8.0, done.last().map_or(0.0, |d| d.after.reading_mg)));
+        let next =
+            guesses.iter().map(|g| g.mean_mg(&FITTED, 16.0, 8.0, done.last().map_or(0.0, |d| d.after.reading_mg)));
         weights.iter().zip(next).map(|(w, m)| w * m).sum::<f64>() / weights.iter().sum::<f64>()
     };
     let [nothing, little, much] = [0.0, 1.0, 6.0].map(|mg| expected(&[shaken(0.0, mg)]));

@@ -1,10 +1,12 @@
 //! Where a policy came from: everything needed to make it again.
 
 use super::controller::{Schedule, ScheduledStep};
-use super::response::Response;
 use super::episode::Rules;
+use super::fuzzy::Fuzzy;
 use super::observation::Encoding;
+use super::pid::Pid;
 use super::recurrent;
+use super::response::Response;
 use crate::domain::parameters::ParameterSet;
 use serde::{Deserialize, Serialize};
 
@@ -42,10 +44,20 @@ pub enum Kind {
         /// What it expects before it has seen anything.
         response: Response,
     },
+    /// The prior work's PID rule.
+    Pid {
+        /// Its gains.
+        gains: Pid,
+    },
+    /// Fuzzy rules on what is missing and what fell.
+    Fuzzy {
+        /// Their breakpoints and centroids.
+        fuzzy: Fuzzy,
+    },
 }
 
 impl Kind {
-    /// The kind's name in JSON: `learned`, `recurrent`, `fixed`, `schedule` or `dispenser`.
+    /// The kind's name in JSON: `learned`, `recurrent`, `fixed`, `schedule`, `dispenser`, `pid` or `fuzzy`.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Learned { .. } => "learned",
@@ -53,6 +65,8 @@ impl Kind {
             Self::Fixed { .. } => "fixed",
             Self::Schedule { .. } => "schedule",
             Self::Dispenser { .. } => "dispenser",
+            Self::Pid { .. } => "pid",
+            Self::Fuzzy { .. } => "fuzzy",
         }
     }
 
@@ -64,7 +78,11 @@ impl Kind {
         match self {
             Self::Learned { widths, .. } => recurrent::layers(widths),
             Self::Recurrent { encoding, hidden } => recurrent::tensors(encoding.width(), *hidden),
-            Self::Fixed { .. } | Self::Schedule { .. } | Self::Dispenser { .. } => Vec::new(),
+            Self::Fixed { .. }
+            | Self::Schedule { .. }
+            | Self::Dispenser { .. }
+            | Self::Pid { .. }
+            | Self::Fuzzy { .. } => Vec::new(),
         }
     }
 }

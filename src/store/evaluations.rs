@@ -9,7 +9,7 @@ use std::collections::HashMap;
 /// Errors of one controller in one cell of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct EvaluationRow {
-    /// `policy`, `untrained`, `fixed`, `schedule` or `dispenser`.
+    /// `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid` or `fuzzy`.
     pub controller: String,
     /// Powder id.
     pub powder: String,
@@ -23,18 +23,21 @@ pub struct EvaluationRow {
     pub sd_mg: f64,
     /// Mean signed error, mg; positive is too much.
     pub bias_mg: f64,
-    /// Share of weighings above the target.
+    /// Share of weighings more than 1 mg above the target.
     pub over_share: f64,
     /// Share of weighings that dispensed nothing.
     pub zero_share: f64,
     /// Mean number of shakes.
     pub shakes_mean: f64,
+    /// Mean bench time of a weighing, s; absent from evaluations of before it was kept.
+    #[serde(default)]
+    pub seconds_mean: Option<f64>,
 }
 
 /// Errors of one controller over all cells of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct EvaluationSummary {
-    /// `policy`, `untrained`, `fixed`, `schedule` or `dispenser`.
+    /// `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid` or `fuzzy`.
     pub controller: String,
     /// Mean absolute error, mg.
     pub mae_mg: f64,
@@ -42,8 +45,23 @@ pub struct EvaluationSummary {
     pub ci95: [f64; 2],
     /// Standard deviation of the absolute error over all weighings, mg.
     pub sd_trials_mg: f64,
-    /// Standard deviation within cells, pooled, mg.
+    /// Mean over the cells of the standard deviation within each, mg.
     pub sd_within_cells_mg: f64,
+    /// Mean signed error, mg; positive is too much. This and what follows is absent from evaluations of before it was kept.
+    #[serde(default)]
+    pub bias_mg: Option<f64>,
+    /// Share of weighings more than 1 mg above the target.
+    #[serde(default)]
+    pub over_share: Option<f64>,
+    /// Share of weighings that dispensed nothing.
+    #[serde(default)]
+    pub zero_share: Option<f64>,
+    /// Mean number of shakes.
+    #[serde(default)]
+    pub shakes_mean: Option<f64>,
+    /// Mean bench time of a weighing, s.
+    #[serde(default)]
+    pub seconds_mean: Option<f64>,
 }
 
 impl Store {
@@ -62,7 +80,8 @@ impl Tx {
         Ok(())
     }
 
-    /// Store a row of an evaluation. `policy` is the one the row is about; none for simple controllers.
+    /// Store a row of an evaluation. `policy` is the one that the row counts for; none for other controllers and under
+    /// unusual conditions.
     pub(crate) async fn insert_evaluation_row(
         &mut self,
         evaluation: &str,
@@ -83,5 +102,21 @@ impl Tx {
             .execute(&mut *self.inner)
             .await?;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_of_before_the_rates_were_kept_still_read() {
+        let old = r#"{"controller":"fixed","mae_mg":2.0,"ci95":[1.0,3.0],"sd_trials_mg":1.0,"sd_within_cells_mg":1.0}"#;
+        let summary: EvaluationSummary = serde_json::from_str(old).unwrap();
+        assert_eq!((summary.mae_mg, summary.bias_mg, summary.seconds_mean), (2.0, None, None));
+        let old = r#"{"controller":"fixed","powder":"salt","target_mg":15.0,"n":5,"mae_mg":2.0,"sd_mg":1.0,"bias_mg":0.0,
+            "over_share":0.2,"zero_share":0.0,"shakes_mean":4.0}"#;
+        let row: EvaluationRow = serde_json::from_str(old).unwrap();
+        assert_eq!((row.shakes_mean, row.seconds_mean), (4.0, None));
     }
 }

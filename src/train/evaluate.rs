@@ -98,6 +98,8 @@ pub struct Row {
     pub zero_share: f64,
     /// Mean number of shakes.
     pub shakes_mean: f64,
+    /// Mean bench time of a dose, s.
+    pub seconds_mean: f64,
 }
 
 /// One controller over all its doses.
@@ -115,6 +117,16 @@ pub struct Summary {
     /// Mean over powders and targets of the standard deviation within each, mg. The two differ; published tables often
     /// print this one without saying so.
     pub sd_within_cells_mg: f64,
+    /// Mean signed error, mg; positive is too much.
+    pub bias_mg: f64,
+    /// Share of doses more than 1 mg above the target.
+    pub over_share: f64,
+    /// Share of doses below 0.5 mg: nothing to speak of was dispensed.
+    pub zero_share: f64,
+    /// Mean number of shakes.
+    pub shakes_mean: f64,
+    /// Mean bench time of a dose, s.
+    pub seconds_mean: f64,
 }
 
 /// Everything an evaluation found.
@@ -178,12 +190,19 @@ fn summarise(plan: &Plan, trials: Vec<Trial>) -> Evaluation {
         .zip(rows.chunks(cells))
         .map(|(trials, rows)| {
             let errors: Vec<f64> = trials.iter().map(|t| error_mg(t).abs()).collect();
+            // The doses of one controller are a row over everything.
+            let all = row(trials);
             Summary {
-                controller: trials[0].controller.clone(),
-                mae_mg: mean(&errors).unwrap_or(0.0),
+                controller: all.controller,
+                mae_mg: all.mae_mg,
                 ci95: bootstrap_mean_interval(&errors, 0.95, RESAMPLES, plan.seed).unwrap_or([0.0; 2]),
-                sd_trials_mg: sd(&errors).unwrap_or(0.0),
+                sd_trials_mg: all.sd_mg,
                 sd_within_cells_mg: mean(&rows.iter().map(|row| row.sd_mg).collect::<Vec<_>>()).unwrap_or(0.0),
+                bias_mg: all.bias_mg,
+                over_share: all.over_share,
+                zero_share: all.zero_share,
+                shakes_mean: all.shakes_mean,
+                seconds_mean: all.seconds_mean,
             }
         })
         .collect();
@@ -199,6 +218,7 @@ const RESAMPLES: usize = 2000;
 fn row(trials: &[Trial]) -> Row {
     let signed: Vec<f64> = trials.iter().map(error_mg).collect();
     let errors: Vec<f64> = signed.iter().map(|e| e.abs()).collect();
+    let mean_of = |of: fn(&Trial) -> f64| mean(&trials.iter().map(of).collect::<Vec<_>>()).unwrap_or(0.0);
     let share = |test: &dyn Fn(&Trial) -> bool| trials.iter().filter(|t| test(t)).count() as f64 / trials.len() as f64;
     Row {
         controller: trials[0].controller.clone(),
@@ -210,7 +230,8 @@ fn row(trials: &[Trial]) -> Row {
         bias_mg: mean(&signed).unwrap_or(0.0),
         over_share: share(&|t| error_mg(t) > ON_TARGET_MG),
         zero_share: share(&|t| t.dose.dispensed_mg < NOTHING_MG),
-        shakes_mean: mean(&trials.iter().map(|t| f64::from(t.dose.shakes)).collect::<Vec<_>>()).unwrap_or(0.0),
+        shakes_mean: mean_of(|t| f64::from(t.dose.shakes)),
+        seconds_mean: mean_of(|t| t.dose.seconds),
     }
 }
 
@@ -256,6 +277,9 @@ mod tests {
         );
         assert!((row.sd_mg - (1.0f64 / 3.0).sqrt()).abs() < 1e-12);
         let summary = &evaluation.summary[0];
+        let all = (summary.bias_mg, summary.over_share, summary.zero_share, summary.shakes_mean, summary.seconds_mean);
+        assert_eq!(all, (0.5, 0.5, 0.0, 5.0, 9.0));
+        assert_eq!(row.seconds_mean, 9.0);
         assert!((summary.sd_within_cells_mg - (1.0f64 / 3.0).sqrt()).abs() < 1e-12);
         assert!((summary.sd_trials_mg - (16.0 * 0.25 / 15.0f64).sqrt()).abs() < 1e-12);
         // 16 errors of SD 0.5: the mean's standard error is 0.125, 95 % are about +-0.24.
@@ -267,8 +291,10 @@ mod tests {
         let run = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
-                evaluate(&plan(), |_, _, set, target, seed| Ok::<_, ()>(weigh(set, target, (seed % 1000) as f64 / 1000.0)))
-                    .unwrap()
+                evaluate(&plan(), |_, _, set, target, seed| {
+                    Ok::<_, ()>(weigh(set, target, (seed % 1000) as f64 / 1000.0))
+                })
+                .unwrap()
             })
         };
         let one = run(1);

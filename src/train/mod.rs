@@ -1,8 +1,9 @@
 //! Learning to weigh: parameter sets in, a policy out.
 //!
 //! [`train`] plays episodes on simulated spoons ([`environment`]), remembers their steps ([`replay`]) or, for a recurrent network,
-//! whole [`episodes`], improves a policy by Soft Actor-Critic ([`sac`]) and moves from powder to powder as a [`curriculum`] says. [`evaluate`] measures any controller on
-//! doses it never practised, and [`schedule`] tunes the open-loop rival that a policy has to beat.
+//! whole [`episodes`], improves a policy by Soft Actor-Critic ([`sac`]) and moves from powder to powder as a [`curriculum`] says.
+//! [`evaluate`] measures any controller on doses it never practised; [`schedule`] tunes the open-loop rival that a policy has to beat,
+//! and [`rivals`] those of other robots.
 //!
 //! *Reproducible*: the same levels, settings and seed give the same bytes at any number of threads and across any
 //! interruption. Episodes are played in rounds of a fixed number, each with a seed of its own; every random number comes
@@ -21,6 +22,7 @@ pub mod formula;
 mod networks;
 mod recurrent;
 pub mod replay;
+pub mod rivals;
 pub mod sac;
 pub mod schedule;
 mod settings;

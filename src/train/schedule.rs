@@ -92,7 +92,8 @@ pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning) -> Tuned
         };
         [step(), step()]
     });
-    let (best, first_pours) = halve(field.collect(), levels, tuning, &spoons);
+    let score = |[first, last]: &Ends, doses| score(&ramp(*first, *last), levels, tuning, &spoons, doses);
+    let (best, first_spoons) = halve(field.collect(), tuning.spoons, score);
     // The second field: the best of the first, and steps aside from them.
     let mut aside = |from: ScheduledStep| ScheduledStep {
         pitch_deg: (from.pitch_deg + rng.random_range(-6.0..6.0)).clamp(0.0, pitch_max_deg),
@@ -100,39 +101,35 @@ pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning) -> Tuned
     };
     let around = (best.len()..tuning.candidates.div_ceil(2) as usize).map(|k| best[k % best.len()].1.map(&mut aside));
     let field = best.iter().map(|(_, ends)| *ends).chain(around).collect();
-    let (best, second_pours) = halve(field, levels, tuning, &spoons);
+    let (best, second_spoons) = halve(field, tuning.spoons, score);
     let (mae_mg, [first, last]) = best[0];
-    Tuned { schedule: ramp(first, last), mae_mg, pours: first_pours + second_pours }
+    Tuned { schedule: ramp(first, last), mae_mg, pours: (first_spoons + second_spoons) * levels.len() as u32 }
 }
 
 /// The two ends of a ramp.
 type Ends = [ScheduledStep; 2];
-/// Ramps that a search hands over.
+/// Candidates that a search hands over.
 const KEPT: usize = 4;
 
-/// Successive halving: each round pours every remaining ramp over twice as many spoons and keeps the better quarter, until
-/// [`KEPT`] are left. Those with their errors, the best first, and how often a schedule was poured.
-fn halve<F: Filling>(
-    mut field: Vec<Ends>,
-    levels: &[Level],
-    tuning: &Tuning,
-    spoons: &Spoons<F>,
-) -> (Vec<(f64, Ends)>, u32) {
-    let (mut doses, mut pours) = (tuning.spoons, 0);
+/// Successive halving: each round scores every remaining candidate on twice as many spoons of each powder and keeps the better quarter,
+/// until [`KEPT`] are left. Those with their scores, the best first, and the spoons of each powder that were poured.
+pub(super) fn halve<C: Send + Sync>(
+    mut field: Vec<C>,
+    mut spoons: u32,
+    score: impl Fn(&C, u32) -> f64 + Sync,
+) -> (Vec<(f64, C)>, u32) {
+    let mut poured = 0;
     loop {
-        let mut scored: Vec<(f64, Ends)> = field
-            .into_par_iter()
-            .map(|[first, last]| (score(&ramp(first, last), levels, tuning, spoons, doses), [first, last]))
-            .collect();
-        pours += scored.len() as u32 * doses * levels.len() as u32;
+        let mut scored: Vec<(f64, C)> = field.into_par_iter().map(|c| (score(&c, spoons), c)).collect();
+        poured += scored.len() as u32 * spoons;
         // A stable sort: of equals the first drawn wins.
         scored.sort_by(|a, b| a.0.total_cmp(&b.0));
         if scored.len() <= KEPT {
-            return (scored, pours);
+            return (scored, poured);
         }
         scored.truncate(scored.len().div_ceil(4).max(KEPT));
-        field = scored.into_iter().map(|(_, ends)| ends).collect();
-        doses *= 2;
+        field = scored.into_iter().map(|(_, candidate)| candidate).collect();
+        spoons *= 2;
     }
 }
 
@@ -150,6 +147,20 @@ pub fn assess<F: Filling>(
 
 /// Mean absolute error of a schedule over powders, spoons and targets, mg.
 fn score<F: Filling>(schedule: &Schedule, levels: &[Level], tuning: &Tuning, spoons: &Spoons<F>, doses: u32) -> f64 {
+    let controller = Controller::Schedule(schedule.clone());
+    mean_error_mg(levels, tuning.seed, spoons, doses, |spoon, seed| {
+        errors_mg(&controller, spoon, tuning, &tuning.targets_mg, 0.0, seed)
+    })
+}
+
+/// Mean over `doses` spoons of each powder of the errors that `pour` makes with a spoon and a seed, mg.
+pub(super) fn mean_error_mg<F: Filling>(
+    levels: &[Level],
+    seed: u64,
+    spoons: &Spoons<F>,
+    doses: u32,
+    pour: impl Fn(F::Spoon, u64) -> Vec<f64> + Sync,
+) -> f64 {
     let pours: Vec<(&Level, u32)> = levels.iter().flat_map(|level| (0..doses).map(move |dose| (level, dose))).collect();
     // `collect` keeps the order, so the sum is the same at any thread count.
     let errors: Vec<f64> = pours
@@ -157,22 +168,28 @@ fn score<F: Filling>(schedule: &Schedule, levels: &[Level], tuning: &Tuning, spo
         .flat_map_iter(|(level, dose)| {
             let set = &level.sets[dose as usize % level.sets.len()];
             let spoon = spoons.take(set, dose / level.sets.len() as u32);
-            errors_mg(schedule, spoon, tuning, derive(tuning.seed, &[3, dose.into()]))
+            pour(spoon, derive(seed, &[3, dose.into()]))
         })
         .collect();
     errors.iter().sum::<f64>() / errors.len() as f64
 }
 
-/// The absolute true error at each target when one spoon is poured by this schedule.
-fn errors_mg(schedule: &Schedule, mut spoon: impl Spoon, tuning: &Tuning, seed: u64) -> Vec<f64> {
-    let controller = Controller::Schedule(schedule.clone());
+/// The absolute true error at each target when one spoon is poured by this controller, which is told `shown_mg`.
+pub(super) fn errors_mg(
+    controller: &Controller,
+    mut spoon: impl Spoon,
+    tuning: &Tuning,
+    targets_mg: &[f64],
+    shown_mg: f64,
+    seed: u64,
+) -> Vec<f64> {
     let mut dosing = controller.begin(&tuning.rules, &Known::default());
-    let mut waiting = tuning.targets_mg.clone();
+    let mut waiting = targets_mg.to_vec();
     let mut errors = Vec::new();
     let mut reading_mg = 0.0;
     for steps in 1..=tuning.rules.steps_max {
         let before_mg = spoon.vial_mg();
-        let seen = Observation { reading_mg, target_mg: 0.0, pitch_deg: spoon.pitch_deg() };
+        let seen = Observation { reading_mg, target_mg: shown_mg, pitch_deg: spoon.pitch_deg() };
         let action: Action = dosing.propose(&seen);
         spoon.step(action);
         reading_mg = tuning.balance.read(before_mg, spoon.vial_mg(), seed, steps.into()).mass_mg;
@@ -223,8 +240,8 @@ mod tests {
     fn every_target_gets_exactly_one_error_even_when_nothing_pours() {
         let tuning = Tuning::new(1);
         let formula = Formula { pitch: PitchLimits::WIDE };
-        let still = Schedule { steps: vec![ScheduledStep { pitch_deg: 0.0, shake_mm: 0.0 }] };
+        let still = Controller::Fixed(ScheduledStep { pitch_deg: 0.0, shake_mm: 0.0 });
         let spoon = formula.fill(&ParameterSet::default(), 1);
-        assert_eq!(errors_mg(&still, spoon, &tuning, 1), tuning.targets_mg);
+        assert_eq!(errors_mg(&still, spoon, &tuning, &tuning.targets_mg, 0.0, 1), tuning.targets_mg);
     }
 }

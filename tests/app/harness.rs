@@ -1,8 +1,8 @@
 //! One application for each test, and the formulas it computes with.
 
 use flip::app::{
-    App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Target, Tolerance, Topic, TrainingRequest,
-    WeighingRequest,
+    App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Target, Tolerance, Topic,
+    TrainingRequest, WeighingRequest,
 };
 use flip::domain::bench::{Action, Reading, Tick};
 use flip::domain::observable::Observable;

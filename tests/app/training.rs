@@ -84,10 +84,18 @@ async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
         repeats: Some(2),
         ..Default::default()
     };
-    let (job, _) = app.start_evaluation(request).await.unwrap();
+    let (job, _) = app.start_evaluation(request.clone()).await.unwrap();
     let job = ended(&app, &job.id).await;
     assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
     let evaluation = app.evaluation(&job.id).await.unwrap();
+    assert!(evaluation.conditions.are_usual());
+    let unseen =
+        EvaluationRequest { particles: Some(3000), extensions: [("rotation".to_owned(), 1.0)].into(), ..request };
+    let (other, created) = app.start_evaluation(unseen).await.unwrap();
+    assert!(created && other.id != job.id);
+    assert_eq!(ended(&app, &other.id).await.state, JobState::Succeeded);
+    let conditions = app.evaluation(&other.id).await.unwrap().conditions;
+    assert_eq!((conditions.particles, conditions.extensions.rotation), (3000, 1.0));
     let result = evaluation.result.unwrap();
     assert_eq!((evaluation.policy, result.rows.len(), result.summary.len()), (policy.clone(), 8, 2));
     assert!(result.rows.iter().all(|row| row.n == 2 && (row.mae_mg - 0.25).abs() < 1e-9));
@@ -130,10 +138,22 @@ async fn requests_that_cannot_be_met_name_every_wrong_field() {
         controllers: Some(vec!["policy".into(), "magic".into()]),
         targets_mg: Some(vec![15.0, f64::NAN, -1.0]),
         repeats: Some(0),
+        particles: Some(6000),
+        extensions: [("rotation".to_owned(), -1.0), ("wind".to_owned(), 1.0)].into(),
         ..Default::default()
     };
     let named = fields(app.start_evaluation(bad).await.unwrap_err());
-    assert_eq!(named, ["repeats", "controllers[1]", "targets_mg[1]", "targets_mg[2]"]);
+    let conditions = ["particles", "extensions.rotation", "extensions.wind"];
+    assert_eq!(named, [&["repeats", "controllers[1]", "targets_mg[1]", "targets_mg[2]"][..], &conditions].concat());
+    // Half the grains are half the mass: a dose that the usual spoon holds is refused.
+    let too_few = EvaluationRequest {
+        policy: Some(policy.clone()),
+        powders: Some(vec!["sand".into()]),
+        targets_mg: Some(vec![20.0]),
+        particles: Some(500),
+        ..Default::default()
+    };
+    assert_eq!(fields(app.start_evaluation(too_few).await.unwrap_err()), ["targets_mg[0]"]);
     let too_much = EvaluationRequest {
         policy: Some(policy),
         powders: Some(vec!["sand".into()]),

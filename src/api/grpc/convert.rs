@@ -176,15 +176,19 @@ same_fields! {
     } {
         job: Some(e.job.into()),
         result: e.result.map(Into::into),
+        particles: e.conditions.particles,
+        extensions: e.conditions.amplitudes().into_iter().collect(),
     }
     r: app::EvaluationResult => EvaluationResult {} {
         rows: all(r.rows),
         summary: all(r.summary),
     }
     r: app::EvaluationRow => EvaluationRow {
-        controller powder target_mg n mae_mg sd_mg bias_mg over_share zero_share shakes_mean
+        controller powder target_mg n mae_mg sd_mg bias_mg over_share zero_share shakes_mean seconds_mean
     } {}
-    s: app::EvaluationSummary => EvaluationSummary { controller mae_mg sd_trials_mg sd_within_cells_mg } {
+    s: app::EvaluationSummary => EvaluationSummary {
+        controller mae_mg sd_trials_mg sd_within_cells_mg bias_mg over_share zero_share shakes_mean seconds_mean
+    } {
         ci95_lower_mg: s.ci95[0],
         ci95_upper_mg: s.ci95[1],
     }

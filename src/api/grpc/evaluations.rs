@@ -21,6 +21,8 @@ impl evaluations_server::Evaluations for Service {
             repeats: asked.repeats,
             readability_mg: asked.readability_mg,
             max_shakes: asked.max_shakes,
+            particles: asked.particles,
+            extensions: asked.extensions.into_iter().collect(),
             seed: asked.seed,
         };
         Ok(Response::new(self.app.start_evaluation(request).await?.into()))

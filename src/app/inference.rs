@@ -1,0 +1,99 @@
+//! A policy that drives another robot: what it has seen in, the next action out. Nothing moves here, and nothing is stored.
+
+use super::Result;
+use crate::domain::bench::Action;
+use crate::domain::{FieldError, bounded};
+use crate::policy::{self, Done, Dosing, Episode, Known, Observation, Policy};
+use serde::Serialize;
+
+/// What a policy proposes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Proposal {
+    /// The action: the robot's own guard has to bound it, for the policy does not know what the robot may do.
+    #[serde(flatten)]
+    pub action: Action,
+    /// Whether the rules that the policy was made for would go on: if not, level the spoon instead.
+    pub episode: Episode,
+}
+
+/// A policy out of its file.
+#[derive(Debug, Clone)]
+pub struct Driver(Policy);
+
+/// One weighing that a policy drives; it remembers what it has seen and proposed.
+#[derive(Debug)]
+pub struct Driving<'a> {
+    dosing: Dosing<'a>,
+    steps: u32,
+    target_mg: Option<f64>,
+}
+
+impl Driver {
+    /// The policy in these bytes; `field` is what a refusal calls them.
+    ///
+    /// # Errors
+    /// `Invalid` if they are no policy.
+    pub fn read(field: &str, bytes: &[u8]) -> Result<Self> {
+        let policy = policy::decode(bytes).map_err(|error| FieldError::new(field, error.to_string()))?;
+        Ok(Self(policy))
+    }
+
+    /// Begin a weighing of which so much is known.
+    ///
+    /// # Errors
+    /// `Invalid`: `readability_mg` is 0.001 to 10 mg, `repose_deg` 5 to 85 deg.
+    pub fn begin(&self, known: &Known) -> Result<Driving<'_>> {
+        bounded("readability_mg", known.readability_mg, 0.001, 10.0, "mg")?;
+        known.repose_deg.map(|deg| bounded("repose_deg", deg, 5.0, 85.0, "deg")).transpose()?;
+        let dosing = self.0.controller.begin(&self.0.manifest.rules, known);
+        Ok(Driving { dosing, steps: 0, target_mg: None })
+    }
+}
+
+impl Driving<'_> {
+    /// Steps that were carried out before, in order.
+    ///
+    /// # Errors
+    /// `Invalid` names the first number that is not possible, as `history[0].before.reading_mg`.
+    pub fn resume(&mut self, history: &[Done]) -> Result<()> {
+        for (k, step) in history.iter().enumerate() {
+            self.check(&format!("history[{k}].before."), &step.before)?;
+            self.check(&format!("history[{k}].after."), &step.after)?;
+            let action = format!("history[{k}].action.");
+            bounded(&format!("{action}incline_change_deg"), step.action.incline_change_deg, -90.0, 90.0, "deg")?;
+            bounded(&format!("{action}shake_mm"), step.action.shake_mm, 0.0, 1000.0, "mm")?;
+            self.dosing.resume(*step);
+            self.steps += 1;
+        }
+        Ok(())
+    }
+
+    /// The action for the next step; the one before is taken as carried out.
+    ///
+    /// # Errors
+    /// `Invalid` names what is not possible.
+    pub fn next(&mut self, seen: &Observation) -> Result<Proposal> {
+        self.check("", seen)?;
+        let action = self.dosing.propose(seen);
+        let rules = self.dosing.rules();
+        let episode = match rules.after(self.steps, seen) {
+            Episode::Running if rules.is_decided(&action) => Episode::Terminated,
+            episode => episode,
+        };
+        self.steps += 1;
+        Ok(Proposal { action, episode })
+    }
+
+    /// Numbers that a balance and an arm can show, and one target for the whole weighing.
+    fn check(&mut self, path: &str, seen: &Observation) -> Result<()> {
+        bounded(&format!("{path}reading_mg"), seen.reading_mg, -1e6, 1e6, "mg")?;
+        bounded(&format!("{path}target_mg"), seen.target_mg, 0.1, 1e6, "mg")?;
+        bounded(&format!("{path}pitch_deg"), seen.pitch_deg, -90.0, 90.0, "deg")?;
+        let target_mg = *self.target_mg.get_or_insert(seen.target_mg);
+        if target_mg != seen.target_mg {
+            let message = format!("must stay {target_mg} mg throughout a weighing, got {}", seen.target_mg);
+            return Err(FieldError::new(format!("{path}target_mg"), message).into());
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,179 @@
+//! `flip policy`: list policies, look at one, take one along, and ask one for its next action.
+
+use super::Common;
+use super::failure::Failure;
+use super::session::with_reader;
+use super::table::table;
+use crate::app::{Done, Driver, Driving, Known, Observation, PageQuery, Policy, Proposal};
+use crate::domain::FieldError;
+use std::io::{BufRead, Write};
+use std::path::{Path, PathBuf};
+
+/// Arguments of `flip policy`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    #[command(subcommand)]
+    command: PolicyCommand,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum PolicyCommand {
+    /// List policies, newest first, also while a server runs.
+    List {
+        /// Most policies to list, 1 to 200.
+        #[arg(long, value_name = "N", default_value_t = 50, allow_negative_numbers = true)]
+        limit: u32,
+        /// Continue after this cursor, `next` of the list before.
+        #[arg(long, value_name = "CURSOR")]
+        after: Option<String>,
+    },
+    /// Print a policy and its manifest: settings, seed, parameter sets, curriculum history, versions.
+    Show {
+        /// Policy id.
+        #[arg(long, value_name = "ID")]
+        policy: String,
+    },
+    /// Write a policy's safetensors to a file.
+    Export {
+        /// Policy id.
+        #[arg(long, value_name = "ID")]
+        policy: String,
+        /// The file to write.
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+    },
+    /// Ask a policy for its next action, for a robot of one's own. Nothing moves; libtorch is not needed.
+    Infer(Infer),
+}
+
+#[derive(Debug, clap::Args)]
+struct Infer {
+    /// Policy id, out of the data folder.
+    #[arg(long, value_name = "ID", required_unless_present = "file")]
+    policy: Option<String>,
+    /// A policy's file instead, as exported or downloaded.
+    #[arg(long, value_name = "FILE", conflicts_with = "policy")]
+    file: Option<PathBuf>,
+    /// What the balance shows, mg.
+    #[arg(long, value_name = "MG", required_unless_present = "stdin", allow_negative_numbers = true)]
+    reading_mg: Option<f64>,
+    /// The mass that is asked for, mg.
+    #[arg(long, value_name = "MG", required_unless_present = "stdin", allow_negative_numbers = true)]
+    target_mg: Option<f64>,
+    /// Pitch of the spoon, degrees, positive is tip down.
+    #[arg(long, value_name = "DEG", required_unless_present = "stdin", allow_negative_numbers = true)]
+    pitch_deg: Option<f64>,
+    /// Step of the balance's display, mg.
+    #[arg(long, value_name = "MG", default_value_t = 1.0, allow_negative_numbers = true)]
+    readability_mg: f64,
+    /// Angle of repose of the powder, degrees, if it was measured.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    repose_deg: Option<f64>,
+    /// The steps of this weighing so far, a JSON list of {"before", "action", "after"}: observations {"reading_mg", "target_mg",
+    /// "pitch_deg"} around an action {"incline_change_deg", "shake_mm"}. Controllers remember.
+    #[arg(long, value_name = "FILE")]
+    history: Option<PathBuf>,
+    /// Read one observation a line as JSON from stdin, and answer each at once with a line; one weighing.
+    #[arg(long, conflicts_with_all = ["reading_mg", "target_mg", "pitch_deg"])]
+    stdin: bool,
+}
+
+/// Do what was asked.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    match &arguments.command {
+        PolicyCommand::List { limit, after } => {
+            let page = PageQuery { limit: Some(*limit), after: after.clone() };
+            let policies = with_reader(common, async |app| Ok(app.policies(page).await?))?;
+            common.print(&policies, || text(&policies.items))
+        }
+        PolicyCommand::Show { policy } => {
+            let policy = with_reader(common, async |app| Ok(app.policy(policy).await?))?;
+            // For people too: a manifest has no other form.
+            common.print(&policy, || serde_json::to_string_pretty(&policy).unwrap_or_default())
+        }
+        PolicyCommand::Export { policy, out } => {
+            let bytes = bytes_of(common, policy)?;
+            std::fs::write(out, &bytes).map_err(|error| file_error("out", out, &error))?;
+            let document = serde_json::json!({ "policy": policy, "out": out, "size_bytes": bytes.len() });
+            common.print(&document, || format!("{policy} written to {}, {} bytes", out.display(), bytes.len()))
+        }
+        PolicyCommand::Infer(infer) => infer.run(common),
+    }
+}
+
+impl Infer {
+    fn run(&self, common: &Common) -> Result<(), Failure> {
+        let driver = match (&self.file, &self.policy) {
+            (Some(file), _) => {
+                let bytes = std::fs::read(file).map_err(|error| file_error("file", file, &error))?;
+                Driver::read("file", &bytes)?
+            }
+            (None, id) => Driver::read("policy", &bytes_of(common, id.as_deref().unwrap_or_default())?)?,
+        };
+        let known = Known { readability_mg: self.readability_mg, repose_deg: self.repose_deg };
+        let mut driving = driver.begin(&known)?;
+        if let Some(file) = &self.history {
+            let text = std::fs::read(file).map_err(|error| file_error("history", file, &error))?;
+            let steps: Vec<Done> =
+                serde_json::from_slice(&text).map_err(|error| FieldError::new("history", error.to_string()))?;
+            driving.resume(&steps)?;
+        }
+        if self.stdin {
+            return answer_lines(&mut driving);
+        }
+        let [Some(reading_mg), Some(target_mg), Some(pitch_deg)] = [self.reading_mg, self.target_mg, self.pitch_deg]
+        else {
+            let message = "give it with --target-mg and --pitch-deg, or --stdin";
+            return Err(FieldError::new("reading_mg", message).into());
+        };
+        let proposal = driving.next(&Observation { reading_mg, target_mg, pitch_deg })?;
+        common.print(&proposal, || sentence(&proposal))
+    }
+}
+
+/// One answer for each line, flushed, so that a robot can wait for it.
+fn answer_lines(driving: &mut Driving<'_>) -> Result<(), Failure> {
+    for (k, line) in std::io::stdin().lock().lines().enumerate() {
+        let line = line?;
+        if line.trim().is_empty() {
+            continue;
+        }
+        let number = k + 1;
+        let seen: Observation = serde_json::from_str(&line)
+            .map_err(|error| FieldError::new(format!("stdin[{number}]"), error.to_string()))?;
+        let proposal = driving.next(&seen)?;
+        let mut out = std::io::stdout().lock();
+        writeln!(out, "{}", serde_json::to_string(&proposal)?)?;
+        out.flush()?;
+    }
+    Ok(())
+}
+
+fn bytes_of(common: &Common, policy: &str) -> Result<Vec<u8>, Failure> {
+    with_reader(common, async |app| Ok(app.policy_bytes(policy).await?))
+}
+
+fn file_error(field: &str, file: &Path, error: &std::io::Error) -> Failure {
+    FieldError::new(field, format!("{}: {error}", file.display())).into()
+}
+
+fn sentence(proposal: &Proposal) -> String {
+    let action = proposal.action;
+    format!("incline by {:+.2} deg, shake {:.2} mm", action.incline_change_deg, action.executed_shake_mm())
+}
+
+fn text(policies: &[Policy]) -> String {
+    let row = |policy: &Policy| {
+        let errors: Vec<f64> = policy.evaluated.iter().map(|powder| powder.mae_mg).collect();
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        vec![
+            policy.id.clone(),
+            policy.kind.clone(),
+            policy.size_bytes.to_string(),
+            policy.training.clone().unwrap_or_else(|| "-".to_owned()),
+            if errors.is_empty() { "-".to_owned() } else { format!("{mean:.2}") },
+        ]
+    };
+    let header = ["policy", "kind", "bytes", "training", "MAE mg, mean over powders"];
+    table(&header, &policies.iter().map(row).collect::<Vec<_>>())
+}

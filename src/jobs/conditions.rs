@@ -1,0 +1,125 @@
+//! The spoon of an evaluation: grains and mechanisms that a policy may never have met.
+
+use crate::domain::parameters::ParameterSet;
+use crate::domain::{FieldError, bounded};
+use crate::sim::dispense;
+use crate::sim::mechanisms::Extensions;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Fewest grains on a spoon: some 7 mg, less than a dose.
+pub const PARTICLES_MIN: u32 = 500;
+/// Most grains on a spoon. The bowl is full with this many of 0.27 mm; more would run over the rim while it is filled.
+pub const PARTICLES_MAX: u32 = 4000;
+
+/// What is on the spoon, and what the simulator adds to it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Conditions {
+    /// Grains on the spoon. Their mass is the powder's, so twice the grains is twice the powder.
+    pub particles: u32,
+    /// Mechanisms that the base simulator leaves out, with their amplitudes.
+    #[serde(default)]
+    pub extensions: Extensions,
+}
+
+impl Default for Conditions {
+    /// Those of ordinary weighings and of trainings.
+    fn default() -> Self {
+        let spoon = dispense::Settings::default();
+        Self { particles: spoon.particles, extensions: spoon.extensions }
+    }
+}
+
+impl Conditions {
+    /// Conditions as a request names them; what it leaves out is usual.
+    ///
+    /// # Errors
+    /// Every field that is out of its bounds: `particles`, `extensions.<name>`.
+    pub fn named(particles: Option<u32>, extensions: &BTreeMap<String, f64>) -> Result<Self, Vec<FieldError>> {
+        let mut errors = Vec::new();
+        let mut conditions = Self::default();
+        if let Some(particles) = particles {
+            let checked = bounded("particles", particles.into(), PARTICLES_MIN.into(), PARTICLES_MAX.into(), "grains");
+            checked.map_or_else(|error| errors.push(error), |_| conditions.particles = particles);
+        }
+        for (name, amplitude) in extensions {
+            match conditions.extensions.with(name, *amplitude) {
+                Ok(extended) => conditions.extensions = extended,
+                Err(error) => errors.push(FieldError::new(format!("extensions.{name}"), error.message)),
+            }
+        }
+        if errors.is_empty() { Ok(conditions) } else { Err(errors) }
+    }
+
+    /// The amplitudes that are not zero.
+    pub fn amplitudes(mut self) -> BTreeMap<String, f64> {
+        let all = self.extensions.amplitudes();
+        all.into_iter()
+            .filter(|(_, amplitude, _)| **amplitude != 0.0)
+            .map(|(name, a, _)| (name.to_owned(), *a))
+            .collect()
+    }
+
+    /// Whether they are those of ordinary weighings.
+    pub fn are_usual(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// The spoon under these conditions.
+    pub fn spoon(&self) -> dispense::Settings {
+        dispense::Settings { particles: self.particles, extensions: self.extensions, ..dispense::Settings::default() }
+    }
+
+    /// What the spoon holds, whichever of these sets is the powder, mg; `None` without sets.
+    pub fn spoon_holds_mg<'a>(&self, sets: impl Iterator<Item = &'a ParameterSet>) -> Option<f64> {
+        let spoon = self.spoon();
+        sets.map(|set| dispense::capacity_mg(set, &spoon)).reduce(f64::min)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn named(particles: Option<u32>, extensions: &[(&str, f64)]) -> Result<Conditions, Vec<FieldError>> {
+        let extensions = extensions.iter().map(|(name, amplitude)| ((*name).to_owned(), *amplitude)).collect();
+        Conditions::named(particles, &extensions)
+    }
+
+    #[test]
+    fn what_is_left_out_is_usual_and_what_is_named_reaches_the_spoon() {
+        assert!(named(None, &[]).unwrap().are_usual());
+        let conditions = named(Some(1500), &[("rotation", 1.0), ("humidity", 0.5)]).unwrap();
+        assert!(!conditions.are_usual());
+        let spoon = conditions.spoon();
+        assert_eq!((spoon.particles, spoon.extensions.rotation, spoon.extensions.humidity), (1500, 1.0, 0.5));
+        let amplitudes: Vec<(String, f64)> = conditions.amplitudes().into_iter().collect();
+        assert_eq!(amplitudes, [("humidity".to_owned(), 0.5), ("rotation".to_owned(), 1.0)]);
+        let sets = [ParameterSet::default()];
+        let holds = |conditions: Conditions| conditions.spoon_holds_mg(sets.iter()).unwrap();
+        assert!((holds(conditions) / holds(Conditions::default()) - 1500.0 / 2500.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn every_value_out_of_its_bounds_is_named() {
+        let fields = |refused: Result<Conditions, Vec<FieldError>>| -> Vec<(String, String)> {
+            refused.unwrap_err().into_iter().map(|error| (error.field, error.message)).collect()
+        };
+        let found = fields(named(Some(499), &[("rotation", 1.5), ("wind", 1.0)]));
+        assert_eq!(
+            found.iter().map(|it| it.0.as_str()).collect::<Vec<_>>(),
+            ["particles", "extensions.rotation", "extensions.wind"]
+        );
+        assert!(found[0].1.contains("from 500 to 4000") && found[1].1.contains("from 0 to 1"), "{found:?}");
+        assert!(found[2].1.contains("rolling_friction"), "{found:?}");
+    }
+
+    #[test]
+    fn a_bowl_of_the_most_grains_spills_little_while_it_is_filled() {
+        let spoon = Conditions { particles: PARTICLES_MAX, ..Conditions::default() }.spoon();
+        let filled = dispense::Dispenser::new(&ParameterSet::default(), &spoon, 1);
+        let share = filled.spoon_mg() / dispense::capacity_mg(&ParameterSet::default(), &spoon);
+        assert!(share > 0.9, "only {share} of the grains stayed on the spoon");
+    }
+}

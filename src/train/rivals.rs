@@ -1,0 +1,170 @@
+//! Tuning the rivals of other robots: a few scale factors each, on the powders and targets of the schedule.
+
+use super::environment::Filling;
+use super::schedule::{Tuning, errors_mg, halve, mean_error_mg};
+use super::spoons::Spoons;
+use super::training::Level;
+use crate::domain::seed::derive;
+use crate::policy::{Controller, Fuzzy, Gains, Kind, Pid};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use serde::Serialize;
+
+/// A controller of another robot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Rival {
+    /// [`Pid`]: six gains.
+    Pid,
+    /// [`Fuzzy`]: five factors.
+    Fuzzy,
+}
+
+/// A rival and how it did in the search.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TunedRival {
+    /// Its numbers.
+    pub kind: Kind,
+    /// Mean absolute error over powders, spoons and targets of its last round, mg. It was chosen for being small: expect more on
+    /// other spoons.
+    pub mae_mg: f64,
+    /// Pours in the search.
+    pub pours: u32,
+    /// The controller.
+    #[serde(skip)]
+    pub controller: Controller,
+}
+
+impl Rival {
+    /// Ranges of its factors.
+    ///
+    /// Of the PID rule: P, I and D of the incline, then of the shake, 1/mg; the largest alone would answer 10 mg with the whole action.
+    /// Of the fuzzy rules: medium missing mass in mg, some fall in mg, tilt of *far* in degrees, gentle and strong shake in mm.
+    fn ranges(self) -> &'static [[f64; 2]] {
+        match self {
+            Self::Pid => &[[0.0, 0.1], [-0.02, 0.02], [-0.1, 0.1], [0.0, 0.1], [-0.02, 0.02], [-0.1, 0.1]],
+            Self::Fuzzy => &[[3.0, 12.0], [0.5, 5.0], [3.0, 8.0], [0.9, 5.0], [5.5, 16.0]],
+        }
+    }
+
+    /// The rival at a point of the unit cube.
+    fn at(self, point: &[f64]) -> (Kind, Controller) {
+        let x: Vec<f64> = self.ranges().iter().zip(point).map(|([low, high], u)| low + u * (high - low)).collect();
+        let round = |value: f64, digits: i32| (value * 10f64.powi(digits)).round() / 10f64.powi(digits);
+        match self {
+            Self::Pid => {
+                let gains = |k: usize| Gains { p: round(x[k], 4), i: round(x[k + 1], 4), d: round(x[k + 2], 4) };
+                let pid = Pid { incline: gains(0), shake: gains(3) };
+                (Kind::Pid { gains: pid }, Controller::Pid(pid))
+            }
+            Self::Fuzzy => {
+                let [medium, some, far, gentle, strong] = [x[0], x[1], x[2], x[3], x[4]].map(|value| round(value, 1));
+                let half = round(far / 2.0, 2);
+                let fuzzy = Fuzzy {
+                    missing_mg: [1.0, medium, round(2.5 * medium, 2)],
+                    fall_mg: [0.0, some, round(3.0 * some, 2)],
+                    tilt_deg: [-half, 0.0, half, far],
+                    shake_mm: [gentle, round((gentle * strong).sqrt(), 1), strong],
+                };
+                (Kind::Fuzzy { fuzzy }, Controller::Fuzzy(fuzzy))
+            }
+        }
+    }
+}
+
+/// Search the rival with the smallest mean absolute error on these powders, as [`super::schedule::tune`] does the schedule: random
+/// points and successive halving, then the same once more around the best. A pour serves one target, for these look at it.
+///
+/// # Panics
+/// Without powders, parameter sets, targets or candidates.
+pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning, rival: Rival) -> TunedRival {
+    assert!(!levels.is_empty() && levels.iter().all(|l| !l.sets.is_empty()) && tuning.candidates > 0);
+    let spoons = Spoons::new(filling, derive(tuning.seed, &[1]));
+    let mut rng = Pcg64Mcg::seed_from_u64(derive(tuning.seed, &[2]));
+    let score = |point: &Vec<f64>, doses| mae_mg(&rival.at(point).1, levels, tuning, &spoons, doses);
+    let size = rival.ranges().len();
+    let field = (0..tuning.candidates).map(|_| (0..size).map(|_| rng.random_range(0.0..1.0)).collect());
+    let (best, first_spoons) = halve(field.collect(), tuning.spoons, score);
+    let mut aside = |from: &Vec<f64>| -> Vec<f64> {
+        from.iter().map(|u| (u + rng.random_range(-0.15..0.15)).clamp(0.0, 1.0)).collect()
+    };
+    let around = (best.len()..tuning.candidates.div_ceil(2) as usize).map(|k| aside(&best[k % best.len()].1));
+    let around: Vec<Vec<f64>> = around.collect();
+    let field = best.into_iter().map(|(_, point)| point).chain(around).collect();
+    let (best, second_spoons) = halve(field, tuning.spoons, score);
+    let (mae_mg, point) = &best[0];
+    let (kind, controller) = rival.at(point);
+    let pours = (first_spoons + second_spoons) * (levels.len() * tuning.targets_mg.len()) as u32;
+    TunedRival { kind, mae_mg: *mae_mg, pours, controller }
+}
+
+/// Mean absolute error of a controller on `doses` spoons of each powder, filled with another seed than the search, mg.
+pub fn assess<F: Filling>(
+    filling: &F,
+    levels: &[Level],
+    tuning: &Tuning,
+    controller: &Controller,
+    doses: u32,
+    seed: u64,
+) -> f64 {
+    mae_mg(controller, levels, tuning, &Spoons::new(filling, derive(seed, &[4])), doses)
+}
+
+/// Mean absolute error over powders, spoons and targets, mg.
+fn mae_mg<F: Filling>(
+    controller: &Controller,
+    levels: &[Level],
+    tuning: &Tuning,
+    spoons: &Spoons<F>,
+    doses: u32,
+) -> f64 {
+    mean_error_mg(levels, tuning.seed, spoons, doses, |spoon, seed| {
+        let pour = |&target_mg: &f64| errors_mg(controller, spoon.clone(), tuning, &[target_mg], target_mg, seed);
+        tuning.targets_mg.iter().flat_map(pour).collect()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::domain::bench::PitchLimits;
+    use crate::domain::parameters::ParameterSet;
+    use crate::train::formula::Formula;
+
+    fn levels() -> Vec<Level> {
+        let level = |powder: &str, friction| Level {
+            powder: powder.into(),
+            repose_deg: 30.0,
+            sets: vec![ParameterSet::default().with("friction", friction).unwrap()],
+        };
+        vec![level("easy", 0.3), level("hard", 0.6)]
+    }
+
+    #[test]
+    fn every_point_of_the_cube_is_a_rival_within_its_bounds() {
+        for rival in [Rival::Pid, Rival::Fuzzy] {
+            let size = rival.ranges().len();
+            for corner in 0..1u32 << size {
+                let point: Vec<f64> = (0..size).map(|k| f64::from(corner >> k & 1)).collect();
+                match rival.at(&point).1 {
+                    Controller::Pid(pid) => assert_eq!(pid.checked(), Ok(pid)),
+                    Controller::Fuzzy(fuzzy) => assert_eq!(fuzzy.checked(), Ok(fuzzy)),
+                    other => panic!("{other:?} is no rival"),
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_search_finds_a_better_rival_than_the_middle_of_its_ranges_and_finds_it_again() {
+        let formula = Formula { pitch: PitchLimits::WIDE };
+        let tuning = Tuning { candidates: 32, ..Tuning::new(1) };
+        for rival in [Rival::Pid, Rival::Fuzzy] {
+            let tuned = tune(&formula, &levels(), &tuning, rival);
+            let middle = rival.at(&vec![0.5; rival.ranges().len()]).1;
+            let on_others = |controller| assess(&formula, &levels(), &tuning, controller, 20, 99);
+            let (ours, theirs) = (on_others(&tuned.controller), on_others(&middle));
+            assert!(ours < theirs, "{rival:?}: tuned {ours}, middle {theirs}");
+            assert_eq!(tune(&formula, &levels(), &tuning, rival), tuned);
+        }
+    }
+}
