@@ -161,7 +161,7 @@ fn main() -> anyhow::Result<()> {
         let known = Known { readability_mg: settings.balance.readability_mg, repose_deg: subject.repose_deg };
         let order = Order { target_mg, tolerance_lower_mg: 0.0, tolerance_upper_mg: 0.0, known };
         let (controller, balance) = (controller.clone(), settings.balance);
-        weigh(&pour, &Pouring { order, controller, rules, balance, set: *set, seed }, trace)
+        weigh(&pour, &Pouring { order, controller, rules, balance, spoon: settings.spoon, set: *set, seed }, trace)
     };
     let evaluation = evaluate(&plan, once)?;
     tell(&evaluation);
