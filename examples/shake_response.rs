@@ -5,16 +5,12 @@
 //! cargo run --release --example shake_response -- sets.json [SPOONS] [SEED] > steps.csv
 //! ```
 //!
-//! `shake_response -- box:N` takes N sets drawn from the whole published box instead, whose angle of repose is not known (an empty cell).
-//!
 //! A course goes up by at most 8 deg a step to a pitch of its own and shakes there, each time with another amplitude and a little higher or
-//! lower. A line for each step: masses in mg, pitches in degrees, the amplitude in mm; at its end the five
-//! numbers that a powder's heap depends on.
+//! lower. A line for each step: masses in mg, pitches in degrees, the amplitude in mm.
 
 use flip::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MAX};
 use flip::domain::parameters::ParameterSet;
 use flip::domain::seed::derive;
-use flip::sim::directions;
 use flip::sim::dispense::{Dispenser, Settings};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -33,15 +29,8 @@ struct Document {
 #[derive(Deserialize)]
 struct Powder {
     powder: String,
-    target_deg: Option<f64>,
+    target_deg: f64,
     sets: Vec<Set>,
-}
-
-/// Sets from the whole published box.
-fn of_the_box(count: u64, seed: u64) -> Document {
-    let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[u64::MAX]));
-    let sets = (0..count).map(|_| Set { parameters: ParameterSet::from_unit(std::array::from_fn(|_| rng.random())) });
-    Document { powders: vec![Powder { powder: "box".into(), target_deg: None, sets: sets.collect() }] }
 }
 
 #[derive(Deserialize)]
@@ -56,10 +45,7 @@ fn main() -> anyhow::Result<()> {
     };
     let number = |k: usize, default: u64| arguments.get(k).map_or(Ok(default), |text| text.parse());
     let (spoons, seed) = (number(1, 4)?, number(2, 1)?);
-    let document: Document = match path.strip_prefix("box:") {
-        Some(count) => of_the_box(count.parse()?, seed),
-        None => serde_json::from_slice(&std::fs::read(path)?)?,
-    };
+    let document: Document = serde_json::from_slice(&std::fs::read(path)?)?;
     let mut courses = Vec::new();
     for (p, powder) in document.powders.iter().enumerate() {
         for (s, set) in powder.sets.iter().enumerate() {
@@ -67,9 +53,7 @@ fn main() -> anyhow::Result<()> {
             courses.extend(seeds.map(|seed| (powder, s, &set.parameters, seed)));
         }
     }
-    println!(
-        "powder,aor_deg,set,course,step,pitch_before_deg,pitch_deg,shake_mm,spoon_mg,poured_mg,spilled_mg,d1,d2,d3,d4,d5"
-    );
+    println!("powder,aor_deg,set,course,step,pitch_before_deg,pitch_deg,shake_mm,spoon_mg,poured_mg,spilled_mg");
     let lines: Vec<String> = courses.par_iter().map(|(powder, s, set, seed)| course(powder, *s, set, *seed)).collect();
     print!("{}", lines.concat());
     Ok(())
@@ -79,8 +63,6 @@ fn course(powder: &Powder, number: usize, set: &ParameterSet, seed: u64) -> Stri
     let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[1]));
     let mut spoon = Dispenser::new(set, &Settings::default(), derive(seed, &[0]));
     let cruise_deg = rng.random_range(10.0..50.0f64);
-    let numbers = directions(set).map(|d| format!("{d:.4}")).join(",");
-    let angle = powder.target_deg.map_or(String::new(), |deg| deg.to_string());
     let mut lines = String::new();
     for step in 0..STEPS {
         let (before_deg, held_mg) = (spoon.pitch_deg(), spoon.spoon_mg());
@@ -93,11 +75,11 @@ fn course(powder: &Powder, number: usize, set: &ParameterSet, seed: u64) -> Stri
         // As many small shakes as large ones, and a fifth of the steps without.
         let shake_mm = if rng.random_bool(0.2) { 0.0 } else { rng.random_range(0.0..SHAKE_MM_MAX.ln()).exp() };
         let poured = spoon.step(Action { incline_change_deg: change, shake_mm });
-        let name = &powder.powder;
+        let (name, angle) = (&powder.powder, powder.target_deg);
         let (pitch_deg, mg, spilled_mg) = (spoon.pitch_deg(), poured.vial_mg, poured.spilled_mg);
         writeln!(
             lines,
-            "{name},{angle},{number},{seed},{step},{before_deg:.2},{pitch_deg:.2},{shake_mm:.3},{held_mg:.3},{mg:.4},{spilled_mg:.4},{numbers}"
+            "{name},{angle},{number},{seed},{step},{before_deg:.2},{pitch_deg:.2},{shake_mm:.3},{held_mg:.3},{mg:.4},{spilled_mg:.4}"
         )
         .expect("text grows");
     }

@@ -6,12 +6,12 @@
 //!
 //! `powders.json` is a list of `{"powder", "repose_deg", "sets": [...nine parameters each], "train": true|false}`; all of
 //! them are weighed, those marked `train` are trained on. `settings.json` overrides fields of `train::Settings`, plus
-//! `preset`, `order`, `save`, and `targets_mg`, `repeats`, `max_steps`, `rivals` (names), `response` (of the dispenser), `evaluation_seed`, `trace`, `blind` (angles of repose are not told) of the evaluation. With a third
+//! `preset`, `order`, `save`, and `targets_mg`, `repeats`, `max_steps`, `rivals` (names), `response` (of the dispenser), `evaluation_seed`, `trace` of the evaluation. With a third
 //! argument that policy is weighed instead of a new one, with `"learn": false` none. Progress goes to stderr.
 
 use flip::domain::parameters::ParameterSet;
 use flip::jobs::bench::{Pour, Poured, Pouring, simulated};
-use flip::policy::{self, Controller, Dispenser, Known, Response, Rules, ScheduledStep};
+use flip::policy::{self, Controller, Dispenser, Response, Rules, ScheduledStep};
 use flip::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
 use flip::train::{Event, Level, Preset, Settings, train};
 use flip::weigh::Order;
@@ -143,23 +143,20 @@ fn main() -> anyhow::Result<()> {
     let targets = overrides.get("targets_mg").cloned().unwrap_or(json!([15.0, 20.0]));
     let plan = Plan {
         contenders,
-        subjects: powders
-            .into_iter()
-            .map(|p| Subject {
-                powder: p.level.powder,
-                repose_deg: (!flag("blind")).then_some(p.level.repose_deg),
-                sets: p.level.sets,
-            })
-            .collect(),
+        subjects: powders.into_iter().map(|p| Subject { powder: p.level.powder, sets: p.level.sets }).collect(),
         targets_mg: serde_json::from_value(targets)?,
         repeats: number("repeats", 5),
         seed: overrides.get("evaluation_seed").and_then(Value::as_u64).unwrap_or(777),
     };
     let trace = flag("trace");
     let pour = simulated();
-    let once = |controller: &Controller, subject: &Subject, set: &ParameterSet, target_mg, seed| {
-        let known = Known { readability_mg: settings.balance.readability_mg, repose_deg: subject.repose_deg };
-        let order = Order { target_mg, tolerance_lower_mg: 0.0, tolerance_upper_mg: 0.0, known };
+    let once = |controller: &Controller, set: &ParameterSet, target_mg, seed| {
+        let order = Order {
+            target_mg,
+            tolerance_lower_mg: 0.0,
+            tolerance_upper_mg: 0.0,
+            readability_mg: settings.balance.readability_mg,
+        };
         let (controller, balance) = (controller.clone(), settings.balance);
         weigh(&pour, &Pouring { order, controller, rules, balance, spoon: settings.spoon, set: *set, seed }, trace)
     };

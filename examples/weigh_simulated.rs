@@ -4,7 +4,7 @@
 
 use flip::domain::parameters::ParameterSet;
 use flip::hardware::simulated::SimulatedBench;
-use flip::policy::{Controller, Known, Rules, ScheduledStep};
+use flip::policy::{Controller, Rules, ScheduledStep};
 use flip::sim::{balance, dispense};
 use flip::weigh::{Order, weigh};
 use std::sync::atomic::AtomicBool;
@@ -20,7 +20,7 @@ fn main() -> anyhow::Result<()> {
 
     // Gentle shakes at a slant. A learned policy is `Controller::Learned`, and nothing else changes.
     let controller = Controller::Fixed(ScheduledStep { pitch_deg: 24.0, shake_mm: 8.0 });
-    let order = Order { target_mg, tolerance_lower_mg: 1.0, tolerance_upper_mg: 1.0, known: Known::default() };
+    let order = Order { target_mg, tolerance_lower_mg: 1.0, tolerance_upper_mg: 1.0, readability_mg: 1.0 };
     let print = |tick: &flip::domain::bench::Tick| {
         println!(
             "{:>2}  {:5.1} s  pitch {:5.1} deg  shake {:4.1} mm  balance {:5.1} mg",

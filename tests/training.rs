@@ -3,7 +3,7 @@
 use flip::domain::bench::PitchLimits;
 use flip::domain::parameters::ParameterSet;
 use flip::domain::seed::derive;
-use flip::policy::{Controller, Episode, Known, Observation, decode};
+use flip::policy::{Controller, Episode, Observation, decode};
 use flip::sim::balance;
 use flip::train::environment::{Filling, play};
 use flip::train::formula::Formula;
@@ -79,7 +79,7 @@ fn mean_error_mg(controller: &Controller, settings: &Settings) -> f64 {
             let set = &level.sets[dose as usize % 2];
             let seed = derive(987_654_321, &[k as u64, dose]);
             let target_mg = 5.0 + (dose % 11) as f64;
-            let mut dosing = controller.begin(&settings.rules, &Known::default());
+            let mut dosing = controller.begin(&settings.rules, 1.0);
             let mut spoon = FORMULA.fill(set, seed);
             let played = play(
                 &mut spoon,
@@ -212,7 +212,7 @@ fn a_recurrent_policy_learns_and_weighs_by_what_it_remembers() {
     // Seen for the second time within a weighing, the same is not answered in the same way.
     let seen = Observation { reading_mg: 3.0, target_mg: 10.0, pitch_deg: 12.0 };
     let twice = || {
-        let mut dosing = policy.controller.begin(&settings.rules, &Known::default());
+        let mut dosing = policy.controller.begin(&settings.rules, 1.0);
         [dosing.propose(&seen), dosing.propose(&seen)]
     };
     assert_ne!(twice()[0], twice()[1]);

@@ -1,4 +1,4 @@
-"""The prior of the dispenser from steps of simulated spoons. usage: fit.py STEPS.csv [STEPS.csv ...] [--powders sand,sugar,salt] [--by directions] [--generations N]
+"""The prior of the dispenser from steps of simulated spoons. usage: fit.py STEPS.csv [STEPS.csv ...] [--generations N]
 
 STEPS.csv is what `cargo run --release --example shake_response` prints. The model is that of src/policy/dispenser.rs:
 
@@ -6,11 +6,9 @@ STEPS.csv is what `cargo run --release --example shake_response` prints. The mod
     mean of a shake = max(G - M, 0) (1 - exp(-(A / stroke)^bend))
     sqrt(mass) ~ t_4(sqrt(mean), floor^2 + scatter^2 mean)
 
-with M what the spoon has lost before (vial and spilled). Onset, ln slope and ln stroke are each course's own, jointly normal over the courses
-about means that grow with the powder's angle of repose, or with `--by directions` with the five numbers that its heap depends on (for
-src/train/surrogate.rs). CMA-ES looks for the numbers that all courses share, then expectation maximisation for
-the mean, its growth and the covariance of those three. Prints them as src/policy/dispenser.rs has them, and how predictions compare with what
-fell, each made before the step from the course's earlier steps; also for powders that were left out of the fit.
+with M what the spoon has lost before (vial and spilled). Onset, ln slope and ln stroke are each course's own, jointly normal over the courses.
+CMA-ES looks for the numbers that all courses share, then expectation maximisation for the mean and covariance of those three. Prints them
+as src/policy/dispenser.rs has them, and how predictions compare with what fell, each made before the step from the course's earlier steps.
 
 Needs numpy, scipy and cma: benches/calibration/run.sh setup has them.
 """
@@ -36,37 +34,28 @@ SHARED = np.array([math.log(0.6), 2.0, math.log(1.0), math.log(0.2), math.log(0.
 OWN = np.array([5.0, 15.0, -0.3, 0.5, 3.0, 1.0])
 
 
-# The angle of repose at which the means are given, deg.
-REPOSE_DEG = 36.0
-
-
-def read(paths, wanted, by):
-    """What the means grow with, of shape (courses, 1 or 5); pitch, amplitude (0 for none), mass in the vial and spilled, each of shape (courses, steps)."""
-    courses, grows = {}, {}
+def read(paths):
+    """Pitch, amplitude (0 for none), mass in the vial and spilled, each of shape (courses, steps)."""
+    courses = {}
     for path in paths:
         with open(path, newline="") as file:
             for row in csv.DictReader(file):
-                if not wanted(row["powder"]):
-                    continue
-                repose = [float(row["aor_deg"]) - REPOSE_DEG] if by == "repose" else None
-                grows[path, row["course"]] = repose or [float(row[f"d{k}"]) for k in range(1, 6)]
                 numbers = [float(row[key]) for key in ("pitch_deg", "shake_mm", "poured_mg", "spilled_mg")]
                 courses.setdefault((path, row["course"]), []).append(numbers)
     pitch, shake, poured, spilled = np.moveaxis(np.array(list(courses.values())), 2, 0)
-    return np.array(list(grows.values())), pitch, np.where(shake < 0.9, 0.0, shake), poured, spilled
+    return pitch, np.where(shake < 0.9, 0.0, shake), poured, spilled
 
 
 class Courses:
-    def __init__(self, paths, wanted, by):
-        grows, self.pitch, self.shake, self.poured, spilled = read(paths, wanted, by)
-        self.basis = np.hstack([np.ones((len(grows), 1)), grows])
+    def __init__(self, paths):
+        self.pitch, self.shake, self.poured, spilled = read(paths)
         lost = self.poured + spilled
         self.lost = np.cumsum(lost, 1) - lost
 
     def steps(self, shared, own):
         """For each step its shaken courses, the means under each guess and the logarithms of the likelihoods."""
         bend, width, floor, scatter = np.exp(shared[[0, 2, 3, 4]])
-        onset, slope, stroke = own[..., 0], np.exp(own[..., 1]), np.exp(own[..., 2])
+        onset, slope, stroke = own[:, 0], np.exp(own[:, 1]), np.exp(own[:, 2])
         for t in range(self.pitch.shape[1]):
             shaken = self.shake[:, t] > 0
             amplitude = np.where(shaken, self.shake[:, t], 1.0)[:, None]
@@ -103,13 +92,10 @@ def marginal(log):
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("steps", nargs="+")
-    parser.add_argument("--powders", help="fit to these alone; default all")
-    parser.add_argument("--by", choices=("repose", "directions"), default="repose", help="what the means grow with")
     parser.add_argument("--generations", type=int, default=100, help="of the search, each 12 likelihoods; default 100")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    wanted = lambda powder: not arguments.powders or powder in arguments.powders.split(",")
-    courses = Courses(arguments.steps, wanted, arguments.by)
+    courses = Courses(arguments.steps)
     few = norm.ppf(qmc.Sobol(3, rng=arguments.seed).random(512))
 
     def miss(x):
@@ -125,39 +111,22 @@ def main():
         search.tell(asked, [miss(x) for x in asked])
     best = search.result.xbest
     shared = best[6:]
-    # By rows: the means at REPOSE_DEG or where the five numbers are 0, then their growth.
-    means, covariance = np.zeros((courses.basis.shape[1], 3)), np.diag(best[1:6:2] ** 2)
-    means[0] = best[:6:2]
-
-    def guesses(of, means, covariance):
-        return (of.basis @ means)[:, None, :] + (many @ np.linalg.cholesky(covariance).T)[None]
-
+    mean, covariance = best[:6:2], np.diag(best[1:6:2] ** 2)
     many = norm.ppf(qmc.Sobol(3, rng=arguments.seed + 1).random(4096))
-    for _ in range(25):
-        own = guesses(courses, means, covariance)
+    for _ in range(15):
+        own = mean + many @ np.linalg.cholesky(covariance).T
         fit, weight = marginal(courses.likelihoods(shared, own))
-        expected = np.einsum("cg,cgk->ck", weight, own)
-        means = np.linalg.lstsq(courses.basis, expected, rcond=None)[0]
-        apart = own - (courses.basis @ means)[:, None, :]
-        covariance = np.einsum("cg,cgj,cgk->jk", weight, apart, apart) / len(own)
+        weight = weight.mean(0)
+        mean = weight @ own
+        covariance = (own - mean).T @ ((own - mean) * weight[:, None])
     sd = np.sqrt(np.diag(covariance))
     correlation = (covariance / np.outer(sd, sd))[np.triu_indices(3, 1)]
+    print(f"{len(courses.pitch)} courses, logarithm of the likelihood {fit:.1f}")
     for name, k in (("onset_deg", 0), ("ln_slope_mg_deg", 1), ("ln_stroke_mm", 2)):
-        print(f"{name}: [{means[0, k]:.2f}, {sd[k]:.2f}]")
-    print(f"by_{arguments.by}, rows onset, ln slope, ln stroke:", np.round(means.T if arguments.by == "directions" else means[1], 3).tolist())
+        print(f"{name}: [{mean[k]:.2f}, {sd[k]:.2f}]")
     print("correlations:", [round(float(c), 2) for c in correlation])
     bend, width, floor, scatter = np.exp(shared[[0, 2, 3, 4]])
     print(f"bend: {bend:.2f}, reach_deg: {shared[1]:.1f}, width_deg: {width:.2f}, floor: {floor:.3f}, scatter: {scatter:.3f}")
-    rest = Courses(arguments.steps, lambda powder: not wanted(powder), arguments.by) if arguments.powders else None
-    for name, of in (("courses", courses), ("courses of other powders", rest)):
-        if of is not None:
-            tell(name, of, shared, guesses(of, means, covariance))
-
-
-def tell(name, courses, shared, own):
-    """How predictions compare with what fell."""
-    fit, _ = marginal(courses.likelihoods(shared, own))
-    print(f"{len(courses.pitch)} {name}, logarithm of the likelihood {fit:.1f}")
     found = courses.predictions(shared, own)
     print("predicted mg | n | mean predicted | mean fallen | SD of the difference | SD predicted")
     for low, high in ((0, 0.1), (0.1, 0.5), (0.5, 1.5), (1.5, 3), (3, 6), (6, 40)):

@@ -90,15 +90,10 @@ impl App {
         };
         let mut subjects = Vec::new();
         for (k, id) in powders.iter().enumerate() {
-            let powder = self.powder_of(&format!("powders[{k}]"), id).await?;
-            let (id, repose_deg) = (powder.id, powder.flowability.map(|measured| measured.repose_deg));
+            let id = self.powder_of(&format!("powders[{k}]"), id).await?.id;
             let sets = self.sets_to_weigh(&id, &policy).await?;
             within_the_spoon(&id, &targets_mg, &sets, &conditions)?;
-            subjects.push(EvaluationPowder {
-                powder: id,
-                repose_deg,
-                sets: sets.into_iter().map(|set| set.id).collect(),
-            });
+            subjects.push(EvaluationPowder { powder: id, sets: sets.into_iter().map(|set| set.id).collect() });
         }
         let spec = EvaluationSpec {
             policy: policy.id,

@@ -3,7 +3,7 @@
 use super::Result;
 use crate::domain::bench::Action;
 use crate::domain::{FieldError, bounded};
-use crate::policy::{self, Done, Dosing, Episode, Known, Observation, Policy};
+use crate::policy::{self, Done, Dosing, Episode, Observation, Policy, Rules};
 use serde::Serialize;
 
 /// What a policy proposes.
@@ -24,6 +24,7 @@ pub struct Driver(Policy);
 #[derive(Debug)]
 pub struct Driving<'a> {
     dosing: Dosing<'a>,
+    rules: Rules,
     steps: u32,
     target_mg: Option<f64>,
 }
@@ -38,15 +39,14 @@ impl Driver {
         Ok(Self(policy))
     }
 
-    /// Begin a weighing of which so much is known.
+    /// Begin a weighing on a balance that shows steps of `readability_mg`.
     ///
     /// # Errors
-    /// `Invalid`: `readability_mg` is 0.001 to 10 mg, `repose_deg` 5 to 85 deg.
-    pub fn begin(&self, known: &Known) -> Result<Driving<'_>> {
-        bounded("readability_mg", known.readability_mg, 0.001, 10.0, "mg")?;
-        known.repose_deg.map(|deg| bounded("repose_deg", deg, 5.0, 85.0, "deg")).transpose()?;
-        let dosing = self.0.controller.begin(&self.0.manifest.rules, known);
-        Ok(Driving { dosing, steps: 0, target_mg: None })
+    /// `Invalid`: they are 0.001 to 10 mg.
+    pub fn begin(&self, readability_mg: f64) -> Result<Driving<'_>> {
+        bounded("readability_mg", readability_mg, 0.001, 10.0, "mg")?;
+        let rules = self.0.manifest.rules;
+        Ok(Driving { dosing: self.0.controller.begin(&rules, readability_mg), rules, steps: 0, target_mg: None })
     }
 }
 
@@ -74,14 +74,9 @@ impl Driving<'_> {
     /// `Invalid` names what is not possible.
     pub fn next(&mut self, seen: &Observation) -> Result<Proposal> {
         self.check("", seen)?;
-        let action = self.dosing.propose(seen);
-        let rules = self.dosing.rules();
-        let episode = match rules.after(self.steps, seen) {
-            Episode::Running if rules.is_decided(&action) => Episode::Terminated,
-            episode => episode,
-        };
+        let episode = self.rules.after(self.steps, seen);
         self.steps += 1;
-        Ok(Proposal { action, episode })
+        Ok(Proposal { action: self.dosing.propose(seen), episode })
     }
 
     /// Numbers that a balance and an arm can show, and one target for the whole weighing.

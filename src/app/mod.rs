@@ -29,7 +29,7 @@ pub use crate::jobs::evaluate::EvaluationResult;
 pub use crate::jobs::observe::{Observed, Simulated};
 pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
 pub use crate::jobs::{Conditions, Functions};
-pub use crate::policy::{Done, Known, Observation};
+pub use crate::policy::{Done, Observation};
 pub use crate::store::counts::Counts;
 pub use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
 pub use crate::store::events::Event;

@@ -4,7 +4,7 @@ use super::Common;
 use super::failure::Failure;
 use super::session::with_reader;
 use super::table::table;
-use crate::app::{Done, Driver, Driving, Known, Observation, PageQuery, Policy, Proposal};
+use crate::app::{Done, Driver, Driving, Observation, PageQuery, Policy, Proposal};
 use crate::domain::FieldError;
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
@@ -66,9 +66,6 @@ struct Infer {
     /// Step of the balance's display, mg.
     #[arg(long, value_name = "MG", default_value_t = 1.0, allow_negative_numbers = true)]
     readability_mg: f64,
-    /// Angle of repose of the powder, degrees, if it was measured.
-    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
-    repose_deg: Option<f64>,
     /// The steps of this weighing so far, a JSON list of {"before", "action", "after"}: observations {"reading_mg", "target_mg",
     /// "pitch_deg"} around an action {"incline_change_deg", "shake_mm"}. Controllers remember.
     #[arg(long, value_name = "FILE")]
@@ -110,8 +107,7 @@ impl Infer {
             }
             (None, id) => Driver::read("policy", &bytes_of(common, id.as_deref().unwrap_or_default())?)?,
         };
-        let known = Known { readability_mg: self.readability_mg, repose_deg: self.repose_deg };
-        let mut driving = driver.begin(&known)?;
+        let mut driving = driver.begin(self.readability_mg)?;
         if let Some(file) = &self.history {
             let text = std::fs::read(file).map_err(|error| file_error("history", file, &error))?;
             let steps: Vec<Done> =

@@ -16,7 +16,7 @@ use crate::domain::bench::Tick;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::weighing::{Outcome, WeighingState};
 use crate::hardware::simulated::SimulatedBench;
-use crate::policy::{self, Controller, Known, Rules};
+use crate::policy::{self, Controller, Rules};
 use crate::sim::{balance, dispense};
 use crate::store::weighings::{Ending, Weighing};
 use crate::store::{self, Store, now};
@@ -277,7 +277,6 @@ impl LaneThread {
             let policy = self.store.policy_bytes(&weighing.policy).await?.ok_or_else(|| missing("policy"))?;
             let set =
                 self.store.parameter_set(&weighing.parameter_set).await?.ok_or_else(|| missing("parameter set"))?;
-            let powder = self.store.powder(&weighing.powder).await?.ok_or_else(|| missing("powder"))?;
             let balance = balance::Settings::default();
             let policy = policy::decode(&policy).map_err(|error| store::Error::Corrupt(error.to_string()))?;
             Ok(Pouring {
@@ -285,10 +284,7 @@ impl LaneThread {
                     target_mg: weighing.target_mg,
                     tolerance_lower_mg: weighing.tolerance_lower_mg,
                     tolerance_upper_mg: weighing.tolerance_upper_mg,
-                    known: Known {
-                        readability_mg: balance.readability_mg,
-                        repose_deg: powder.flowability.map(|measured| measured.repose_deg),
-                    },
+                    readability_mg: balance.readability_mg,
                 },
                 controller: policy.controller,
                 rules: policy.manifest.rules,

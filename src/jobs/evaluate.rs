@@ -5,7 +5,7 @@ use super::context::{JobContext, JobError};
 use super::spec::EvaluationSpec;
 use crate::domain::job::Progress;
 use crate::domain::parameters::ParameterSet;
-use crate::policy::{self, Controller, Fuzzy, Known, Pid, Policy, Rules, Schedule, ScheduledStep};
+use crate::policy::{self, Controller, Fuzzy, Pid, Policy, Rules, Schedule, ScheduledStep};
 use crate::sim::balance;
 use crate::store;
 use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
@@ -36,14 +36,14 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
     let plan = plan(context, spec, &policy)?;
     let rules = Rules { steps_max: spec.max_shakes, ..policy.manifest.rules };
     let doses = Doses::resume(context, &plan)?;
-    let weigh_once = |controller: &Controller, subject: &Subject, set: &ParameterSet, target_mg: f64, seed: u64| {
+    let weigh_once = |controller: &Controller, set: &ParameterSet, target_mg: f64, seed: u64| {
         doses.known_or(controller, set, target_mg, seed, || {
             let pouring = Pouring {
                 order: Order {
                     target_mg,
                     tolerance_lower_mg: 0.0,
                     tolerance_upper_mg: 0.0,
-                    known: Known { readability_mg: spec.readability_mg, repose_deg: subject.repose_deg },
+                    readability_mg: spec.readability_mg,
                 },
                 controller: controller.clone(),
                 rules,
@@ -112,7 +112,7 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
             let set = context.read(context.store.parameter_set(id))?;
             sets.push(set.ok_or_else(|| JobError::Fail(format!("there is no parameter set `{id}`")))?.parameters);
         }
-        subjects.push(Subject { powder: powder.powder.clone(), repose_deg: powder.repose_deg, sets });
+        subjects.push(Subject { powder: powder.powder.clone(), sets });
     }
     Ok(Plan {
         contenders: spec.controllers.iter().map(contender).collect::<Result<_, _>>()?,

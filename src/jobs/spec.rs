@@ -90,9 +90,6 @@ pub struct EvaluationSpec {
 pub struct EvaluationPowder {
     /// Powder id.
     pub powder: String,
-    /// Its measured angle of repose, degrees; controllers may know it.
-    #[serde(default)]
-    pub repose_deg: Option<f64>,
     /// Ids of the sets that stand for it.
     pub sets: Vec<String>,
 }

@@ -163,12 +163,12 @@ fn checked(step: &ScheduledStep) -> Result<ScheduledStep, ArtifactError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::policy::Encoding;
     use crate::policy::Response;
     use crate::policy::controller::Schedule;
     use crate::policy::episode::Rules;
     use crate::policy::fuzzy::Fuzzy;
     use crate::policy::pid::{Gains, Pid};
-    use crate::policy::{Encoding, Known};
     use proptest::prelude::*;
 
     fn learned() -> Policy {
@@ -268,7 +268,7 @@ mod tests {
                 let at = at % bytes.len();
                 bytes[at] = value;
                 if let Ok(policy) = decode(&bytes) {
-                    let mut dosing = policy.controller.begin(&policy.manifest.rules, &Known::default());
+                    let mut dosing = policy.controller.begin(&policy.manifest.rules, 1.0);
                     for reading_mg in [0.0, 5.0] {
                         let seen = crate::policy::Observation { reading_mg, target_mg: 10.0, pitch_deg: 0.0 };
                         let action = dosing.propose(&seen);

@@ -2,7 +2,7 @@
 
 use super::actor::{Actor, Carried};
 use super::dispenser::Dispenser;
-use super::episode::{Ending, Known, Rules};
+use super::episode::Rules;
 use super::fuzzy::Fuzzy;
 use super::observation::{Encoding, Observation};
 use super::pid::Pid;
@@ -83,15 +83,15 @@ impl Controller {
         Self::Learned(Actor::untrained(Encoding::Missing, &[128, 128], &mut Pcg64Mcg::seed_from_u64(seed)))
     }
 
-    /// The controller at the beginning of a weighing within this frame. A dispenser ends it by its own decision.
-    pub fn begin(&self, rules: &Rules, known: &Known) -> Dosing<'_> {
-        let (ending, carried) = match self {
-            Self::Learned(actor) => (rules.ending, actor.begin()),
-            Self::Fixed(_) | Self::Schedule(_) | Self::Pid(_) | Self::Fuzzy(_) => (rules.ending, Carried::default()),
-            Self::Dispenser(_) => (Ending::Decided, Carried::default()),
+    /// The controller at the beginning of a weighing within this frame, with a balance that shows steps of `readability_mg`.
+    pub fn begin(&self, rules: &Rules, readability_mg: f64) -> Dosing<'_> {
+        let carried = match self {
+            Self::Learned(actor) => actor.begin(),
+            Self::Fixed(_) | Self::Schedule(_) | Self::Dispenser(_) | Self::Pid(_) | Self::Fuzzy(_) => {
+                Carried::default()
+            }
         };
-        let rules = Rules { ending, ..*rules };
-        Dosing { controller: self, rules, known: *known, done: Vec::new(), proposed: None, carried }
+        Dosing { controller: self, rules: *rules, readability_mg, done: Vec::new(), proposed: None, carried }
     }
 }
 
@@ -112,18 +112,13 @@ pub struct Done {
 pub struct Dosing<'a> {
     controller: &'a Controller,
     rules: Rules,
-    known: Known,
+    readability_mg: f64,
     done: Vec<Done>,
     proposed: Option<(Observation, Action)>,
     carried: Carried,
 }
 
 impl Dosing<'_> {
-    /// The frame of the weighing.
-    pub fn rules(&self) -> &Rules {
-        &self.rules
-    }
-
     /// Take up a weighing in its middle: a step that was carried out, with the action that was.
     pub fn resume(&mut self, step: Done) {
         self.propose(&step.before);
@@ -141,7 +136,7 @@ impl Dosing<'_> {
             Controller::Learned(actor) => actor.act(seen, &mut self.carried),
             Controller::Fixed(step) => step.approach(seen.pitch_deg),
             Controller::Schedule(schedule) => schedule.step(steps).approach(seen.pitch_deg),
-            Controller::Dispenser(dispenser) => dispenser.propose(&self.done, seen, &self.rules, &self.known),
+            Controller::Dispenser(dispenser) => dispenser.propose(&self.done, seen, &self.rules, self.readability_mg),
             Controller::Pid(pid) => pid.propose(&self.done, seen),
             Controller::Fuzzy(fuzzy) => fuzzy.propose(&self.done, seen),
         };
@@ -157,7 +152,7 @@ mod tests {
     /// Pitches and shakes of the first steps of a controller on a spoon that does as told.
     fn carry_out(controller: &Controller, steps: u32) -> Vec<(f64, f64)> {
         let mut pitch_deg = 0.0;
-        let mut dosing = controller.begin(&Rules::FLIP, &Known::default());
+        let mut dosing = controller.begin(&Rules::FLIP, 1.0);
         (0..steps)
             .map(|_| {
                 let action = dosing.propose(&Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg });
@@ -190,9 +185,9 @@ mod tests {
         for controller in
             [Controller::Schedule(schedule), Controller::Pid(Pid::CHOSEN), Controller::Fuzzy(Fuzzy::CHOSEN)]
         {
-            let mut whole = controller.begin(&Rules::FLIP, &Known::default());
+            let mut whole = controller.begin(&Rules::FLIP, 1.0);
             let actions = course.map(|seen| whole.propose(&seen));
-            let mut taken_up = controller.begin(&Rules::FLIP, &Known::default());
+            let mut taken_up = controller.begin(&Rules::FLIP, 1.0);
             for k in 0..3 {
                 taken_up.resume(Done { before: course[k], action: actions[k], after: course[k + 1] });
             }
@@ -203,11 +198,10 @@ mod tests {
     #[test]
     fn untrained_controllers_differ_by_seed_and_stay_in_range() {
         let seen = Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg: 0.0 };
-        let actions: Vec<Action> = (0..3)
-            .map(|seed| Controller::untrained(seed).begin(&Rules::FLIP, &Known::default()).propose(&seen))
-            .collect();
+        let actions: Vec<Action> =
+            (0..3).map(|seed| Controller::untrained(seed).begin(&Rules::FLIP, 1.0).propose(&seen)).collect();
         assert_ne!(actions[0], actions[1]);
-        assert_eq!(actions[2], Controller::untrained(2).begin(&Rules::FLIP, &Known::default()).propose(&seen));
+        assert_eq!(actions[2], Controller::untrained(2).begin(&Rules::FLIP, 1.0).propose(&seen));
         assert!(actions.iter().all(|a| a.incline_change_deg.abs() <= 8.0 && (0.0..=16.0).contains(&a.shake_mm)));
     }
 }

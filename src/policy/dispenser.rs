@@ -6,27 +6,24 @@
 //! ```text
 //! G = slope width softplus((p + reach ln(A / 1 mm) - onset) / width)
 //! mean of a shake = max(G - M, 0) (1 - exp(-(A / stroke)^bend))
-//! sqrt(mass of a shake) ~ sqrt(mean) + sqrt(floor^2 + scatter^2 mean) t
+//! sqrt(mass of a shake) ~ N(sqrt(mean), floor^2 + scatter^2 mean)
 //! ```
 //!
-//! with t of Student's distribution with four degrees of freedom, as avalanches happen.
-//!
 //! *Identification.* The onset, the slope and the stroke are another powder's, or another spoonful's, each time. [`GUESSES`] of them are drawn
-//! from what many simulated spoons had ([`Response`]), about the means that belong to the powder's angle of repose, and weighted with what the
-//! balance has shown since (a particle filter whose particles do not move). The balance's own rounding counts in the likelihood.
+//! from what many simulated spoons had ([`Response`]) and weighted with what the balance has shown since (a particle filter whose particles
+//! do not move). The balance's own rounding counts in the likelihood, and its tails are those of Student's t with four degrees of freedom, as
+//! avalanches happen.
 //!
 //! *Decision.* Each possible action is played to the end of the weighing with [`ROLLOUTS`] of the guesses, the later steps by a rule that aims
 //! at the share of the missing mass which is best for masses scattered like that (`Aims`, by dynamic programming). The action whose
-//! expected loss is least is taken: a rollout algorithm (Bertsekas, Tesauro and Wu 1997). Where none promises less than what is in the vial
-//! now, it proposes to do nothing, which ends the weighing. Too much costs [`Response::overdose_factor`] times as much as too little, for it
-//! cannot be taken back. What a coarse balance shows is known to be within half a step of the truth, in thought too.
+//! expected loss is least is taken: a rollout algorithm (Bertsekas, Tesauro and Wu 1997). Too much costs [`Response::overdose_factor`] times
+//! as much as too little, for it cannot be taken back.
 //!
 //! Log-linear models of mg per tap against tilt, the usual ones, do not describe these spoons: what falls depends on what has fallen
 //! (`docs/dispenser.md`).
 
-use super::aims::{Aims, radical_inverse, student4};
 use super::controller::Done;
-use super::episode::{Known, Rules};
+use super::episode::{Ending, ON_TARGET_MG, Rules};
 use super::observation::Observation;
 use super::response::{Response, Spoonful};
 use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MAX};
@@ -40,13 +37,6 @@ const ROLLOUTS: usize = 96;
 const CHANGES_DEG: [f64; 9] = [-8.0, -5.0, -3.0, -1.5, 0.0, 2.0, 4.0, 6.0, 8.0];
 /// Amplitudes among which it chooses, mm.
 const SHAKES_MM: [f64; 7] = [0.0, 1.0, 2.0, 4.0, 7.0, 11.0, SHAKE_MM_MAX];
-/// Bases of the guesses' numbers. None may divide [`GUESSES`] / [`ROLLOUTS`]: every fourth guess would then lie in one quarter of its range.
-const GUESS_BASES: [usize; 4] = [3, 5, 7, 11];
-/// Bases of the numbers that rollouts draw, all different from those: of what a step lets fall, by steps left, ...
-const STEP_BASES: [usize; 12] = [13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59];
-/// ... of what is in the vial while the balance shows a round number, and of what it shows later.
-const POURED_BASE: usize = 2;
-const SHOWN_BASE: usize = 61;
 /// The rule of the later steps shakes with this amplitude, mm, and where the pitch cannot follow with the largest or the smallest.
 const USUAL_MM: f64 = 4.0;
 
@@ -54,8 +44,7 @@ const USUAL_MM: f64 = 4.0;
 #[derive(Debug, Clone)]
 pub struct Dispenser {
     response: Response,
-    /// For each guess a standard normal number for onset, slope, stroke and angle of repose, evenly spread.
-    numbers: Vec<[f64; 4]>,
+    guesses: Vec<Spoonful>,
     aims: Aims,
 }
 
@@ -74,18 +63,11 @@ struct Moment {
     left: u32,
 }
 
-/// The part of a weighing that a decision is made in.
-struct Frame<'a> {
-    rules: &'a Rules,
-    readability_mg: f64,
-    guesses: &'a [Spoonful],
-}
-
 impl Dispenser {
     /// A dispenser with this prior.
     pub fn new(response: Response) -> Self {
-        let numbers = |k: usize| GUESS_BASES.map(|base| quantile(radical_inverse(k + 1, base)));
-        Self { response, numbers: (0..GUESSES).map(numbers).collect(), aims: Aims::new(&response) }
+        let guess = |k: usize| response.spoonful([2, 3, 5].map(|base| quantile(radical_inverse(k + 1, base))));
+        Self { response, guesses: (0..GUESSES).map(guess).collect(), aims: Aims::new(&response) }
     }
 
     /// Its prior.
@@ -93,40 +75,28 @@ impl Dispenser {
         &self.response
     }
 
-    /// The action after these steps; none at all when it holds the weighing to be done.
-    pub(super) fn propose(&self, done: &[Done], seen: &Observation, rules: &Rules, known: &Known) -> Action {
-        let prior = self.prior(known.repose_deg);
-        let guesses = resampled(&prior, &self.weights(&prior, done, known.readability_mg));
-        let frame = Frame { rules, readability_mg: known.readability_mg, guesses: &guesses };
+    /// The action after these steps.
+    pub(super) fn propose(&self, done: &[Done], seen: &Observation, rules: &Rules, readability_mg: f64) -> Action {
+        let guesses = self.resampled(&self.weights(done, readability_mg));
+        let moment = Moment {
+            pitch_deg: seen.pitch_deg,
+            poured_mg: seen.reading_mg.max(0.0),
+            missing_mg: seen.missing_mg(),
+            left: rules.steps_max.saturating_sub(done.len() as u32).max(1),
+        };
         let change = |change: f64| {
             let pitch = (seen.pitch_deg + change).clamp(rules.pitch.lower_deg, rules.pitch.upper_deg);
             pitch - seen.pitch_deg
         };
         let actions = CHANGES_DEG
             .iter()
-            .flat_map(|by| SHAKES_MM.map(|shake_mm| Action { incline_change_deg: change(*by), shake_mm }))
-            // To wait is no choice: nothing would be different afterwards, and to do nothing means to end.
-            .filter(|action| action.incline_change_deg != 0.0 || action.shake_mm > 0.0);
-        let left = rules.steps_max.saturating_sub(done.len() as u32).max(1);
-        let rated = actions.map(|action| (self.expected_loss(&frame, seen, left, Some(action)), action));
-        let still = (self.expected_loss(&frame, seen, left, None), Action::default());
-        // Of equals the first: to do nothing.
-        [still].into_iter().chain(rated).min_by(|a, b| a.0.total_cmp(&b.0)).map_or_else(Action::default, |it| it.1)
-    }
-
-    /// The guesses before anything was seen of a powder with this angle of repose.
-    fn prior(&self, repose_deg: Option<f64>) -> Vec<Spoonful> {
-        let r = &self.response;
-        let guess = |z: &[f64; 4]| {
-            let above_deg = repose_deg.map_or(r.repose_deg[1] * z[3], |deg| deg - r.repose_deg[0]);
-            let about: [f64; 3] = std::array::from_fn(|k| r.means()[k] + r.by_repose[k] * above_deg);
-            r.spoonful(about, [z[0], z[1], z[2]])
-        };
-        self.numbers.iter().map(guess).collect()
+            .flat_map(|by| SHAKES_MM.map(|shake_mm| Action { incline_change_deg: change(*by), shake_mm }));
+        let rated = actions.map(|action| (self.expected_loss(&guesses, moment, action, rules), action));
+        rated.min_by(|a, b| a.0.total_cmp(&b.0)).map_or_else(Action::default, |(_, action)| action)
     }
 
     /// Weight of each guess after what the balance has shown.
-    fn weights(&self, guesses: &[Spoonful], done: &[Done], readability_mg: f64) -> Vec<f64> {
+    fn weights(&self, done: &[Done], readability_mg: f64) -> Vec<f64> {
         let r = &self.response;
         let log = |guess: &Spoonful| -> f64 {
             let shakes = done.iter().filter(|step| step.action.executed_shake_mm() > 0.0);
@@ -135,80 +105,149 @@ impl Dispenser {
                     guess.mean_mg(r, step.after.pitch_deg, step.action.shake_mm, step.before.reading_mg.max(0.0));
                 let gained = step.after.reading_mg - step.before.reading_mg;
                 let sd = r.sd(mean);
-                // Of a squared normal number, and of the difference of two readings that are rounded.
+                // Of a squared normal number, and of the difference of two rounded readings.
                 let variance = 4.0 * mean * sd * sd + 2.0 * sd.powi(4) + readability_mg.powi(2) / 6.0;
                 let z2 = (gained - mean - sd * sd).powi(2) / variance;
                 -2.5 * libm::log1p(z2 / 4.0) - 0.5 * libm::log(variance)
             };
             shakes.map(one).sum()
         };
-        let logs: Vec<f64> = guesses.iter().map(log).collect();
+        let logs: Vec<f64> = self.guesses.iter().map(log).collect();
         let largest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         logs.iter().map(|log| libm::exp(log - largest)).collect()
     }
 
-    /// Mean loss of an action over the guesses, each played to the end; without an action that of ending here.
-    fn expected_loss(&self, frame: &Frame<'_>, seen: &Observation, left: u32, action: Option<Action>) -> f64 {
+    /// [`ROLLOUTS`] guesses by their weights, at even distances.
+    fn resampled(&self, weights: &[f64]) -> Vec<Spoonful> {
+        let sum: f64 = weights.iter().sum();
+        let (mut k, mut reached) = (0, weights[0]);
+        let at = |j: usize| (j as f64 + 0.5) / ROLLOUTS as f64 * sum;
+        let mut take = |goal: f64| {
+            while reached < goal && k + 1 < weights.len() {
+                k += 1;
+                reached += weights[k];
+            }
+            self.guesses[k]
+        };
+        (0..ROLLOUTS).map(|j| take(at(j))).collect()
+    }
+
+    /// Mean loss of an action over the guesses, each played to the end.
+    fn expected_loss(&self, guesses: &[Spoonful], now: Moment, action: Action, rules: &Rules) -> f64 {
         let play = |(j, guess): (usize, &Spoonful)| {
-            // What is in the vial may be half a step of the display more or less.
-            let poured_mg =
-                (seen.reading_mg + frame.readability_mg * (radical_inverse(j + 1, POURED_BASE) - 0.5)).max(0.0);
-            let missing_mg = seen.target_mg - poured_mg;
-            let mut moment = Moment { pitch_deg: seen.pitch_deg, poured_mg, missing_mg, left };
-            let Some(action) = action else { return self.response.loss(missing_mg) };
-            moment = self.after(guess, moment, seen.pitch_deg + action.incline_change_deg, action.shake_mm, j);
-            while moment.left > 0 && moment.missing_mg > 0.0 {
-                let Some((pitch_deg, shake_mm)) = self.usual(guess, &moment, frame, j) else { break };
+            let mut moment = self.after(guess, now, now.pitch_deg + action.incline_change_deg, action.shake_mm, j);
+            while moment.left > 0 && !(rules.ending == Ending::OnTarget && moment.missing_mg < ON_TARGET_MG / 2.0) {
+                let (pitch_deg, shake_mm) = self.usual(guess, &moment, rules);
                 moment = self.after(guess, moment, pitch_deg, shake_mm, j);
             }
             self.response.loss(moment.missing_mg)
         };
-        frame.guesses.iter().enumerate().map(play).sum::<f64>() / frame.guesses.len() as f64
+        guesses.iter().enumerate().map(play).sum::<f64>() / guesses.len() as f64
     }
 
     /// A step in thought; the `j`-th rollout draws the same numbers whatever it does.
     fn after(&self, guess: &Spoonful, now: Moment, pitch_deg: f64, shake_mm: f64, j: usize) -> Moment {
         let mean = guess.mean_mg(&self.response, pitch_deg, shake_mm, now.poured_mg);
-        let z = student4(radical_inverse(j + 1, STEP_BASES[now.left as usize % STEP_BASES.len()]));
+        let z = quantile(radical_inverse(j + 1, PRIMES[now.left as usize % PRIMES.len()]));
         let mass = if mean > 0.0 { self.response.draw(mean, z) } else { 0.0 };
         Moment { pitch_deg, poured_mg: now.poured_mg + mass, missing_mg: now.missing_mg - mass, left: now.left - 1 }
     }
 
-    /// The rule of the later steps: the pitch at which a usual shake has the mean that is aimed at, as near as the spoon can come. None
-    /// when it is best to end. It sees what a balance would show.
-    fn usual(&self, guess: &Spoonful, now: &Moment, frame: &Frame<'_>, j: usize) -> Option<(f64, f64)> {
+    /// The rule of the later steps: the pitch at which a usual shake has the mean that is aimed at, as near as the spoon can come.
+    fn usual(&self, guess: &Spoonful, now: &Moment, rules: &Rules) -> (f64, f64) {
         let r = &self.response;
-        let shown = frame.readability_mg * (radical_inverse(j + 1 + now.left as usize, SHOWN_BASE) - 0.5);
-        let aim = self.aims.of(now.left, now.missing_mg + shown);
+        let aim = self.aims.of(now.left, now.missing_mg);
         if aim <= 0.0 {
-            return None;
+            return (now.pitch_deg, 0.0);
         }
         let wanted = guess.pitch_for(r, USUAL_MM, aim, now.poured_mg);
-        let pitch = frame.rules.pitch;
-        let lower = (now.pitch_deg - INCLINE_CHANGE_DEG_MAX).max(pitch.lower_deg);
-        let upper = (now.pitch_deg + INCLINE_CHANGE_DEG_MAX).min(pitch.upper_deg);
+        let lower = (now.pitch_deg - INCLINE_CHANGE_DEG_MAX).max(rules.pitch.lower_deg);
+        let upper = (now.pitch_deg + INCLINE_CHANGE_DEG_MAX).min(rules.pitch.upper_deg);
+        let pitch_deg = wanted.clamp(lower, upper);
         let shake_mm = match wanted {
             w if w > upper => SHAKE_MM_MAX,
             w if w < lower => SHAKES_MM[1],
             _ => USUAL_MM,
         };
-        Some((wanted.clamp(lower, upper), shake_mm))
+        (pitch_deg, shake_mm)
     }
 }
 
-/// [`ROLLOUTS`] guesses by their weights, at even distances.
-fn resampled(guesses: &[Spoonful], weights: &[f64]) -> Vec<Spoonful> {
-    let sum: f64 = weights.iter().sum();
-    let (mut k, mut reached) = (0, weights[0]);
-    let at = |j: usize| (j as f64 + 0.5) / ROLLOUTS as f64 * sum;
-    let mut take = |goal: f64| {
-        while reached < goal && k + 1 < weights.len() {
-            k += 1;
-            reached += weights[k];
+/// Bases of the numbers that rollouts draw, a base for each step left.
+const PRIMES: [usize; 12] = [7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47];
+
+/// The `index`-th number of van der Corput's sequence of a base, within 0..1.
+fn radical_inverse(index: usize, base: usize) -> f64 {
+    let (mut rest, mut digit, mut value) = (index, 1.0 / base as f64, 0.0);
+    while rest > 0 {
+        value += (rest % base) as f64 * digit;
+        rest /= base;
+        digit /= base as f64;
+    }
+    value
+}
+
+/// The mean to aim at, by steps left and missing mass, if any mean could be had: for masses scattered as [`Response`] says
+///
+/// ```text
+/// V_0(m) = loss(m)     V_k(m) = min(loss(m), min over mu of E V_(k-1)(m - mass(mu)))
+/// ```
+#[derive(Debug, Clone)]
+struct Aims {
+    /// By steps left, from 1, then by missing mass in steps of [`GRID_MG`].
+    table: Vec<Vec<f64>>,
+}
+
+/// Step of the table, mg.
+const GRID_MG: f64 = 0.25;
+/// Missing masses of the table: 0 to 30 mg.
+const CELLS: usize = 121;
+/// Most steps left that the table tells apart.
+const LEFT_MAX: usize = 30;
+/// Means that are tried, mg: 0.1 to 25.
+const MEANS: usize = 28;
+/// Nodes of an expectation.
+const NODES: usize = 16;
+
+impl Aims {
+    fn new(r: &Response) -> Self {
+        let nodes: Vec<f64> = (0..NODES).map(|k| quantile((k as f64 + 0.5) / NODES as f64)).collect();
+        let means: Vec<f64> = (0..MEANS).map(|k| 0.1 * libm::pow(250.0, k as f64 / (MEANS - 1) as f64)).collect();
+        let masses: Vec<Vec<f64>> =
+            means.iter().map(|mean| nodes.iter().map(|z| r.draw(*mean, *z)).collect()).collect();
+        let missing = |cell: usize| cell as f64 * GRID_MG;
+        let mut values: Vec<f64> = (0..CELLS).map(|cell| r.loss(missing(cell))).collect();
+        let mut table = Vec::new();
+        for _ in 0..LEFT_MAX {
+            let value = |m: f64| if m < 0.0 { r.loss(m) } else { between(&values, m) };
+            let best = |cell: usize| {
+                let m = missing(cell);
+                let tried = means.iter().zip(&masses).map(|(mean, masses)| {
+                    (masses.iter().map(|mass| value(m - mass)).sum::<f64>() / NODES as f64, *mean)
+                });
+                tried.chain([(r.loss(m), 0.0)]).min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((r.loss(m), 0.0))
+            };
+            let chosen: Vec<(f64, f64)> = (0..CELLS).map(best).collect();
+            table.push(chosen.iter().map(|it| it.1).collect());
+            values = chosen.iter().map(|it| it.0).collect();
         }
-        guesses[k]
-    };
-    (0..ROLLOUTS).map(|j| take(at(j))).collect()
+        Self { table }
+    }
+
+    fn of(&self, left: u32, missing_mg: f64) -> f64 {
+        if missing_mg <= 0.0 {
+            return 0.0;
+        }
+        between(&self.table[(left as usize).clamp(1, LEFT_MAX) - 1], missing_mg)
+    }
+}
+
+/// A value between two cells; beyond the last the last.
+fn between(values: &[f64], missing_mg: f64) -> f64 {
+    let at = (missing_mg / GRID_MG).min((values.len() - 1) as f64);
+    let below = (at as usize).min(values.len() - 2);
+    let share = at - below as f64;
+    values[below] * (1.0 - share) + values[below + 1] * share
 }
 
 #[cfg(test)]

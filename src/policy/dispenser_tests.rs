@@ -1,5 +1,5 @@
 use super::*;
-use crate::policy::{Controller, Episode, Known};
+use crate::policy::{Controller, Episode};
 
 const FITTED: Response = Response::FITTED;
 
@@ -13,8 +13,7 @@ struct Dosed {
 /// Dose from a spoon that obeys the model, and a balance that shows whole milligrams.
 fn dose(controller: &Controller, spoon: &Spoonful, target_mg: f64, steps_max: u32, seed: usize) -> Dosed {
     let rules = Rules { steps_max, ..Rules::FLIP };
-    let mut dosing = controller.begin(&rules, &Known::default());
-    let rules = *dosing.rules();
+    let mut dosing = controller.begin(&rules, 1.0);
     let (mut pitch_deg, mut poured_mg) = (0.0, 0.0f64);
     let (mut pitches_deg, mut masses_mg) = (Vec::new(), Vec::new());
     for steps in 0.. {
@@ -23,13 +22,10 @@ fn dose(controller: &Controller, spoon: &Spoonful, target_mg: f64, steps_max: u3
             break;
         }
         let action = dosing.propose(&seen);
-        if rules.is_decided(&action) {
-            break;
-        }
         pitch_deg += action.incline_change_deg;
         assert!((rules.pitch.lower_deg..=rules.pitch.upper_deg).contains(&pitch_deg));
         let mean = spoon.mean_mg(&FITTED, pitch_deg, action.executed_shake_mm(), poured_mg);
-        let z = student4(radical_inverse(7919 * (seed + 1) + steps as usize, 2));
+        let z = quantile(radical_inverse(7919 * (seed + 1) + steps as usize, 2));
         let mass = if mean > 0.0 { FITTED.draw(mean, z) } else { 0.0 };
         poured_mg += mass;
         pitches_deg.push(pitch_deg);
@@ -65,11 +61,23 @@ fn what_is_let_go_of_is_the_formula() {
 
 #[test]
 fn guesses_have_the_moments_and_correlations_they_are_drawn_from() {
-    let guesses = Dispenser::new(FITTED).prior(Some(FITTED.repose_deg[0]));
+    let dispenser = Dispenser::new(FITTED);
     let columns = [
-        guesses.iter().map(|g| (g.onset_deg - FITTED.onset_deg[0]) / FITTED.onset_deg[1]).collect::<Vec<f64>>(),
-        guesses.iter().map(|g| (g.slope_mg_deg.ln() - FITTED.ln_slope_mg_deg[0]) / FITTED.ln_slope_mg_deg[1]).collect(),
-        guesses.iter().map(|g| (g.stroke_mm.ln() - FITTED.ln_stroke_mm[0]) / FITTED.ln_stroke_mm[1]).collect(),
+        dispenser
+            .guesses
+            .iter()
+            .map(|g| (g.onset_deg - FITTED.onset_deg[0]) / FITTED.onset_deg[1])
+            .collect::<Vec<f64>>(),
+        dispenser
+            .guesses
+            .iter()
+            .map(|g| (g.slope_mg_deg.ln() - FITTED.ln_slope_mg_deg[0]) / FITTED.ln_slope_mg_deg[1])
+            .collect(),
+        dispenser
+            .guesses
+            .iter()
+            .map(|g| (g.stroke_mm.ln() - FITTED.ln_stroke_mm[0]) / FITTED.ln_stroke_mm[1])
+            .collect(),
     ];
     let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>() / a.len() as f64;
     for column in &columns {
@@ -86,8 +94,6 @@ fn guesses_have_the_moments_and_correlations_they_are_drawn_from() {
 #[test]
 fn what_the_balance_shows_tells_one_spoon_from_another() {
     let dispenser = Dispenser::new(FITTED);
-    let guesses = dispenser.prior(None);
-    let weights = |done: &[Done]| dispenser.weights(&guesses, done, 1.0);
     let seen = |reading_mg, pitch_deg| Observation { reading_mg, target_mg: 15.0, pitch_deg };
     let shaken = |before_mg, after_mg| Done {
         before: seen(before_mg, 0.0),
@@ -95,18 +101,20 @@ fn what_the_balance_shows_tells_one_spoon_from_another() {
         after: seen(after_mg, 8.0),
     };
     let expected = |done: &[Done]| {
-        let weights = weights(done);
-        let next =
-            guesses.iter().map(|g| g.mean_mg(&FITTED, 16.0, 8.0, done.last().map_or(0.0, |d| d.after.reading_mg)));
+        let weights = dispenser.weights(done, 1.0);
+        let next = dispenser
+            .guesses
+            .iter()
+            .map(|g| g.mean_mg(&FITTED, 16.0, 8.0, done.last().map_or(0.0, |d| d.after.reading_mg)));
         weights.iter().zip(next).map(|(w, m)| w * m).sum::<f64>() / weights.iter().sum::<f64>()
     };
     let [nothing, little, much] = [0.0, 1.0, 6.0].map(|mg| expected(&[shaken(0.0, mg)]));
     assert!(nothing < little && little < much, "{nothing} {little} {much}");
     // Without a shake nothing was learnt.
     let still = Done { action: Action { incline_change_deg: 8.0, shake_mm: 0.0 }, ..shaken(0.0, 0.0) };
-    assert!(weights(&[still]).iter().all(|w| *w == 1.0));
+    assert!(dispenser.weights(&[still], 1.0).iter().all(|w| *w == 1.0));
     // However unlikely, a reading leaves weights that are numbers.
-    assert!(weights(&[shaken(0.0, 1e6), shaken(1e6, 0.0)]).iter().all(|w| w.is_finite()));
+    assert!(dispenser.weights(&[shaken(0.0, 1e6), shaken(1e6, 0.0)], 1.0).iter().all(|w| w.is_finite()));
 }
 
 #[test]
@@ -116,7 +124,7 @@ fn aims_shrink_with_the_steps_left_and_meet_a_brute_force_search() {
     assert!((1..9).all(|left| aims.of(left, 10.0) >= aims.of(left + 1, 10.0) - 1e-9), "more steps, smaller bites");
     // The last step by brute force: the mean with the least expected loss over many draws.
     let loss = |mean: f64| {
-        let draw = |k: usize| FITTED.draw(mean, student4((k as f64 + 0.5) / 4000.0));
+        let draw = |k: usize| FITTED.draw(mean, quantile((k as f64 + 0.5) / 4000.0));
         (0..4000).map(|k| FITTED.loss(10.0 - draw(k))).sum::<f64>() / 4000.0
     };
     let best = (1..=400).map(|k| k as f64 * 0.05).min_by(|a, b| loss(*a).total_cmp(&loss(*b))).unwrap();
@@ -151,20 +159,4 @@ fn it_climbs_to_where_a_hard_spoon_lets_go_and_takes_its_time_when_it_has_more()
         |steps_max| (0..8).map(|seed| dose(&dispenser, &EASY, 15.0, steps_max, seed).error_mg.abs()).sum::<f64>() / 8.0;
     let (hurried, patient) = (mean(4), mean(20));
     assert!(patient < hurried, "{patient} with 20 steps, {hurried} with 4");
-}
-
-#[test]
-fn the_guesses_that_are_played_are_spread_like_all_of_them() {
-    let guesses = Dispenser::new(FITTED).prior(Some(36.0));
-    let played = resampled(&guesses, &vec![1.0; GUESSES]);
-    let quarters = |values: &[Spoonful]| {
-        let mut counts = [0; 4];
-        let z = values.iter().map(|g| (g.onset_deg - FITTED.onset_deg[0]) / FITTED.onset_deg[1]);
-        z.for_each(|z| counts[usize::from(z > -0.674) + usize::from(z > 0.0) + usize::from(z > 0.674)] += 1);
-        counts
-    };
-    for (all, some) in quarters(&guesses).into_iter().zip(quarters(&played)) {
-        // Even sequences miss their share by a few numbers at most.
-        assert!((88..=104).contains(&all) && (20..=28).contains(&some), "{all} {some}");
-    }
 }

@@ -1,7 +1,7 @@
 //! When an episode, or a weighing, is over.
 
 use super::observation::Observation;
-use crate::domain::bench::{Action, PitchLimits};
+use crate::domain::bench::PitchLimits;
 use serde::{Deserialize, Serialize};
 
 /// What ends an episode before its steps are spent.
@@ -12,28 +12,10 @@ pub enum Ending {
     Never,
     /// The reading is within 1 mg of the target, or has passed it.
     OnTarget,
-    /// The reading has reached the target, or the controller proposes neither to pitch nor to shake.
-    Decided,
 }
 
 /// Error below which [`Ending::OnTarget`] is satisfied, mg; also where the reward gets its bonus.
 pub const ON_TARGET_MG: f64 = 1.0;
-
-/// What is known of a weighing before it begins, besides its frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Known {
-    /// Step of the balance's display, mg.
-    pub readability_mg: f64,
-    /// Angle of repose of the powder, degrees, if it was measured.
-    pub repose_deg: Option<f64>,
-}
-
-impl Default for Known {
-    /// A balance that shows whole milligrams, and a powder of which nothing is known.
-    fn default() -> Self {
-        Self { readability_mg: 1.0, repose_deg: None }
-    }
-}
 
 /// The frame that a controller was made for.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -54,23 +36,10 @@ impl Rules {
 
     /// Where a weighing stands that has carried out `steps` steps and now sees `observation`.
     pub fn after(&self, steps: u32, observation: &Observation) -> Episode {
-        let missing_mg = observation.missing_mg();
-        let ended = match self.ending {
-            Ending::Never => false,
-            Ending::OnTarget => is_on_target(missing_mg),
-            Ending::Decided => missing_mg <= 0.0,
-        };
-        if ended {
+        if self.ending == Ending::OnTarget && is_on_target(observation.missing_mg()) {
             return Episode::Terminated;
         }
         if steps >= self.steps_max { Episode::TimedOut } else { Episode::Running }
-    }
-}
-
-impl Rules {
-    /// Whether a controller that proposes this holds the weighing to be done.
-    pub fn is_decided(&self, proposed: &Action) -> bool {
-        self.ending == Ending::Decided && proposed.incline_change_deg == 0.0 && proposed.executed_shake_mm() == 0.0
     }
 }
 

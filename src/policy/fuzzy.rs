@@ -105,7 +105,7 @@ fn memberships(peaks: &[f64; 3], x: f64) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::policy::{Controller, Known, Rules};
+    use crate::policy::{Controller, Rules};
     use proptest::prelude::*;
 
     const PLAIN: Fuzzy = Fuzzy {
@@ -152,7 +152,7 @@ mod tests {
         let tilted = Done { before: seen(12.0), action: Action::default(), after: seen(12.0) };
         assert_eq!(PLAIN.propose(&[shook, tilted], &seen(12.0)), PLAIN.propose(&[shook], &seen(12.0)));
         assert_ne!(PLAIN.propose(&[tilted], &seen(12.0)), PLAIN.propose(&[shook], &seen(12.0)));
-        let first = Controller::Fuzzy(PLAIN).begin(&Rules::FLIP, &Known::default()).propose(&seen(20.0));
+        let first = Controller::Fuzzy(PLAIN).begin(&Rules::FLIP, 1.0).propose(&seen(20.0));
         assert_eq!(first, Action { incline_change_deg: 8.0, shake_mm: 14.0 });
     }
 

@@ -4,7 +4,6 @@
 //! Nothing here needs libtorch; `train` makes the weights, [`Actor`] runs them.
 
 mod actor;
-mod aims;
 mod artifact;
 mod controller;
 mod dispenser;
@@ -21,7 +20,7 @@ pub use actor::{Actor, Carried, Head, LOG_STD_MAX, LOG_STD_MIN, Malformed, OUTPU
 pub use artifact::{ArtifactError, Policy, decode, encode, id};
 pub use controller::{Controller, Done, Dosing, Schedule, ScheduledStep};
 pub use dispenser::Dispenser;
-pub use episode::{Ending, Episode, Known, ON_TARGET_MG, Rules, is_on_target};
+pub use episode::{Ending, Episode, ON_TARGET_MG, Rules, is_on_target};
 pub use fuzzy::Fuzzy;
 pub use manifest::{Kind, LevelManifest, Manifest, SetManifest, Switch, SwitchReason};
 pub use observation::{Encoding, Observation};

@@ -79,7 +79,7 @@ impl Pid {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::policy::{Controller, Known, Rules};
+    use crate::policy::{Controller, Rules};
     use proptest::prelude::*;
 
     const NONE: Gains = Gains { p: 0.0, i: 0.0, d: 0.0 };
@@ -93,7 +93,7 @@ mod tests {
         // A plant that lets 0.25 mg fall for each mm, and a shake of 16 mm * 0.05 / mg * e = 0.8 mm / mg * e: e shrinks by 0.8.
         let pid = Pid { incline: NONE, shake: Gains { p: 0.05, ..NONE } };
         let controller = Controller::Pid(pid);
-        let mut dosing = controller.begin(&Rules::FLIP, &Known::default());
+        let mut dosing = controller.begin(&Rules::FLIP, 1.0);
         let mut reading_mg = 0.0;
         for k in 0..12 {
             assert!((10.0 - reading_mg - 10.0 * 0.8f64.powi(k)).abs() < 1e-9, "after {k} shakes {reading_mg} mg");
@@ -107,7 +107,7 @@ mod tests {
     fn sum_and_change_count_from_the_first_step_and_nothing_is_done_beyond_the_target() {
         let pid = Pid { incline: Gains { i: 0.01, ..NONE }, shake: Gains { d: 0.02, ..NONE } };
         let controller = Controller::Pid(pid);
-        let mut dosing = controller.begin(&Rules::FLIP, &Known::default());
+        let mut dosing = controller.begin(&Rules::FLIP, 1.0);
         // Errors 10, 7, 7.5: sums 10, 17, 24.5; changes 10, -3, 0.5.
         let actions = [0.0, 3.0, 2.5].map(|reading| dosing.propose(&seen(reading)));
         let expected = [(0.1 * 8.0, 0.2 * 16.0), (0.17 * 8.0, 0.0), (0.245 * 8.0, 0.01 * 16.0)];
@@ -132,7 +132,7 @@ mod tests {
         ) {
             let of = |k: usize| Gains { p: gains[k], i: gains[k + 1], d: gains[k + 2] };
             let controller = Controller::Pid(Pid { incline: of(0), shake: of(3) });
-            let mut dosing = controller.begin(&Rules::FLIP, &Known::default());
+            let mut dosing = controller.begin(&Rules::FLIP, 1.0);
             for reading in readings {
                 let action = dosing.propose(&seen(reading));
                 prop_assert!(action.incline_change_deg.abs() <= 8.0 && (0.0..=16.0).contains(&action.shake_mm));

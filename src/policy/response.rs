@@ -1,4 +1,4 @@
-//! What a shaken spoon lets fall, as a model of a few numbers: the prior of a dispenser, and a spoon to practise on.
+//! What a shaken spoon lets fall, as a model of a few numbers: the prior of a dispenser.
 
 use crate::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
@@ -7,16 +7,12 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Response {
-    /// Angle of repose of the powders, degrees: mean and standard deviation. What is assumed of a powder whose angle is not known.
-    pub repose_deg: [f64; 2],
-    /// Pitch at which a spoon begins to let go, degrees: mean at the mean angle of repose, and standard deviation at any.
+    /// Pitch at which a spoon begins to let go, degrees: mean and standard deviation.
     pub onset_deg: [f64; 2],
-    /// ln of the mass let go by each further degree, mg: likewise.
+    /// ln of the mass let go by each further degree, mg: mean and standard deviation.
     pub ln_slope_mg_deg: [f64; 2],
-    /// ln of the amplitude that takes most of what is loose, mm: likewise.
+    /// ln of the amplitude that takes most of what is loose, mm: mean and standard deviation.
     pub ln_stroke_mm: [f64; 2],
-    /// By how much onset, ln slope and ln stroke grow with each degree of the angle of repose.
-    pub by_repose: [f64; 3],
     /// Correlations of onset and slope, of onset and stroke, of slope and stroke: a spoon that begins late lets go of more by each degree.
     pub correlations: [f64; 3],
     /// Exponent of the amplitude over the stroke.
@@ -51,11 +47,9 @@ pub struct Spoonful {
 impl Response {
     /// What `benches/dispenser/fit.py` found for 250 courses of fifty calibrated sets (`examples/shake_response.rs`).
     pub const FITTED: Self = Self {
-        repose_deg: [36.0, 6.0],
-        onset_deg: [-3.42, 32.0],
-        ln_slope_mg_deg: [-0.39, 0.64],
-        ln_stroke_mm: [4.53, 0.98],
-        by_repose: [4.0, 0.04, 0.0],
+        onset_deg: [-3.42, 36.06],
+        ln_slope_mg_deg: [-0.39, 0.71],
+        ln_stroke_mm: [4.53, 1.09],
         correlations: [0.77, 0.54, 0.64],
         bend: 0.45,
         reach_deg: 3.1,
@@ -72,15 +66,12 @@ impl Response {
     /// # Errors
     /// The first that is not, by name.
     pub fn checked(self) -> Result<Self, FieldError> {
-        bounded("repose_deg", self.repose_deg[0], 5.0, 85.0, "deg")?;
-        bounded("repose_deg", self.repose_deg[1], 0.0, 30.0, "deg")?;
         bounded("onset_deg", self.onset_deg[0], -90.0, 90.0, "deg")?;
         bounded("onset_deg", self.onset_deg[1], 0.0, 45.0, "deg")?;
         bounded("ln_slope_mg_deg", self.ln_slope_mg_deg[0], -7.0, 7.0, "")?;
         bounded("ln_slope_mg_deg", self.ln_slope_mg_deg[1], 0.0, 3.0, "")?;
         bounded("ln_stroke_mm", self.ln_stroke_mm[0], -3.0, 9.0, "")?;
         bounded("ln_stroke_mm", self.ln_stroke_mm[1], 0.0, 3.0, "")?;
-        self.by_repose.iter().try_for_each(|b| bounded("by_repose", *b, -10.0, 10.0, "").map(|_| ()))?;
         self.correlations.iter().try_for_each(|c| bounded("correlations", *c, -0.99, 0.99, "").map(|_| ()))?;
         if self.roots().iter().flatten().any(|root| root.is_nan()) {
             return Err(FieldError::new("correlations", "are not those of any three numbers: bring them nearer to 0"));
@@ -114,22 +105,20 @@ impl Response {
         (self.floor.powi(2) + (self.caution * self.scatter).powi(2) * mean_mg).sqrt()
     }
 
-    /// A mass of this mean, `z` times the scatter from the middle of its root.
-    pub fn draw(&self, mean_mg: f64, z: f64) -> f64 {
+    /// A mass of this mean, `z` standard deviations from the middle of its root.
+    pub(super) fn draw(&self, mean_mg: f64, z: f64) -> f64 {
         (mean_mg.sqrt() + z * self.sd(mean_mg)).max(0.0).powi(2)
     }
 
-    /// Means of onset, ln slope and ln stroke at the mean angle of repose.
-    pub(super) fn means(&self) -> [f64; 3] {
-        [self.onset_deg[0], self.ln_slope_mg_deg[0], self.ln_stroke_mm[0]]
-    }
-
-    /// The spoonful that is `z` standard deviations from these means of onset, ln slope and ln stroke.
-    pub fn spoonful(&self, means: [f64; 3], z: [f64; 3]) -> Spoonful {
-        let sds = [self.onset_deg[1], self.ln_slope_mg_deg[1], self.ln_stroke_mm[1]];
-        let roots = self.roots();
-        let own = |k: usize| means[k] + sds[k] * (0..3).map(|j| roots[k][j] * z[j]).sum::<f64>();
-        Spoonful { onset_deg: own(0), slope_mg_deg: libm::exp(own(1)), stroke_mm: libm::exp(own(2)) }
+    /// The spoonful that is `z` standard deviations from the means of onset, ln slope and ln stroke.
+    pub(super) fn spoonful(&self, z: [f64; 3]) -> Spoonful {
+        let [onset, slope, stroke] = self.roots().map(|row| (0..3).map(|j| row[j] * z[j]).sum::<f64>());
+        let of = |[mean, sd]: [f64; 2], by: f64| mean + sd * by;
+        Spoonful {
+            onset_deg: of(self.onset_deg, onset),
+            slope_mg_deg: libm::exp(of(self.ln_slope_mg_deg, slope)),
+            stroke_mm: libm::exp(of(self.ln_stroke_mm, stroke)),
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use super::artifact::{Policy, encode, id};
 use super::controller::Controller;
 use super::dispenser::Dispenser;
-use super::episode::{Ending, Rules};
+use super::episode::Rules;
 use super::manifest::{Kind, Manifest};
 use super::response::Response;
 use std::sync::LazyLock;
@@ -22,8 +22,7 @@ pub struct Shipped {
 /// The dispenser with [`Response::FITTED`], which a weighing takes as long as no other policy has shown to be better. Every data folder has it.
 pub fn shipped() -> &'static Shipped {
     static SHIPPED: LazyLock<Shipped> = LazyLock::new(|| {
-        let rules = Rules { ending: Ending::Decided, ..Rules::FLIP };
-        let manifest = Manifest::of_untrained(Kind::Dispenser { response: Response::FITTED }, rules, 0);
+        let manifest = Manifest::of_untrained(Kind::Dispenser { response: Response::FITTED }, Rules::FLIP, 0);
         let policy = Policy { manifest, controller: Controller::Dispenser(Dispenser::new(Response::FITTED)) };
         let bytes = encode(&policy);
         Shipped { id: id(&bytes), policy, bytes }

@@ -247,7 +247,7 @@ pub(super) fn drawn_target(memory: &Memory, settings: &Settings, rng: &mut impl 
 /// A target for which this step would have been taken too; `None` when there is none in range.
 fn hindsight_target(memory: &Memory, settings: &Settings, rng: &mut impl Rng) -> Option<f64> {
     let lower = match settings.rules.ending {
-        Ending::Never | Ending::Decided => settings.relabel_mg_min,
+        Ending::Never => settings.relabel_mg_min,
         Ending::OnTarget => settings.relabel_mg_min.max(f64::from(memory.step.reading_mg) + ON_TARGET_MG),
     };
     (lower < settings.target_mg_max).then(|| rng.random_range(lower..settings.target_mg_max))

@@ -5,7 +5,7 @@ use super::spoons::Spoons;
 use super::training::Level;
 use crate::domain::bench::{Action, SHAKE_MM_MAX};
 use crate::domain::seed::derive;
-use crate::policy::{Controller, Episode, Known, Observation, Rules, Schedule, ScheduledStep};
+use crate::policy::{Controller, Episode, Observation, Rules, Schedule, ScheduledStep};
 use crate::sim::balance;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -183,7 +183,7 @@ pub(super) fn errors_mg(
     shown_mg: f64,
     seed: u64,
 ) -> Vec<f64> {
-    let mut dosing = controller.begin(&tuning.rules, &Known::default());
+    let mut dosing = controller.begin(&tuning.rules, 1.0);
     let mut waiting = targets_mg.to_vec();
     let mut errors = Vec::new();
     let mut reading_mg = 0.0;

@@ -2,7 +2,7 @@
 
 use super::curriculum;
 use crate::domain::{FieldError, bounded};
-use crate::policy::{Encoding, Ending, Rules};
+use crate::policy::{Encoding, Rules};
 use crate::sim::{balance, dispense};
 use serde::{Deserialize, Serialize};
 
@@ -237,10 +237,6 @@ impl Settings {
         count("rounds_per_checkpoint", self.rounds_per_checkpoint, 1, 1_000_000)?;
         count("fills_per_set", self.fills_per_set, 1, 1000)?;
         count("rules.steps_max", self.rules.steps_max, 1, 1000)?;
-        if self.rules.ending == Ending::Decided {
-            let advice = "must be `never` or `on_target`: a network that learns has no way to decide that it is done";
-            return Err(FieldError::new("rules.ending", advice));
-        }
         bounded("target_mg_min", self.target_mg_min, 0.1, 1000.0, "mg")?;
         bounded("target_mg_max", self.target_mg_max, self.target_mg_min, 1000.0, "mg")?;
         count("hidden", self.hidden, 1, 4096)?;

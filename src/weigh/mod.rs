@@ -1,7 +1,7 @@
 //! The closed loop: read, observe, propose, guard, act, record. It cannot tell a digital bench from a real one.
 //!
 //! ```text
-//!            tare ok                     on target, decided, target reached, steps spent
+//!            tare ok                     on target, target reached, steps spent
 //!  [OPEN] ------------> [DOSING] ------------------------------------------------> [level] --> within, under, over
 //!    |                     |  ^
 //!    | device failed       |  +-- read, propose, guard, act: one step
@@ -16,7 +16,7 @@ pub mod guard;
 use crate::domain::bench::{Action, Reading, Tick};
 use crate::domain::weighing::Outcome;
 use crate::hardware::{Bench, DeviceError};
-use crate::policy::{Controller, Episode, Known, Observation, Rules};
+use crate::policy::{Controller, Episode, Observation, Rules};
 use guard::{Halt, Limits, Situation, guard};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -30,8 +30,8 @@ pub struct Order {
     pub tolerance_lower_mg: f64,
     /// Accepted excess, mg.
     pub tolerance_upper_mg: f64,
-    /// What the controller may know of it.
-    pub known: Known,
+    /// Step of the balance's display, mg.
+    pub readability_mg: f64,
 }
 
 /// How a weighing went.
@@ -111,20 +111,17 @@ fn dose(
     let mut now = bench.read()?;
     record(tick(bench, 0, start_s, Action::default(), now));
     let mut before = now;
-    let mut dosing = controller.begin(rules, &order.known);
-    let rules = *dosing.rules();
     let limits = Limits::new(rules.pitch, rules.steps_max);
+    let mut dosing = controller.begin(rules, order.readability_mg);
     for steps in 0.. {
         if stop.load(Ordering::SeqCst) {
             return Ok(End::Stopped);
         }
         let seen = Observation { reading_mg: now.mass_mg, target_mg: order.target_mg, pitch_deg: bench.pitch_deg() };
         let situation = Situation { target_mg: order.target_mg, steps, pitch_deg: seen.pitch_deg, before, now };
-        let proposed = dosing.propose(&seen);
-        let is_over = rules.after(steps, &seen) == Episode::Terminated || rules.is_decided(&proposed);
-        let action = match guard(&limits, &situation, proposed) {
-            // The guard allows nothing on a reading that is not stable.
-            Ok(_) if is_over => return Ok(End::Course),
+        let allowed = guard(&limits, &situation, dosing.propose(&seen));
+        let action = match allowed {
+            Ok(_) if now.stable && rules.after(steps, &seen) == Episode::Terminated => return Ok(End::Course),
             Ok(action) => action,
             Err(halt) if halt.is_expected() => return Ok(End::Course),
             Err(halt) => return Ok(End::Aborted(halt.to_string())),

@@ -83,8 +83,7 @@ fn shaker() -> Controller {
     Controller::Schedule(Schedule { steps: vec![ScheduledStep { pitch_deg: 8.0, shake_mm: 5.0 }] })
 }
 
-const KNOWN: Known = Known { readability_mg: 1.0, repose_deg: None };
-const ORDER: Order = Order { target_mg: 10.0, tolerance_lower_mg: 1.0, tolerance_upper_mg: 1.0, known: KNOWN };
+const ORDER: Order = Order { target_mg: 10.0, tolerance_lower_mg: 1.0, tolerance_upper_mg: 1.0, readability_mg: 1.0 };
 
 fn weigh_on(bench: &mut Scripted, rules: &Rules) -> Weighed {
     weigh(bench, &shaker(), rules, &ORDER, |_| {}, &AtomicBool::new(false))
@@ -171,7 +170,7 @@ fn a_controller_that_panics_leaves_a_level_spoon() {
 
 #[test]
 fn tolerances_are_judged_by_the_reading_on_either_side() {
-    let order = Order { target_mg: 15.0, tolerance_lower_mg: 2.0, tolerance_upper_mg: 0.1, known: KNOWN };
+    let order = Order { target_mg: 15.0, tolerance_lower_mg: 2.0, tolerance_upper_mg: 0.1, readability_mg: 1.0 };
     for (reading, outcome) in
         [(12.9, Outcome::Under), (13.0, Outcome::Within), (15.1, Outcome::Within), (15.2, Outcome::Over)]
     {
