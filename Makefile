@@ -3,12 +3,13 @@
 # make bench-peers   the simulator's speed beside other simulators', which it installs (python3.11, PyPI)
 # make bench-learner   the learner's speed beside Stable-Baselines3's, which it installs (python3, PyPI)
 # make calibration-report   the published method and ours on the five powders, twenty minutes on two cores
+# make training-report   trains ours and the four published orders, and weighs with all; hours, stop it and call it again (EPISODES=4000)
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test setup web chromium bench bench-peers bench-learner calibration-report lint
+.PHONY: run test setup web chromium bench bench-peers bench-learner calibration-report training-report lint
 
 ARGS ?=
 LOGS := target/test
@@ -67,6 +68,26 @@ calibration-report: setup
 	for method in paper emulator; do
 		echo "--method $$method"
 		cargo run --quiet --release --locked -- calibrate --data-dir "$$folder" --powder all --method "$$method" $(ARGS)
+	done
+
+# Jobs that its data folder has finished are found and one that was stopped goes on from its checkpoint, so it can be made in pieces.
+EPISODES ?= 200
+training-report: setup
+	cargo build --release --locked
+	data="$${DATA:-$(CURDIR)/target/training-report}"
+	flip() { cargo run --quiet --release --locked -- "$$@" --data-dir "$$data" --seed 1; }
+	policy() { python3 -c 'import json, sys; print(json.load(sys.stdin)["policy"])'; }
+	doses() { echo "== $$*"; flip evaluate --targets-mg 5,10,15,20 --repeats 5 "$$@"; }
+	ours=$$(flip train --json | policy)
+	doses --policy "$$ours"
+	for conditions in '--readability-mg 0.1 --max-shakes 30' '--particles 3500' '--extension rotation=1 --extension rolling_friction=0.2' \
+			'--extension size_spread=0.2' '--extension humidity=0.5'; do
+		doses --policy "$$ours" --controllers policy,dispenser $$conditions
+	done
+	for order in curriculum random reverse domain-randomisation; do
+		paper=$$(flip train --order "$$order" --preset paper --episodes $(EPISODES) --json | policy)
+		echo "== preset paper, $$order, $(EPISODES) episodes"
+		doses --policy "$$paper" --controllers policy
 	done
 
 lint: setup
