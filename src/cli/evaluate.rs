@@ -17,7 +17,7 @@ use serde::Serialize;
 /// Arguments of `flip evaluate`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Policy id [default: the newest].
+    /// Policy id [default: the newest; the shipped one as long as nothing was trained].
     #[arg(long, value_name = "ID")]
     policy: Option<String>,
     /// Some of policy, untrained, fixed, schedule, dispenser, pid, fuzzy [default: all].

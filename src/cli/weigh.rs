@@ -26,7 +26,7 @@ pub(super) struct Arguments {
     /// Accepted error either way, mg.
     #[arg(long, value_name = "MG", default_value_t = 1.0, allow_negative_numbers = true)]
     tolerance_mg: f64,
-    /// Policy id [default: the best evaluated one for the powder, the newest if none is evaluated].
+    /// Policy id [default: the one with the smallest evaluated error on the powder, the shipped one if none is evaluated].
     #[arg(long, value_name = "ID")]
     policy: Option<String>,
 }

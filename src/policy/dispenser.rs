@@ -29,9 +29,9 @@ use super::response::{Response, Spoonful};
 use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MAX};
 use crate::stats::normal::quantile;
 
-/// Spoonfules of the spoon at hand.
+/// Guesses of the spoon at hand.
 const GUESSES: usize = 384;
-/// Spoonfules with which each action is played to the end.
+/// Guesses with which each action is played to the end.
 const ROLLOUTS: usize = 96;
 /// Changes of the pitch among which it chooses, degrees.
 const CHANGES_DEG: [f64; 9] = [-8.0, -5.0, -3.0, -1.5, 0.0, 2.0, 4.0, 6.0, 8.0];
