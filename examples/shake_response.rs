@@ -2,16 +2,21 @@
 //!
 //! ```text
 //! flip calibrate --powder all --json > sets.json
-//! cargo run --release --example shake_response -- sets.json [SPOONS] [SEED] > steps.csv
+//! cargo run --release --example shake_response -- sets.json [SPOONS] [SEED] [LOWEST_DEG] > steps.csv
+//! cargo run --release --example shake_response -- box:300 [SPOONS] [SEED] [LOWEST_DEG] > box.csv
 //! ```
 //!
-//! A course goes up by at most 8 deg a step to a pitch of its own and shakes there, each time with another amplitude and a little higher or
-//! lower. A line for each step: masses in mg, pitches in degrees, the amplitude in mm.
+//! `box:300` is 300 sets spread over the whole published box, by the seed. A course goes up or down by at most 8 deg a step to a pitch of its own,
+//! between LOWEST_DEG (10) and 50 deg, and shakes there, each time with another amplitude and a little higher or lower. A line for each step: masses in mg, pitches in degrees, the
+//! amplitude in mm; the angle of repose is empty where nobody measured it; d1 to d5 are the five numbers that a heap depends on
+//! (`sim::directions`).
 
-use flip::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MAX};
+use flip::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, PitchLimits, SHAKE_MM_MAX};
 use flip::domain::parameters::ParameterSet;
 use flip::domain::seed::derive;
+use flip::sim::directions;
 use flip::sim::dispense::{Dispenser, Settings};
+use flip::stats::latin_hypercube::latin_hypercube;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
@@ -29,7 +34,7 @@ struct Document {
 #[derive(Deserialize)]
 struct Powder {
     powder: String,
-    target_deg: f64,
+    target_deg: Option<f64>,
     sets: Vec<Set>,
 }
 
@@ -40,12 +45,20 @@ struct Set {
 
 fn main() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let Some(path) = arguments.first() else {
-        anyhow::bail!("shake_response SETS.json [SPOONS] [SEED]: SETS.json is what `flip calibrate --json` prints");
+    let Some(source) = arguments.first() else {
+        anyhow::bail!(
+            "shake_response SETS [SPOONS] [SEED] [LOWEST_DEG]: SETS is what `flip calibrate --json` printed, or box:300"
+        );
     };
     let number = |k: usize, default: u64| arguments.get(k).map_or(Ok(default), |text| text.parse());
     let (spoons, seed) = (number(1, 4)?, number(2, 1)?);
-    let document: Document = serde_json::from_slice(&std::fs::read(path)?)?;
+    let lowest_deg: f64 = arguments.get(3).map_or(Ok(10.0), |text| text.parse())?;
+    let range = PitchLimits::WIDE.lower_deg..PitchLimits::WIDE.upper_deg;
+    anyhow::ensure!(range.contains(&lowest_deg), "LOWEST_DEG must be from {} to below {}", range.start, range.end);
+    let document: Document = match source.strip_prefix("box:") {
+        Some(count) => whole_box(count.parse()?, seed),
+        None => serde_json::from_slice(&std::fs::read(source)?)?,
+    };
     let mut courses = Vec::new();
     for (p, powder) in document.powders.iter().enumerate() {
         for (s, set) in powder.sets.iter().enumerate() {
@@ -53,17 +66,29 @@ fn main() -> anyhow::Result<()> {
             courses.extend(seeds.map(|seed| (powder, s, &set.parameters, seed)));
         }
     }
-    println!("powder,aor_deg,set,course,step,pitch_before_deg,pitch_deg,shake_mm,spoon_mg,poured_mg,spilled_mg");
-    let lines: Vec<String> = courses.par_iter().map(|(powder, s, set, seed)| course(powder, *s, set, *seed)).collect();
+    println!(
+        "powder,aor_deg,set,course,step,pitch_before_deg,pitch_deg,shake_mm,spoon_mg,poured_mg,spilled_mg,d1,d2,d3,d4,d5"
+    );
+    let lines: Vec<String> =
+        courses.par_iter().map(|(powder, s, set, seed)| course(powder, *s, set, *seed, lowest_deg)).collect();
     print!("{}", lines.concat());
     Ok(())
 }
 
-fn course(powder: &Powder, number: usize, set: &ParameterSet, seed: u64) -> String {
+/// Sets spread over the published box, in place of calibrated ones.
+fn whole_box(count: usize, seed: u64) -> Document {
+    let points = latin_hypercube(count, &mut Pcg64Mcg::seed_from_u64(derive(seed, &[])));
+    let sets = points.into_iter().map(|point| Set { parameters: ParameterSet::from_unit(point) }).collect();
+    Document { powders: vec![Powder { powder: "box".into(), target_deg: None, sets }] }
+}
+
+fn course(powder: &Powder, number: usize, set: &ParameterSet, seed: u64, lowest_deg: f64) -> String {
     let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[1]));
     let mut spoon = Dispenser::new(set, &Settings::default(), derive(seed, &[0]));
-    let cruise_deg = rng.random_range(10.0..50.0f64);
+    let cruise_deg = rng.random_range(lowest_deg..PitchLimits::WIDE.upper_deg);
     let mut lines = String::new();
+    let angle = powder.target_deg.map_or(String::new(), |deg| deg.to_string());
+    let [d1, d2, d3, d4, d5] = directions(set);
     for step in 0..STEPS {
         let (before_deg, held_mg) = (spoon.pitch_deg(), spoon.spoon_mg());
         let missing = cruise_deg - before_deg;
@@ -75,11 +100,11 @@ fn course(powder: &Powder, number: usize, set: &ParameterSet, seed: u64) -> Stri
         // As many small shakes as large ones, and a fifth of the steps without.
         let shake_mm = if rng.random_bool(0.2) { 0.0 } else { rng.random_range(0.0..SHAKE_MM_MAX.ln()).exp() };
         let poured = spoon.step(Action { incline_change_deg: change, shake_mm });
-        let (name, angle) = (&powder.powder, powder.target_deg);
+        let name = &powder.powder;
         let (pitch_deg, mg, spilled_mg) = (spoon.pitch_deg(), poured.vial_mg, poured.spilled_mg);
         writeln!(
             lines,
-            "{name},{angle},{number},{seed},{step},{before_deg:.2},{pitch_deg:.2},{shake_mm:.3},{held_mg:.3},{mg:.4},{spilled_mg:.4}"
+            "{name},{angle},{number},{seed},{step},{before_deg:.2},{pitch_deg:.2},{shake_mm:.3},{held_mg:.3},{mg:.4},{spilled_mg:.4},{d1:.4},{d2:.4},{d3:.4},{d4:.4},{d5:.4}"
         )
         .expect("text grows");
     }

@@ -6,14 +6,15 @@
 //!
 //! `powders.json` is a list of `{"powder", "repose_deg", "sets": [...nine parameters each], "train": true|false}`; all of
 //! them are weighed, those marked `train` are trained on. `settings.json` overrides fields of `train::Settings`, plus
-//! `preset`, `order`, `save`, and `targets_mg`, `repeats`, `max_steps`, `rivals` (names), `response` (of the dispenser), `evaluation_seed`, `trace` of the evaluation. With a third
-//! argument that policy is weighed instead of a new one, with `"learn": false` none. Progress goes to stderr.
+//! `preset`, `order`, `save`, and `targets_mg`, `repeats`, `max_steps`, `rivals` (names), `response` (of the dispenser), `fuzzy` and `paced` (rules), `evaluation_seed`, `trace` of the evaluation. With a third
+//! argument that policy is weighed instead of a new one, with `"learn": false` none. With `checkpoint`, a file, and `seconds` a training stops in
+//! time and ends the program with status 3; called again it goes on from that file. Progress goes to stderr.
 
 use flip::domain::parameters::ParameterSet;
 use flip::jobs::bench::{Pour, Poured, Pouring, simulated};
-use flip::policy::{self, Controller, Dispenser, Response, Rules, ScheduledStep};
+use flip::policy::{self, Controller, Dispenser, Fuzzy, Paced, Response, Rules, ScheduledStep};
 use flip::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
-use flip::train::{Event, Level, Preset, Settings, train};
+use flip::train::{Event, Level, Preset, Settings, TrainError, train};
 use flip::weigh::Order;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -40,6 +41,10 @@ fn settings(overrides: &Value) -> anyhow::Result<Settings> {
             *old = new.clone();
         }
     }
+    // Left out of the text where it is 0.
+    if let Some(episodes) = overrides.get("surrogate_episodes") {
+        value["surrogate_episodes"] = episodes.clone();
+    }
     Ok(serde_json::from_value::<Settings>(value)?.checked()?)
 }
 
@@ -52,10 +57,35 @@ fn response(overrides: &Value) -> anyhow::Result<Response> {
     Ok(serde_json::from_value::<Response>(value)?.checked()?)
 }
 
-/// Train on these levels, telling each episode; the policy's bytes.
-fn learn(levels: &[Level], settings: &Settings) -> anyhow::Result<Vec<u8>> {
+/// The fuzzy rules with the fields that the file names replaced.
+fn fuzzy(overrides: &Value) -> anyhow::Result<Fuzzy> {
+    let mut value = serde_json::to_value(Fuzzy::CHOSEN)?;
+    for (key, new) in overrides.get("fuzzy").and_then(Value::as_object).into_iter().flatten() {
+        value[key] = new.clone();
+    }
+    Ok(serde_json::from_value::<Fuzzy>(value)?.checked()?)
+}
+
+/// The paced rules with the fields that the file names replaced.
+fn paced(overrides: &Value) -> anyhow::Result<Paced> {
+    let mut value = serde_json::to_value(Paced::CHOSEN)?;
+    for (key, new) in overrides.get("paced").and_then(Value::as_object).into_iter().flatten() {
+        value[key] = new.clone();
+    }
+    Ok(serde_json::from_value::<Paced>(value)?.checked()?)
+}
+
+/// Train on these levels, telling each episode; the policy's bytes, or none when the time was up first.
+fn learn(levels: &[Level], settings: &Settings, overrides: &Value) -> anyhow::Result<Option<Vec<u8>>> {
     let started = Instant::now();
-    let trained = train(levels, settings, None, &|| ControlFlow::Continue(()), |event| {
+    let path = overrides.get("checkpoint").and_then(Value::as_str);
+    let seconds = overrides.get("seconds").and_then(Value::as_f64).unwrap_or(f64::INFINITY);
+    let resume = path.filter(|path| std::fs::exists(path).unwrap_or(false)).map(std::fs::read).transpose()?;
+    let flow = || match started.elapsed().as_secs_f64() < seconds {
+        true => ControlFlow::Continue(()),
+        false => ControlFlow::Break(()),
+    };
+    let trained = train(levels, settings, resume.as_deref(), &flow, |event| {
         if let Event::Episode(e) = event {
             let alpha = e.losses.map_or(f64::NAN, |l| l.alpha);
             let (s, error_mg) = (started.elapsed().as_secs_f64(), e.dispensed_mg - e.target_mg);
@@ -65,8 +95,14 @@ fn learn(levels: &[Level], settings: &Settings) -> anyhow::Result<Vec<u8>> {
             );
         }
         ControlFlow::Continue(())
-    })?;
-    Ok(trained.artifact)
+    });
+    match (trained, path) {
+        (Err(TrainError::Stopped { checkpoint }), Some(path)) => {
+            std::fs::write(path, checkpoint)?;
+            Ok(None)
+        }
+        (trained, _) => Ok(Some(trained?.artifact)),
+    }
 }
 
 /// One dose by the loop that real weighings use.
@@ -117,7 +153,10 @@ fn main() -> anyhow::Result<()> {
     let artifact = match rest.first() {
         Some(path) => Some(std::fs::read(path)?),
         None if overrides.get("learn") == Some(&json!(false)) => None,
-        None => Some(learn(&levels, &settings)?),
+        None => match learn(&levels, &settings, &overrides)? {
+            Some(artifact) => Some(artifact),
+            None => std::process::exit(3),
+        },
     };
     let train_s = started.elapsed().as_secs_f64();
     if let (Some(path), Some(bytes)) = (overrides.get("save").and_then(Value::as_str), &artifact) {
@@ -136,7 +175,9 @@ fn main() -> anyhow::Result<()> {
             "untrained" => Controller::untrained(1),
             "fixed" => Controller::Fixed(ScheduledStep::FIXED),
             "dispenser" => Controller::Dispenser(Dispenser::new(response(&overrides)?)),
-            other => anyhow::bail!("there is no rival `{other}`: untrained, fixed, dispenser"),
+            "fuzzy" => Controller::Fuzzy(fuzzy(&overrides)?),
+            "paced" => Controller::Paced(paced(&overrides)?),
+            other => anyhow::bail!("there is no rival `{other}`: untrained, fixed, dispenser, fuzzy, paced"),
         };
         contenders.push(Contender { name, controller });
     }

@@ -3,18 +3,19 @@
 //!
 //! ```text
 //! flip calibrate --powder all --sets 10 --seed 1 --json > sets.json
-//! cargo run --release --example tune_schedule -- sets.json [candidates] [seed] [schedule|pid|fuzzy]
+//! cargo run --release --example tune_schedule -- sets.json [candidates] [seed] [schedule|pid|fuzzy] [surrogate]
 //! ```
 //!
 //! A rival's every advantage is granted: it is tuned on all five powders, not on three, and for the targets of the evaluation, 15 and
-//! 20 mg. Only the heaps differ. Prints the rival, its error in the search (optimistic: it was chosen for being small), and its
+//! 20 mg. Only the heaps differ. With `surrogate`, PID and fuzzy rules are searched on the surrogate spoon, where a pour takes microseconds; their error on
+//! other heaps is the simulator's either way. Prints the rival, its error in the search (optimistic: it was chosen for being small), and its
 //! error on heaps that the search did not see.
 
 use flip::domain::parameters::ParameterSet;
 use flip::train::environment::simulated;
 use flip::train::rivals::{self, Rival};
 use flip::train::schedule::{self, Tuning};
-use flip::train::{Level, Order, Preset, Settings};
+use flip::train::{Level, Order, Preset, Settings, Surrogate};
 use serde::Deserialize;
 use serde_json::json;
 use std::time::Instant;
@@ -40,7 +41,7 @@ struct Set {
 fn main() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [sets, rest @ ..] = arguments.as_slice() else {
-        anyhow::bail!("tune_schedule SETS.json [CANDIDATES] [SEED] [schedule|pid|fuzzy]");
+        anyhow::bail!("tune_schedule SETS.json [CANDIDATES] [SEED] [schedule|pid|fuzzy] [surrogate]");
     };
     let calibrated: Calibrated = serde_json::from_slice(&std::fs::read(sets)?)?;
     let levels: Vec<Level> = calibrated
@@ -71,7 +72,11 @@ fn main() -> anyhow::Result<()> {
                 "fuzzy" => Rival::Fuzzy,
                 other => anyhow::bail!("`{other}` must be schedule, pid or fuzzy"),
             };
-            let tuned = rivals::tune(&filling, &levels, &tuning, rival);
+            let tuned = match rest.get(3).map(String::as_str) {
+                None => rivals::tune(&filling, &levels, &tuning, rival),
+                Some("surrogate") => rivals::tune(&Surrogate { pitch: tuning.rules.pitch }, &levels, &tuning, rival),
+                Some(other) => anyhow::bail!("`{other}` must be surrogate, or left out"),
+            };
             let others_mg = rivals::assess(&filling, &levels, &tuning, &tuned.controller, 10, seed + 1);
             (json!(tuned), tuned.pours, others_mg)
         }

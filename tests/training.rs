@@ -46,10 +46,11 @@ fn small_recurrent(replayed: Replayed) -> Settings {
 }
 
 /// Every kind of training that must be reproducible.
-fn kinds() -> [Settings; 4] {
+fn kinds() -> [Settings; 5] {
     let recurrent = [Replayed::StoredState, Replayed::Episodes].map(small_recurrent);
     let [stored, episodes] = recurrent;
-    [small(Order::Curriculum), small(Order::DomainRandomisation), stored, episodes]
+    let surrogate = Settings { surrogate_episodes: 10, ..small(Order::Reverse) };
+    [small(Order::Curriculum), small(Order::DomainRandomisation), stored, episodes, surrogate]
 }
 
 /// Never stops.
@@ -108,6 +109,19 @@ fn a_trained_policy_errs_less_than_half_as_much_as_an_untrained_one() {
     println!("trained {ours:.2} mg, untrained {untrained:.2} mg");
     assert!(ours < untrained / 2.0, "trained {ours}, untrained {untrained}");
     assert!(ours < 3.0, "{ours}");
+}
+
+#[test]
+fn the_first_episodes_are_played_on_the_surrogate_and_the_others_are_not() {
+    let of = |surrogate_episodes| run(&Settings { surrogate_episodes, ..small(Order::Curriculum) }, None).1;
+    let (none, some, all) = (of(0), of(10), of(26));
+    // Rounds of four: the third has both.
+    assert_eq!(some[..8], all[..8]);
+    let dispensed = |episodes: &[EpisodeRecord]| episodes.iter().map(|e| e.dispensed_mg).collect::<Vec<_>>();
+    assert_eq!(dispensed(&some[8..10]), dispensed(&all[8..10]));
+    assert_ne!(dispensed(&some[..4]), dispensed(&none[..4]));
+    assert_ne!(dispensed(&some[10..12]), dispensed(&all[10..12]));
+    assert!(some.iter().zip(&none).all(|(a, b)| a.target_mg == b.target_mg), "the same doses are asked for");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use super::{App, Error, Result};
 use crate::domain::job::JobKind;
 use crate::domain::powder::PUBLISHED;
 use crate::domain::{FieldError, bounded};
-use crate::jobs::evaluate::{CONTROLLERS, EvaluationResult, tuned_schedule};
+use crate::jobs::evaluate::{CONTROLLERS, EvaluationResult, rival, tuned_schedule};
 use crate::jobs::{Conditions, EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR};
 use crate::store::jobs::{Job, JobRow};
 use crate::store::page::{Page, PageQuery};
@@ -26,7 +26,7 @@ const LIST_MAX: usize = 20;
 pub struct EvaluationRequest {
     /// Policy id; default the newest, which is the shipped one as long as nothing was trained.
     pub policy: Option<String>,
-    /// Some of `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid`, `fuzzy`; default all.
+    /// Some of `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid`, `fuzzy`, `paced`; default all.
     pub controllers: Option<Vec<String>>,
     /// Powder ids; default the five published ones.
     pub powders: Option<Vec<String>>,
@@ -95,9 +95,11 @@ impl App {
             within_the_spoon(&id, &targets_mg, &sets, &conditions)?;
             subjects.push(EvaluationPowder { powder: id, sets: sets.into_iter().map(|set| set.id).collect() });
         }
+        let controllers = request.controllers.unwrap_or_else(|| CONTROLLERS.map(str::to_owned).to_vec());
         let spec = EvaluationSpec {
             policy: policy.id,
-            controllers: request.controllers.unwrap_or_else(|| CONTROLLERS.map(str::to_owned).to_vec()),
+            rivals: controllers.iter().filter_map(|name| rival(name)).collect(),
+            controllers,
             schedule: tuned_schedule(),
             powders: subjects,
             targets_mg,

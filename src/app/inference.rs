@@ -25,6 +25,7 @@ pub struct Driver(Policy);
 pub struct Driving<'a> {
     dosing: Dosing<'a>,
     rules: Rules,
+    readability_mg: f64,
     steps: u32,
     target_mg: Option<f64>,
 }
@@ -46,7 +47,8 @@ impl Driver {
     pub fn begin(&self, readability_mg: f64) -> Result<Driving<'_>> {
         bounded("readability_mg", readability_mg, 0.001, 10.0, "mg")?;
         let rules = self.0.manifest.rules;
-        Ok(Driving { dosing: self.0.controller.begin(&rules, readability_mg), rules, steps: 0, target_mg: None })
+        let dosing = self.0.controller.begin(&rules, readability_mg);
+        Ok(Driving { dosing, rules, readability_mg, steps: 0, target_mg: None })
     }
 }
 
@@ -74,7 +76,7 @@ impl Driving<'_> {
     /// `Invalid` names what is not possible.
     pub fn next(&mut self, seen: &Observation) -> Result<Proposal> {
         self.check("", seen)?;
-        let episode = self.rules.after(self.steps, seen);
+        let episode = self.rules.after(self.steps, seen, self.readability_mg);
         self.steps += 1;
         Ok(Proposal { action: self.dosing.propose(seen), episode })
     }

@@ -33,6 +33,8 @@ pub struct TrainingRequest {
     pub preset: Preset,
     /// Episodes, 1 to 20000; default the preset's: 240 for a demonstration, 4000 (the full budget) for the paper's.
     pub episodes: Option<u32>,
+    /// Of these, the first on a fast model of the spoon instead of the simulator, 0 to all; default 0.
+    pub surrogate_episodes: Option<u32>,
     /// Powders whose calibrated sets are the levels; default `sand`, `sugar`, `salt`. Not with the `paper` preset.
     pub powders: Option<Vec<String>>,
     /// Seed; default 1.
@@ -174,6 +176,7 @@ fn settings_of(request: &TrainingRequest) -> Result<Settings> {
     check.done()?;
     let mut settings = Settings::of(request.preset, request.order, request.seed.unwrap_or(1));
     settings.episodes = request.episodes.unwrap_or(settings.episodes);
+    settings.surrogate_episodes = request.surrogate_episodes.unwrap_or(settings.surrogate_episodes);
     // Episodes are seconds of work, a checkpoint is a fraction of one.
     let rounds = (EPISODES_PER_CHECKPOINT / settings.episodes_per_round).max(1);
     settings.rounds_per_checkpoint = settings.rounds_per_checkpoint.min(rounds);

@@ -128,7 +128,10 @@ impl App {
     async fn policy_for(&self, powder: &str, named: Option<&str>) -> Result<Policy> {
         let id = match named {
             Some(id) => id.to_owned(),
-            None => self.store().best_policy(powder).await?.unwrap_or_else(|| shipped().id.clone()),
+            None => {
+                let shipped = &shipped().id;
+                self.store().best_policy(powder, shipped).await?.unwrap_or_else(|| shipped.clone())
+            }
         };
         self.store().policy(&id).await?.ok_or_else(|| {
             FieldError::new("policy", format!("there is no policy `{id}`: GET /v1/policies lists them")).into()

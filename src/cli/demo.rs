@@ -192,8 +192,8 @@ async fn learn(app: &App, watch: &Watch, common: &Common, arguments: &Arguments)
         order: Order::Curriculum,
         preset: Preset::Flip,
         episodes: arguments.episodes,
-        powders: None,
         seed: Some(common.seed),
+        ..Default::default()
     };
     let training = train(app, watch, request).await?;
     Ok(training.result.ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?)

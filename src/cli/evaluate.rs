@@ -20,7 +20,7 @@ pub(super) struct Arguments {
     /// Policy id [default: the newest; the shipped one as long as nothing was trained].
     #[arg(long, value_name = "ID")]
     policy: Option<String>,
-    /// Some of policy, untrained, fixed, schedule, dispenser, pid, fuzzy [default: all].
+    /// Some of policy, untrained, fixed, schedule, dispenser, pid, fuzzy, paced [default: all].
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     controllers: Option<Vec<String>>,
     /// Powder ids [default: the five published powders].

@@ -28,6 +28,9 @@ pub(super) struct Arguments {
     /// Episodes [default: the preset's: a demonstration's for flip, the full 4000 for paper].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     episodes: Option<u32>,
+    /// Of these, the first N on a fast model of the spoon instead of the simulator [default: 0].
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    surrogate_episodes: Option<u32>,
     /// Powders whose calibrated sets are the levels [default: sand,sugar,salt]; not with the paper preset.
     #[arg(long, value_name = "ID,…", value_delimiter = ',')]
     powders: Option<Vec<String>>,
@@ -80,6 +83,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         order: arguments.order.into(),
         preset: arguments.preset.into(),
         episodes: arguments.episodes,
+        surrogate_episodes: arguments.surrogate_episodes,
         powders: arguments.powders.clone(),
         seed: Some(common.seed),
     };

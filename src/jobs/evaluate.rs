@@ -5,7 +5,9 @@ use super::context::{JobContext, JobError};
 use super::spec::EvaluationSpec;
 use crate::domain::job::Progress;
 use crate::domain::parameters::ParameterSet;
-use crate::policy::{self, Controller, Fuzzy, Pid, Policy, Rules, Schedule, ScheduledStep};
+use crate::policy::{
+    self, Controller, Dispenser, Fuzzy, Kind, Paced, Pid, Policy, Response, Rules, Schedule, ScheduledStep,
+};
 use crate::sim::balance;
 use crate::store;
 use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
@@ -16,11 +18,9 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// The controllers that an evaluation can compare.
-pub const CONTROLLERS: [&str; 7] = [POLICY, "untrained", "fixed", "schedule", DISPENSER, "pid", "fuzzy"];
+pub const CONTROLLERS: [&str; 8] = [POLICY, "untrained", "fixed", "schedule", "dispenser", "pid", "fuzzy", "paced"];
 /// The one that the evaluation is about.
 pub const POLICY: &str = "policy";
-/// The shipped policy.
-const DISPENSER: &str = "dispenser";
 
 /// What an evaluation found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -71,18 +71,28 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
     };
     context.succeed(&result, async |tx| {
         for (position, row) in (0..).zip(&result.rows) {
-            // Errors under unusual conditions do not say which policy weighs best under usual ones.
-            let about = match row.controller.as_str() {
-                _ if !spec.conditions.are_usual() => None,
-                POLICY => Some(spec.policy.as_str()),
-                DISPENSER => Some(policy::shipped().id.as_str()),
-                _ => None,
-            };
+            let about = about(spec, &policy, &rules, &row.controller);
             tx.insert_evaluation_row(context.id(), position, about, row).await?;
         }
         Ok(())
     })?;
     Ok(())
+}
+
+/// The policy that a controller's errors are evidence about, if they are: only doses like those of a weighing, on its spoon, with its balance
+/// and in the frame that the policy was made for, say which policy weighs best.
+fn about<'a>(spec: &'a EvaluationSpec, policy: &Policy, rules: &Rules, controller: &str) -> Option<&'a str> {
+    let usual_balance = spec.readability_mg == balance::Settings::default().readability_mg;
+    let usual = |of: &Policy| spec.conditions.are_usual() && usual_balance && *rules == of.manifest.rules;
+    let shipped = policy::shipped();
+    match controller {
+        POLICY => usual(policy).then_some(spec.policy.as_str()),
+        name => {
+            let is_shipped =
+                spec.rivals.iter().any(|kind| kind.name() == name && *kind == shipped.policy.manifest.kind);
+            (is_shipped && usual(&shipped.policy)).then_some(shipped.id.as_str())
+        }
+    }
 }
 
 fn load_policy(context: &JobContext, id: &str) -> Result<Policy, JobError> {
@@ -98,10 +108,13 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
             "untrained" => Controller::untrained(spec.seed),
             "fixed" => Controller::Fixed(ScheduledStep::FIXED),
             "schedule" => Controller::Schedule(spec.schedule.clone()),
-            DISPENSER => policy::shipped().policy.controller.clone(),
-            "pid" => Controller::Pid(Pid::CHOSEN),
-            "fuzzy" => Controller::Fuzzy(Fuzzy::CHOSEN),
-            other => return Err(JobError::Fail(format!("there is no controller `{other}`"))),
+            other => match spec.rivals.iter().find(|kind| kind.name() == other).cloned().or_else(|| rival(other)) {
+                Some(Kind::Dispenser { response }) => Controller::Dispenser(Dispenser::new(response)),
+                Some(Kind::Pid { gains }) => Controller::Pid(gains),
+                Some(Kind::Fuzzy { fuzzy }) => Controller::Fuzzy(fuzzy),
+                Some(Kind::Paced { paced }) => Controller::Paced(paced),
+                _ => return Err(JobError::Fail(format!("there is no controller `{other}`"))),
+            },
         };
         Ok(Contender { name: name.clone(), controller })
     };
@@ -121,6 +134,17 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
         repeats: spec.repeats,
         seed: spec.seed,
     })
+}
+
+/// What a rival is in this program: its numbers belong to what an evaluation depends on.
+pub fn rival(name: &str) -> Option<Kind> {
+    match name {
+        "dispenser" => Some(Kind::Dispenser { response: Response::FITTED }),
+        "pid" => Some(Kind::Pid { gains: Pid::CHOSEN }),
+        "fuzzy" => Some(Kind::Fuzzy { fuzzy: Fuzzy::CHOSEN }),
+        "paced" => Some(Kind::Paced { paced: Paced::CHOSEN }),
+        _ => None,
+    }
 }
 
 /// The open-loop rival: what `examples/tune_schedule.rs` found with its defaults, on all five powders and for 15 and 20 mg (1840

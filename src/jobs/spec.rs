@@ -5,7 +5,7 @@ use crate::calibrate;
 use crate::domain::job::JobKind;
 use crate::domain::observable::Observation;
 use crate::domain::powder::Flowability;
-use crate::policy::Schedule;
+use crate::policy::{Kind, Schedule};
 use crate::sim;
 use crate::train;
 use serde::{Deserialize, Serialize};
@@ -66,6 +66,9 @@ pub struct EvaluationSpec {
     pub controllers: Vec<String>,
     /// What the controller `schedule` does.
     pub schedule: Schedule,
+    /// What the dispenser, the PID and the rules among the controllers are; empty in specifications from before, whose were this program's.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rivals: Vec<Kind>,
     /// Powders, and the sets that stand for them.
     pub powders: Vec<EvaluationPowder>,
     /// Targets, mg.

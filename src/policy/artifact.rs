@@ -105,6 +105,9 @@ pub fn decode(bytes: &[u8]) -> Result<Policy, ArtifactError> {
         Kind::Fuzzy { fuzzy } => {
             Controller::Fuzzy(fuzzy.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?)
         }
+        Kind::Paced { paced } => {
+            Controller::Paced(paced.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?)
+        }
     };
     Ok(Policy { manifest, controller })
 }
@@ -168,6 +171,7 @@ mod tests {
     use crate::policy::controller::Schedule;
     use crate::policy::episode::Rules;
     use crate::policy::fuzzy::Fuzzy;
+    use crate::policy::paced::Paced;
     use crate::policy::pid::{Gains, Pid};
     use proptest::prelude::*;
 
@@ -198,11 +202,12 @@ mod tests {
         Policy { manifest: Manifest::of_untrained(kind, Rules::FLIP, 0), controller }
     }
 
-    fn rivals() -> [Policy; 2] {
+    fn rivals() -> [Policy; 3] {
         let policy = |kind, controller| Policy { manifest: Manifest::of_untrained(kind, Rules::FLIP, 0), controller };
         [
             policy(Kind::Pid { gains: Pid::CHOSEN }, Controller::Pid(Pid::CHOSEN)),
             policy(Kind::Fuzzy { fuzzy: Fuzzy::CHOSEN }, Controller::Fuzzy(Fuzzy::CHOSEN)),
+            policy(Kind::Paced { paced: Paced::CHOSEN }, Controller::Paced(Paced::CHOSEN)),
         ]
     }
 
@@ -238,11 +243,13 @@ mod tests {
         let mut policy = dispensing();
         policy.manifest.kind = Kind::Dispenser { response: Response { bend: -1.0, ..Response::FITTED } };
         assert!(decode(&encode(&policy)).unwrap_err().to_string().contains("bend"));
-        let [mut pid, mut fuzzy] = rivals();
+        let [mut pid, mut fuzzy, mut paced] = rivals();
         pid.manifest.kind = Kind::Pid { gains: Pid { shake: Gains { p: 11.0, i: 0.0, d: 0.0 }, ..Pid::CHOSEN } };
         assert!(decode(&encode(&pid)).unwrap_err().to_string().contains("shake.p"));
         fuzzy.manifest.kind = Kind::Fuzzy { fuzzy: Fuzzy { missing_mg: [3.0, 2.0, 4.0], ..Fuzzy::CHOSEN } };
         assert!(decode(&encode(&fuzzy)).unwrap_err().to_string().contains("missing_mg"));
+        paced.manifest.kind = Kind::Paced { paced: Paced { pace_mg: -1.0, ..Paced::CHOSEN } };
+        assert!(decode(&encode(&paced)).unwrap_err().to_string().contains("pace_mg"));
         let mut policy = scheduled();
         policy.manifest.rules.steps_max = 0;
         assert!(decode(&encode(&policy)).unwrap_err().to_string().contains("steps_max"));

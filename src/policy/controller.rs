@@ -5,6 +5,7 @@ use super::dispenser::Dispenser;
 use super::episode::Rules;
 use super::fuzzy::Fuzzy;
 use super::observation::{Encoding, Observation};
+use super::paced::Paced;
 use super::pid::Pid;
 use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX};
 use rand::SeedableRng;
@@ -26,6 +27,8 @@ pub enum Controller {
     Pid(Pid),
     /// Fuzzy rules on what is missing and what fell.
     Fuzzy(Fuzzy),
+    /// Fuzzy rules that suit the steps and the target.
+    Paced(Paced),
 }
 
 /// A pitch to be at and a shake to make there.
@@ -87,9 +90,12 @@ impl Controller {
     pub fn begin(&self, rules: &Rules, readability_mg: f64) -> Dosing<'_> {
         let carried = match self {
             Self::Learned(actor) => actor.begin(),
-            Self::Fixed(_) | Self::Schedule(_) | Self::Dispenser(_) | Self::Pid(_) | Self::Fuzzy(_) => {
-                Carried::default()
-            }
+            Self::Fixed(_)
+            | Self::Schedule(_)
+            | Self::Dispenser(_)
+            | Self::Pid(_)
+            | Self::Fuzzy(_)
+            | Self::Paced(_) => Carried::default(),
         };
         Dosing { controller: self, rules: *rules, readability_mg, done: Vec::new(), proposed: None, carried }
     }
@@ -139,6 +145,7 @@ impl Dosing<'_> {
             Controller::Dispenser(dispenser) => dispenser.propose(&self.done, seen, &self.rules, self.readability_mg),
             Controller::Pid(pid) => pid.propose(&self.done, seen),
             Controller::Fuzzy(fuzzy) => fuzzy.propose(&self.done, seen),
+            Controller::Paced(paced) => paced.propose(&self.done, seen, &self.rules),
         };
         self.proposed = Some((*seen, action));
         action
@@ -182,8 +189,9 @@ mod tests {
         let course = [seen(0.0, 0.0), seen(0.0, 8.0), seen(3.0, 16.0), seen(4.0, 20.0), seen(9.0, 22.0)];
         let step = |pitch_deg, shake_mm| ScheduledStep { pitch_deg, shake_mm };
         let schedule = Schedule { steps: vec![step(12.0, 5.0), step(30.0, 4.0), step(40.0, 3.0)] };
+        let paced = Controller::Paced(Paced::CHOSEN);
         for controller in
-            [Controller::Schedule(schedule), Controller::Pid(Pid::CHOSEN), Controller::Fuzzy(Fuzzy::CHOSEN)]
+            [Controller::Schedule(schedule), Controller::Pid(Pid::CHOSEN), Controller::Fuzzy(Fuzzy::CHOSEN), paced]
         {
             let mut whole = controller.begin(&Rules::FLIP, 1.0);
             let actions = course.map(|seen| whole.propose(&seen));

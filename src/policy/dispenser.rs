@@ -23,7 +23,7 @@
 //! (`docs/dispenser.md`).
 
 use super::controller::Done;
-use super::episode::{Ending, ON_TARGET_MG, Rules};
+use super::episode::{Ending, Rules, on_target_mg};
 use super::observation::Observation;
 use super::response::{Response, Spoonful};
 use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MAX};
@@ -61,6 +61,8 @@ struct Moment {
     poured_mg: f64,
     missing_mg: f64,
     left: u32,
+    /// The weighing ends when less is missing.
+    ends_mg: f64,
 }
 
 impl Dispenser {
@@ -83,6 +85,11 @@ impl Dispenser {
             poured_mg: seen.reading_mg.max(0.0),
             missing_mg: seen.missing_mg(),
             left: rules.steps_max.saturating_sub(done.len() as u32).max(1),
+            // A reading is rounded: half of the time it shows the missing step before it has fallen.
+            ends_mg: match rules.ending {
+                Ending::OnTarget => on_target_mg(readability_mg) / 2.0,
+                Ending::Never => f64::NEG_INFINITY,
+            },
         };
         let change = |change: f64| {
             let pitch = (seen.pitch_deg + change).clamp(rules.pitch.lower_deg, rules.pitch.upper_deg);
@@ -136,7 +143,7 @@ impl Dispenser {
     fn expected_loss(&self, guesses: &[Spoonful], now: Moment, action: Action, rules: &Rules) -> f64 {
         let play = |(j, guess): (usize, &Spoonful)| {
             let mut moment = self.after(guess, now, now.pitch_deg + action.incline_change_deg, action.shake_mm, j);
-            while moment.left > 0 && !(rules.ending == Ending::OnTarget && moment.missing_mg < ON_TARGET_MG / 2.0) {
+            while moment.left > 0 && moment.missing_mg >= now.ends_mg {
                 let (pitch_deg, shake_mm) = self.usual(guess, &moment, rules);
                 moment = self.after(guess, moment, pitch_deg, shake_mm, j);
             }
@@ -150,7 +157,8 @@ impl Dispenser {
         let mean = guess.mean_mg(&self.response, pitch_deg, shake_mm, now.poured_mg);
         let z = quantile(radical_inverse(j + 1, PRIMES[now.left as usize % PRIMES.len()]));
         let mass = if mean > 0.0 { self.response.draw(mean, z) } else { 0.0 };
-        Moment { pitch_deg, poured_mg: now.poured_mg + mass, missing_mg: now.missing_mg - mass, left: now.left - 1 }
+        let (poured_mg, missing_mg) = (now.poured_mg + mass, now.missing_mg - mass);
+        Moment { pitch_deg, poured_mg, missing_mg, left: now.left - 1, ..now }
     }
 
     /// The rule of the later steps: the pitch at which a usual shake has the mean that is aimed at, as near as the spoon can come.

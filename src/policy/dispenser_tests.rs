@@ -18,7 +18,7 @@ fn dose(controller: &Controller, spoon: &Spoonful, target_mg: f64, steps_max: u3
     let (mut pitches_deg, mut masses_mg) = (Vec::new(), Vec::new());
     for steps in 0.. {
         let seen = Observation { reading_mg: poured_mg.round(), target_mg, pitch_deg };
-        if rules.after(steps, &seen) != Episode::Running {
+        if rules.after(steps, &seen, 1.0) != Episode::Running {
             break;
         }
         let action = dosing.propose(&seen);

@@ -10,11 +10,11 @@ use serde::{Deserialize, Serialize};
 pub enum Ending {
     /// Nothing: every step is carried out, as the paper describes its episodes.
     Never,
-    /// The reading is within 1 mg of the target, or has passed it.
+    /// Less than one step of the balance's display is missing, and less than 1 mg, or the target is passed.
     OnTarget,
 }
 
-/// Error below which [`Ending::OnTarget`] is satisfied, mg; also where the reward gets its bonus.
+/// Error below which the reward gets its bonus, mg; also the most that may be missing for [`Ending::OnTarget`].
 pub const ON_TARGET_MG: f64 = 1.0;
 
 /// The frame that a controller was made for.
@@ -34,9 +34,9 @@ impl Rules {
     /// FLIP's: at most 10 steps, stops on target, and a pitch at which cohesive powders still leave the spoon.
     pub const FLIP: Self = Self { steps_max: 10, ending: Ending::OnTarget, pitch: PitchLimits::WIDE };
 
-    /// Where a weighing stands that has carried out `steps` steps and now sees `observation`.
-    pub fn after(&self, steps: u32, observation: &Observation) -> Episode {
-        if self.ending == Ending::OnTarget && is_on_target(observation.missing_mg()) {
+    /// Where a weighing stands that has carried out `steps` steps and now sees `observation` on a balance of this readability.
+    pub fn after(&self, steps: u32, observation: &Observation, readability_mg: f64) -> Episode {
+        if self.ending == Ending::OnTarget && is_on_target(observation.missing_mg(), readability_mg) {
             return Episode::Terminated;
         }
         if steps >= self.steps_max { Episode::TimedOut } else { Episode::Running }
@@ -55,9 +55,15 @@ pub enum Episode {
     TimedOut,
 }
 
-/// Less than 1 mg is missing, or the target is passed.
-pub fn is_on_target(missing_mg: f64) -> bool {
-    missing_mg < ON_TARGET_MG
+/// Shortfall below which a weighing is on target, mg: one step of the balance's display, at most 1 mg.
+pub fn on_target_mg(readability_mg: f64) -> f64 {
+    readability_mg.min(ON_TARGET_MG)
+}
+
+/// Less than [`on_target_mg`] is missing, or the target is passed.
+pub fn is_on_target(missing_mg: f64, readability_mg: f64) -> bool {
+    // 15 - 14.9 is less than 0.1: a billionth makes one step missing one step.
+    missing_mg < on_target_mg(readability_mg) - 1e-9
 }
 
 #[cfg(test)]
@@ -78,8 +84,23 @@ mod tests {
             (9.0, 10, Episode::TimedOut, Episode::TimedOut),
             (9.5, 10, Episode::Terminated, Episode::TimedOut),
         ] {
-            assert_eq!(Rules::FLIP.after(steps, &seen(reading)), ours, "{reading} mg after {steps}");
-            assert_eq!(Rules::PAPER.after(steps, &seen(reading)), papers, "{reading} mg after {steps}");
+            assert_eq!(Rules::FLIP.after(steps, &seen(reading), 1.0), ours, "{reading} mg after {steps}");
+            assert_eq!(Rules::PAPER.after(steps, &seen(reading), 1.0), papers, "{reading} mg after {steps}");
+        }
+    }
+
+    #[test]
+    fn a_finer_balance_lets_a_dose_come_nearer_and_a_coarser_one_does_not_end_it_sooner() {
+        for (reading, readability, ends) in [
+            (9.5, 0.1, false),
+            (9.9, 0.1, false),
+            (9.95, 0.1, true),
+            (10.0, 0.1, true),
+            (8.0, 5.0, false),
+            (9.5, 5.0, true),
+        ] {
+            let ended = Rules::FLIP.after(3, &seen(reading), readability) == Episode::Terminated;
+            assert_eq!(ended, ends, "{reading} mg in steps of {readability} mg");
         }
     }
 }

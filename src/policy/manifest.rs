@@ -4,6 +4,7 @@ use super::controller::{Schedule, ScheduledStep};
 use super::episode::Rules;
 use super::fuzzy::Fuzzy;
 use super::observation::Encoding;
+use super::paced::Paced;
 use super::pid::Pid;
 use super::recurrent;
 use super::response::Response;
@@ -54,10 +55,15 @@ pub enum Kind {
         /// Their breakpoints and centroids.
         fuzzy: Fuzzy,
     },
+    /// Fuzzy rules that suit the steps and the target.
+    Paced {
+        /// The rules of a weighing that has time, and how others differ.
+        paced: Paced,
+    },
 }
 
 impl Kind {
-    /// The kind's name in JSON: `learned`, `recurrent`, `fixed`, `schedule`, `dispenser`, `pid` or `fuzzy`.
+    /// The kind's name in JSON: `learned`, `recurrent`, `fixed`, `schedule`, `dispenser`, `pid`, `fuzzy` or `paced`.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Learned { .. } => "learned",
@@ -67,6 +73,7 @@ impl Kind {
             Self::Dispenser { .. } => "dispenser",
             Self::Pid { .. } => "pid",
             Self::Fuzzy { .. } => "fuzzy",
+            Self::Paced { .. } => "paced",
         }
     }
 
@@ -82,7 +89,8 @@ impl Kind {
             | Self::Schedule { .. }
             | Self::Dispenser { .. }
             | Self::Pid { .. }
-            | Self::Fuzzy { .. } => Vec::new(),
+            | Self::Fuzzy { .. }
+            | Self::Paced { .. } => Vec::new(),
         }
     }
 }

@@ -106,12 +106,12 @@ impl Response {
     }
 
     /// A mass of this mean, `z` standard deviations from the middle of its root.
-    pub(super) fn draw(&self, mean_mg: f64, z: f64) -> f64 {
+    pub fn draw(&self, mean_mg: f64, z: f64) -> f64 {
         (mean_mg.sqrt() + z * self.sd(mean_mg)).max(0.0).powi(2)
     }
 
     /// The spoonful that is `z` standard deviations from the means of onset, ln slope and ln stroke.
-    pub(super) fn spoonful(&self, z: [f64; 3]) -> Spoonful {
+    pub fn spoonful(&self, z: [f64; 3]) -> Spoonful {
         let [onset, slope, stroke] = self.roots().map(|row| (0..3).map(|j| row[j] * z[j]).sum::<f64>());
         let of = |[mean, sd]: [f64; 2], by: f64| mean + sd * by;
         Spoonful {

@@ -2,10 +2,9 @@
 
 use super::artifact::{Policy, encode, id};
 use super::controller::Controller;
-use super::dispenser::Dispenser;
 use super::episode::Rules;
 use super::manifest::{Kind, Manifest};
-use super::response::Response;
+use super::paced::Paced;
 use std::sync::LazyLock;
 
 /// A policy in the forms that it is kept in.
@@ -19,11 +18,13 @@ pub struct Shipped {
     pub bytes: Vec<u8>,
 }
 
-/// The dispenser with [`Response::FITTED`], which a weighing takes as long as no other policy has shown to be better. Every data folder has it.
+/// The rules of [`Paced::CHOSEN`], in at most 30 steps: what a weighing takes as long as no other policy has shown to be better. Every data folder has
+/// it.
 pub fn shipped() -> &'static Shipped {
     static SHIPPED: LazyLock<Shipped> = LazyLock::new(|| {
-        let manifest = Manifest::of_untrained(Kind::Dispenser { response: Response::FITTED }, Rules::FLIP, 0);
-        let policy = Policy { manifest, controller: Controller::Dispenser(Dispenser::new(Response::FITTED)) };
+        let rules = Rules { steps_max: 30, ..Rules::FLIP };
+        let manifest = Manifest::of_untrained(Kind::Paced { paced: Paced::CHOSEN }, rules, 0);
+        let policy = Policy { manifest, controller: Controller::Paced(Paced::CHOSEN) };
         let bytes = encode(&policy);
         Shipped { id: id(&bytes), policy, bytes }
     });

@@ -77,11 +77,12 @@ impl Store {
         }
     }
 
-    /// The policy with the smallest evaluated error on the powder; none when none was evaluated.
-    pub(crate) async fn best_policy(&self, powder: &str) -> Result<Option<String>> {
+    /// The policy with the smallest evaluated error on the powder; none as long as `known`, which a rival has to beat, was not evaluated on it.
+    pub(crate) async fn best_policy(&self, powder: &str, known: &str) -> Result<Option<String>> {
         let sql = "SELECT policy FROM evaluation_row WHERE powder = ?1 AND policy IS NOT NULL
-                   GROUP BY policy ORDER BY sum(mae_mg * n) / sum(n), policy LIMIT 1";
-        Ok(sqlx::query_scalar(sql).bind(powder).fetch_optional(&self.reader).await?)
+                   AND EXISTS (SELECT 1 FROM evaluation_row WHERE powder = ?1 AND policy = ?2)
+                   GROUP BY policy ORDER BY sum(mae_mg * n) / sum(n), policy <> ?2, policy LIMIT 1";
+        Ok(sqlx::query_scalar(sql).bind(powder).bind(known).fetch_optional(&self.reader).await?)
     }
 
     async fn policy_errors(&self, policy: &str) -> Result<Vec<PolicyError>> {

@@ -1,10 +1,11 @@
 //! A round of episodes, played in parallel with one snapshot of the policy.
 
-use super::environment::{Filling, Played, play};
+use super::environment::{Filling, Played, Spoon, play};
 use super::episodes::Episode;
 use super::replay::Memory;
 use super::settings::{Order, Settings};
 use super::spoons::Spoons;
+use super::surrogate::Surrogate;
 use super::training::{Flow, Level};
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
@@ -34,6 +35,9 @@ pub struct Planned {
     rng: Pcg64Mcg,
     seed: u64,
 }
+
+/// Seed index of the spoonful within an episode that is played on the surrogate.
+const SPOONFUL: u64 = 2;
 
 /// Draw episode `index` of a training that now stands at `level`.
 pub fn plan(index: u32, level: u32, levels: &[Level], settings: &Settings) -> Planned {
@@ -71,21 +75,34 @@ pub fn play_round<F: Filling>(
             if flow().is_break() {
                 return None;
             }
-            let mut spoon = match settings.order {
-                Order::DomainRandomisation => spoons.fill(&plan.set, plan.index),
-                _ => spoons.take(&plan.set, plan.heap),
+            let surrogate = Surrogate { pitch: settings.rules.pitch };
+            let played = match settings.order {
+                _ if plan.index < settings.surrogate_episodes => {
+                    let spoon = surrogate.fill(&plan.set, derive(plan.seed, &[SPOONFUL]));
+                    play_planned(&mut plan, spoon, actor, settings)
+                }
+                Order::DomainRandomisation => {
+                    let spoon = spoons.fill(&plan.set, plan.index);
+                    play_planned(&mut plan, spoon, actor, settings)
+                }
+                Order::Curriculum | Order::Random | Order::Reverse => {
+                    let spoon = spoons.take(&plan.set, plan.heap);
+                    play_planned(&mut plan, spoon, actor, settings)
+                }
             };
-            let rng = &mut plan.rng;
-            let mut carried = actor.map(Actor::begin).unwrap_or_default();
-            let tilt = settings.warmup_tilt as f32 * rng.random::<f32>();
-            let played =
-                play(&mut spoon, &settings.rules, &settings.balance, plan.target_mg, plan.seed, |seen| match actor {
-                    Some(actor) => actor.sample(seen, &mut carried, rng),
-                    None => random_action(tilt, rng),
-                });
             Some((plan, played))
         })
         .collect()
+}
+
+fn play_planned(plan: &mut Planned, mut spoon: impl Spoon, actor: Option<&Actor>, settings: &Settings) -> Played {
+    let (target_mg, seed, rng) = (plan.target_mg, plan.seed, &mut plan.rng);
+    let mut carried = actor.map(Actor::begin).unwrap_or_default();
+    let tilt = settings.warmup_tilt as f32 * rng.random::<f32>();
+    play(&mut spoon, &settings.rules, &settings.balance, target_mg, seed, |seen| match actor {
+        Some(actor) => actor.sample(seen, &mut carried, rng),
+        None => random_action(tilt, rng),
+    })
 }
 
 /// Uniform over all actions, with the incline change shifted by `tilt`.

@@ -144,7 +144,7 @@ pub fn play(
         });
         sum += reward(target_mg, true_mg);
         seen = next;
-        match rules.after(index, &seen) {
+        match rules.after(index, &seen, balance.readability_mg) {
             Episode::Running => {}
             ended => break ended,
         }

@@ -27,8 +27,10 @@ pub mod sac;
 pub mod schedule;
 mod settings;
 mod spoons;
+mod surrogate;
 mod training;
 
 pub use adam::Adam;
 pub use settings::{CriticLoss, Network, Order, PAPER_LEVELS_DEG, Preset, Replayed, Settings};
+pub use surrogate::Surrogate;
 pub use training::{EpisodeRecord, Event, Flow, Level, RANDOMISED, TrainError, Trained, train, train_on};

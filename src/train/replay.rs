@@ -4,7 +4,7 @@ use super::environment::{Step, reward};
 use super::episodes::{self, Episode};
 use super::settings::{Network, Settings};
 use crate::domain::parameters::COUNT;
-use crate::policy::{Encoding, Ending, ON_TARGET_MG, Observation, is_on_target};
+use crate::policy::{Encoding, Ending, ON_TARGET_MG, Observation, is_on_target, on_target_mg};
 use rand::{Rng, RngExt};
 
 /// A remembered step: the target it was played for, and the powder's parameters for the critic.
@@ -248,7 +248,10 @@ pub(super) fn drawn_target(memory: &Memory, settings: &Settings, rng: &mut impl 
 fn hindsight_target(memory: &Memory, settings: &Settings, rng: &mut impl Rng) -> Option<f64> {
     let lower = match settings.rules.ending {
         Ending::Never => settings.relabel_mg_min,
-        Ending::OnTarget => settings.relabel_mg_min.max(f64::from(memory.step.reading_mg) + ON_TARGET_MG),
+        Ending::OnTarget => {
+            let reached_mg = f64::from(memory.step.reading_mg) + on_target_mg(settings.balance.readability_mg);
+            settings.relabel_mg_min.max(reached_mg)
+        }
     };
     (lower < settings.target_mg_max).then(|| rng.random_range(lower..settings.target_mg_max))
 }
@@ -279,7 +282,8 @@ impl Batch {
         let next = memory.after(target_mg);
         next.encode_into(encoding, &mut self.next);
         self.next.extend(memory.parameters);
-        let terminated = settings.rules.ending == Ending::OnTarget && is_on_target(next.missing_mg());
+        let terminated = settings.rules.ending == Ending::OnTarget
+            && is_on_target(next.missing_mg(), settings.balance.readability_mg);
         let r = training_reward(settings, target_mg, s.next_true_mg.into(), terminated);
         self.reward.push((settings.reward_scale * r) as f32);
         self.goes_on.push(if terminated { 0.0 } else { 1.0 });

@@ -195,7 +195,7 @@ pub(super) fn errors_mg(
         reading_mg = tuning.balance.read(before_mg, spoon.vial_mg(), seed, steps.into()).mass_mg;
         waiting.retain(|&target_mg| {
             let seen = Observation { reading_mg, target_mg, pitch_deg: spoon.pitch_deg() };
-            let goes_on = tuning.rules.after(steps, &seen) == Episode::Running;
+            let goes_on = tuning.rules.after(steps, &seen, tuning.balance.readability_mg) == Episode::Running;
             if !goes_on {
                 errors.push((target_mg - spoon.vial_mg()).abs());
             }

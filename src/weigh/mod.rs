@@ -121,7 +121,9 @@ fn dose(
         let situation = Situation { target_mg: order.target_mg, steps, pitch_deg: seen.pitch_deg, before, now };
         let allowed = guard(&limits, &situation, dosing.propose(&seen));
         let action = match allowed {
-            Ok(_) if now.stable && rules.after(steps, &seen) == Episode::Terminated => return Ok(End::Course),
+            Ok(_) if now.stable && rules.after(steps, &seen, order.readability_mg) == Episode::Terminated => {
+                return Ok(End::Course);
+            }
             Ok(action) => action,
             Err(halt) if halt.is_expected() => return Ok(End::Course),
             Err(halt) => return Ok(End::Aborted(halt.to_string())),

@@ -1,10 +1,13 @@
 //! Trainings and evaluations: from calibrated sets to a policy and its errors.
 
-use crate::harness::{calibrated, ended, functions, mg, open, open_in, trained, training_of, until};
+use crate::harness::{calibrated, ended, functions, mg, open, open_in, pour, trained, training_of, until};
 use flip::app::{App, Episode, Error, EvaluationRequest, Functions, JobState, PageQuery, SERIES_LIMIT_MAX};
 use flip::app::{Preset, TrainingRequest};
-use flip::policy;
+use flip::domain::bench::Tick;
+use flip::jobs::bench::{Poured, Pouring};
+use flip::policy::{self, Controller};
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 async fn all_episodes(app: &App, id: &str) -> Vec<Episode> {
@@ -73,7 +76,12 @@ fn walk(folder: std::path::PathBuf) -> Vec<std::path::PathBuf> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
-    let (_folder, app) = open(functions()).await;
+    let worse = Arc::new(|pouring: &Pouring, on_tick: &mut dyn FnMut(&Tick), stop: &AtomicBool| {
+        let poured = pour(pouring, on_tick, stop);
+        let more_mg = if matches!(pouring.controller, Controller::Paced(_)) { 0.25 } else { 0.0 };
+        Poured { dispensed_mg: poured.dispensed_mg + more_mg, ..poured }
+    });
+    let (_folder, app) = open(Functions { pour: worse, ..functions() }).await;
     let policy = trained(&app, "sand").await;
     calibrated(&app, "salt").await;
     let weighing = app.start_weighing(mg("sand", 15.0), "before-the-evaluation").await.unwrap().0;
@@ -89,6 +97,7 @@ async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
     assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
     let evaluation = app.evaluation(&job.id).await.unwrap();
     assert!(evaluation.conditions.are_usual());
+    let usual = request.clone();
     let unseen =
         EvaluationRequest { particles: Some(3000), extensions: [("rotation".to_owned(), 1.0)].into(), ..request };
     let (other, created) = app.start_evaluation(unseen).await.unwrap();
@@ -96,6 +105,13 @@ async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
     assert_eq!(ended(&app, &other.id).await.state, JobState::Succeeded);
     let conditions = app.evaluation(&other.id).await.unwrap().conditions;
     assert_eq!((conditions.particles, conditions.extensions.rotation), (3000, 1.0));
+    // Nor is a dose on a finer balance, or with more steps than a weighing has, evidence.
+    for (readability_mg, max_shakes) in [(Some(0.1), None), (None, Some(30))] {
+        let other = EvaluationRequest { readability_mg, max_shakes, ..usual.clone() };
+        let (job, created) = app.start_evaluation(other).await.unwrap();
+        assert!(created);
+        assert_eq!(ended(&app, &job.id).await.state, JobState::Succeeded);
+    }
     let result = evaluation.result.unwrap();
     assert_eq!((evaluation.policy, result.rows.len(), result.summary.len()), (policy.clone(), 8, 2));
     assert!(result.rows.iter().all(|row| row.n == 2 && (row.mae_mg - 0.25).abs() < 1e-9));
@@ -103,7 +119,14 @@ async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
     let powders: Vec<(&str, u32)> = evaluated.iter().map(|e| (e.powder.as_str(), e.n)).collect();
     assert_eq!(powders, [("salt", 4), ("sand", 4)]);
     let weighing = app.start_weighing(mg("sand", 15.0), "after-the-evaluation").await.unwrap().0;
-    assert_eq!(weighing.policy, policy, "the only one whose error is known");
+    assert_eq!(weighing.policy, flip::policy::shipped().id, "it was not compared with the shipped one");
+    // In the shipped policy's own thirty steps.
+    let both = Some(vec!["policy".into(), "paced".into()]);
+    let compared = EvaluationRequest { controllers: both, max_shakes: Some(30), ..usual };
+    let (job, _) = app.start_evaluation(compared).await.unwrap();
+    assert_eq!(ended(&app, &job.id).await.state, JobState::Succeeded);
+    let weighing = app.start_weighing(mg("sand", 15.0), "after-the-comparison").await.unwrap().0;
+    assert_eq!(weighing.policy, policy, "it errs by 0.25 mg, the shipped one by 0.5 mg");
     app.shutdown().await.unwrap();
 }
 

@@ -12,11 +12,12 @@ impl trainings_server::Trainings for Service {
         &self,
         request: Request<StartTrainingRequest>,
     ) -> Result<Response<StartJobResponse>, Status> {
-        let StartTrainingRequest { order, preset, episodes, powders, seed } = write(request)?;
+        let StartTrainingRequest { order, preset, episodes, powders, seed, surrogate_episodes } = write(request)?;
         let request = TrainingRequest {
             order: named::<Order, _>("order", order)?.unwrap_or_default(),
             preset: named::<Preset, _>("preset", preset)?.unwrap_or_default(),
             episodes,
+            surrogate_episodes,
             powders: given(powders),
             seed,
         };
