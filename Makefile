@@ -80,9 +80,9 @@ training-report: setup
 	doses() { echo "== $$*"; flip evaluate --targets-mg 5,10,15,20 --repeats 5 "$$@"; }
 	ours=$$(flip train --json | policy)
 	doses --policy "$$ours"
-	for conditions in '--readability-mg 0.1 --max-shakes 30' '--particles 3500' '--extension rotation=1 --extension rolling_friction=0.2' \
+	for conditions in '--readability-mg 1' '--readability-mg 0.1' '--particles 3500' '--extension rotation=1 --extension rolling_friction=0.2' \
 			'--extension size_spread=0.2' '--extension humidity=0.5'; do
-		doses --policy "$$ours" --controllers policy,dispenser $$conditions
+		doses --policy "$$ours" --controllers policy,paced --max-shakes 30 $$conditions
 	done
 	for order in curriculum random reverse domain-randomisation; do
 		paper=$$(flip train --order "$$order" --preset paper --episodes $(EPISODES) --json | policy)

@@ -7,9 +7,11 @@ STEPS.csv is what `cargo run --release --example shake_response` prints. The mod
     sqrt(mass) ~ t_4(sqrt(mean), floor^2 + scatter^2 mean)
 
 with M what the spoon has lost before (vial and spilled). Onset, ln slope and ln stroke are each course's own, jointly normal over the courses.
-CMA-ES looks for the numbers that all courses share, then expectation maximisation for the mean and covariance of those three. With
---by-directions their mean is linear in the five numbers that a powder's set folds into, and the shared numbers are searched once more: the
-model of src/train/surrogate.rs. Prints the numbers as src/policy/response.rs and that file have them, and how predictions compare with what fell, each made before the step from the course's earlier steps.
+CMA-ES looks for the numbers that all courses share, then expectation maximisation for the mean and covariance of those three. With --by-
+directions their mean is linear in the five numbers that a powder's set folds into, and the shared numbers are searched once more: the model
+of src/train/surrogate.rs. Prints the numbers as src/policy/response.rs and that file have them, and how predictions compare with what fell,
+each made before the step from the course's earlier steps. Last come the first pieces that the spoons let go of, by the amplitude that freed
+them; with --generations 0 nothing is fitted and they come alone.
 
 Needs numpy, scipy and cma: benches/calibration/run.sh setup has them.
 """
@@ -93,6 +95,18 @@ def marginal(log):
     return float((largest[:, 0] + np.log(weight.mean(1))).sum()), weight / weight.sum(1, keepdims=True)
 
 
+def tell_first_pieces(courses):
+    """Of each course the first mass of more than 0.3 mg."""
+    shaken, first = courses.shake > 0, (courses.poured > 0.3).argmax(1)
+    at = np.arange(len(first)), first
+    fell, amplitude = courses.poured[at], np.where(shaken, courses.shake, 0.0)[at]
+    print("amplitude mm | first pieces above 0.3 mg | median mg | share above 5 mg")
+    for low, high in ((0.9, 2), (2, 4), (4, 8), (8, 16.1)):
+        of = fell[(fell > 0.3) & (amplitude >= low) & (amplitude < high)]
+        if len(of):
+            print(f"{low:g}-{high:g} | {len(of)} | {np.median(of):.1f} | {np.mean(of > 5):.2f}")
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("steps", nargs="+")
@@ -101,6 +115,9 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     courses = Courses(arguments.steps)
+    if arguments.generations == 0:
+        tell_first_pieces(courses)
+        return
     few = norm.ppf(qmc.Sobol(3, rng=arguments.seed).random(512))
 
     def miss(x):
@@ -164,6 +181,7 @@ def main():
         if len(of) > 1:
             errors, expected = np.std(of[:, 2] - of[:, 0]), np.sqrt(np.mean(of[:, 1] ** 2))
             print(f"{low}-{high} | {len(of)} | {of[:, 0].mean():.2f} | {of[:, 2].mean():.2f} | {errors:.2f} | {expected:.2f}")
+    tell_first_pieces(courses)
 
 
 if __name__ == "__main__":
