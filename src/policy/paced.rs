@@ -12,7 +12,7 @@
 //! far    = max(climb / n, gentle far / gentle on * on), at most 8 deg
 //! ```
 //!
-//! and the rules are those of [`Fuzzy`] with these numbers. Where the spoon cannot be raised any more and the last shake gave less than each of the
+//! and the rules are those of [`Fuzzy`] with these numbers. Until the first piece has fallen no shake is larger than s times `first_mm`. Where the spoon cannot be raised any more and the last shake gave less than each of the
 //! steps that are left has to give, the next one is harder, but not harder than the missing mass allows; where it gave up to three times as much, the
 //! next one is the same.
 
@@ -30,6 +30,9 @@ const ON_DEG_MAX: f64 = 6.0;
 /// So near to its upper limit the pitch is at its end, degrees.
 const AT_THE_END_DEG: f64 = 0.5;
 
+/// Less than this is dust, not a piece, mg.
+const PIECE_MG: f64 = 0.5;
+
 /// What falls is enough up to this multiple of what each step has to give.
 const ENOUGH: f64 = 3.0;
 
@@ -43,6 +46,8 @@ pub struct Paced {
     pub pace_mg: f64,
     /// Pitch that is gone through over all steps if nothing falls, degrees; 1 to 1000.
     pub climb_deg: f64,
+    /// Largest shake before the first piece has fallen, mm; 1 to 16.
+    pub first_mm: f64,
     /// How much harder than the last shake the next one is where too little falls at the end of the pitch; 1 to 10.
     pub harder: f64,
     /// Amplitude of such a shake at most, mm for each missing mg, beside the rules' own; 0 to 100.
@@ -60,6 +65,7 @@ impl Paced {
         },
         pace_mg: 0.6,
         climb_deg: 120.0,
+        first_mm: 3.0,
         harder: 1.6,
         stuck_mm_per_mg: 5.0,
     };
@@ -73,6 +79,7 @@ impl Paced {
         bounded("gentle.tilt_deg", self.gentle.tilt_deg[2], 0.1, ON_DEG_MAX, "deg")?;
         bounded("pace_mg", self.pace_mg, 0.01, 1000.0, "mg")?;
         bounded("climb_deg", self.climb_deg, 1.0, 1000.0, "deg")?;
+        bounded("first_mm", self.first_mm, 1.0, SHAKE_MM_MAX, "mm")?;
         bounded("harder", self.harder, 1.0, 10.0, "")?;
         bounded("stuck_mm_per_mg", self.stuck_mm_per_mg, 0.0, 100.0, "mm/mg")?;
         Ok(self)
@@ -81,14 +88,16 @@ impl Paced {
     /// The action after these steps.
     pub(super) fn propose(&self, done: &[Done], seen: &Observation, frame: &Rules) -> Action {
         let rules = self.rules(seen.target_mg, frame.steps_max);
-        let action = rules.propose(done, seen);
+        let mut action = rules.propose(done, seen);
+        if seen.reading_mg < PIECE_MG && !is_at_the_end(seen, frame) {
+            action.shake_mm = action.shake_mm.min(self.first_mm * self.faster(seen.target_mg, frame.steps_max));
+        }
         let Some(last) = done.iter().rfind(|step| step.action.executed_shake_mm() > 0.0) else { return action };
         let fell_mg = last.after.reading_mg - last.before.reading_mg;
         let missing_mg = seen.missing_mg().max(0.0);
         let needed_mg = missing_mg / f64::from(frame.steps_max.saturating_sub(done.len() as u32).max(1));
-        let at_the_end = action.incline_change_deg >= 0.0 && seen.pitch_deg > frame.pitch.upper_deg - AT_THE_END_DEG;
         let factor = match fell_mg {
-            _ if !at_the_end => return action,
+            _ if action.incline_change_deg < 0.0 || !is_at_the_end(seen, frame) => return action,
             fell if fell < needed_mg => self.harder,
             fell if fell < ENOUGH * needed_mg => 1.0,
             _ => return action,
@@ -98,10 +107,15 @@ impl Paced {
         Action { shake_mm: action.shake_mm.max(shake_mm), ..action }
     }
 
+    /// How much faster than gently a weighing has to go.
+    fn faster(&self, target_mg: f64, steps_max: u32) -> f64 {
+        (target_mg / f64::from(steps_max.max(1)) / self.pace_mg).max(1.0)
+    }
+
     /// The rules of a weighing of this target in so many steps.
     fn rules(&self, target_mg: f64, steps_max: u32) -> Fuzzy {
         let (n, gentle) = (f64::from(steps_max.max(1)), &self.gentle);
-        let faster = (target_mg / n / self.pace_mg).max(1.0);
+        let faster = self.faster(target_mg, steps_max);
         let [none, some, much] = gentle.fall_mg;
         let [small, medium, large] = gentle.missing_mg;
         let [back, hold, on, far] = gentle.tilt_deg;
@@ -115,6 +129,11 @@ impl Paced {
             shake_mm: gentle.shake_mm,
         }
     }
+}
+
+/// The spoon cannot be raised any more.
+fn is_at_the_end(seen: &Observation, frame: &Rules) -> bool {
+    seen.pitch_deg > frame.pitch.upper_deg - AT_THE_END_DEG
 }
 
 #[cfg(test)]
@@ -139,6 +158,19 @@ mod tests {
         assert_eq!(rules.shake_mm, Paced::CHOSEN.gentle.shake_mm);
         // A small dose in few steps has to climb too.
         assert_eq!(Paced::CHOSEN.rules(5.0, 20).tilt_deg, [-7.8, 0.0, 2.4, 6.0]);
+    }
+
+    #[test]
+    fn until_the_first_piece_has_fallen_shakes_are_gentle() {
+        let shake_mm = |reading_mg, pitch_deg, steps_max| {
+            let seen = Observation { reading_mg, target_mg: 18.0, pitch_deg };
+            Paced::CHOSEN.propose(&[], &seen, &Rules { steps_max, ..Rules::FLIP }).shake_mm
+        };
+        assert_eq!(shake_mm(0.4, 20.0, 30), 3.0);
+        assert!(shake_mm(0.6, 20.0, 30) > 10.0, "a piece has fallen and much is missing");
+        assert!(shake_mm(0.0, 50.0, 30) > 10.0, "nothing else is left to try");
+        // Twice as fast.
+        assert_eq!(shake_mm(0.0, 20.0, 15), 6.0);
     }
 
     #[test]
