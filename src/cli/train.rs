@@ -20,7 +20,7 @@ const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     /// In which order the levels are met.
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, default_value_t = OrderFlag::Curriculum)]
     order: OrderFlag,
     /// Collection of settings: FLIP's own, or as published.
     #[arg(long, value_enum, default_value_t = PresetFlag::Flip)]
