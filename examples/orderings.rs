@@ -50,7 +50,8 @@ struct Calibrated {
 
 #[derive(Deserialize)]
 struct Powder {
-    powder: Option<String>,
+    /// Empty where an angle was calibrated, not a powder.
+    powder: String,
     target_deg: f64,
     sets: Vec<Set>,
 }
@@ -211,16 +212,13 @@ fn main() -> anyhow::Result<()> {
         let calibrated: Calibrated = serde_json::from_slice(&std::fs::read(file)?)?;
         for found in calibrated.powders {
             let sets: Vec<ParameterSet> = found.sets.into_iter().map(|set| set.parameters).collect();
-            match found.powder {
-                Some(powder) => powders.push(Subject { powder, sets }),
-                None => {
-                    let powder = format!("repose_{}", found.target_deg);
-                    levels.push(Level {
-                        powder,
-                        repose_deg: found.target_deg,
-                        sets: sets[..sets.len().min(7)].to_vec(),
-                    });
-                }
+            match found.powder.as_str() {
+                "" => levels.push(Level {
+                    powder: format!("repose_{}", found.target_deg),
+                    repose_deg: found.target_deg,
+                    sets: sets[..sets.len().min(7)].to_vec(),
+                }),
+                _ => powders.push(Subject { powder: found.powder, sets }),
             }
         }
     }
