@@ -6,7 +6,7 @@ use super::failure::Failure;
 use super::session::with_app;
 use super::table::table;
 use super::watch::Watch;
-use crate::app::{App, Error, Job, Order, Preset, Training, TrainingRequest};
+use crate::app::{App, Error, Job, Order, Preset, Training, TrainingRequest, TrainingResult};
 use crate::domain::FieldError;
 use clap::ValueEnum;
 use serde::Serialize;
@@ -19,16 +19,16 @@ const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
 /// Arguments of `flip train`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// In which order the levels are met.
-    #[arg(long, value_enum, default_value_t = OrderFlag::Curriculum)]
-    order: OrderFlag,
+    /// In which order the levels are met; several are trained side by side, and their documents come as a list.
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [OrderFlag::Curriculum])]
+    order: Vec<OrderFlag>,
     /// Collection of settings: FLIP's own, or as published.
     #[arg(long, value_enum, default_value_t = PresetFlag::Flip)]
     preset: PresetFlag,
-    /// Episodes [default: the preset's: a demonstration's for flip, the full 4000 for paper].
+    /// Episodes [default: the preset's: 8000 for flip, 4000 for paper].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     episodes: Option<u32>,
-    /// Of these, the first N on a fast model of the spoon instead of the simulator [default: 0].
+    /// Of these, the first N on a fast model of the spoon instead of the simulator [default: all for flip, 0 for paper].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     surrogate_episodes: Option<u32>,
     /// Powders whose calibrated sets are the levels [default: sand,sugar,salt]; not with the paper preset.
@@ -59,6 +59,8 @@ enum PresetFlag {
 /// The document of `flip train`.
 #[derive(Debug, Serialize)]
 struct Document {
+    /// In which the levels were met.
+    order: Order,
     /// Policy id, an address of its content.
     policy: String,
     episodes: u32,
@@ -79,29 +81,53 @@ pub(super) struct Timing {
 /// Train a policy and print what came out.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let began = std::time::Instant::now();
-    let request = TrainingRequest {
-        order: arguments.order.into(),
+    let request = |order: OrderFlag| TrainingRequest {
+        order: order.into(),
         preset: arguments.preset.into(),
         episodes: arguments.episodes,
         surrogate_episodes: arguments.surrogate_episodes,
         powders: arguments.powders.clone(),
         seed: Some(common.seed),
     };
-    let training = with_app(common, async |app| train(app, &Watch::new(), request).await)?;
-    let result = training.result.ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?;
-    let document = Document {
-        policy: result.policy,
-        episodes: result.episodes,
-        final_error_mg: result.final_error_mg,
-        levels: result.levels,
-        seed: common.seed,
-        timing: Timing { wall_s: began.elapsed().as_secs_f64() },
+    let document = |training: Training| {
+        let result = training.result.ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?;
+        let timing = Timing { wall_s: began.elapsed().as_secs_f64() };
+        let TrainingResult { policy, episodes, final_error_mg, levels } = result;
+        Ok::<_, Failure>(Document {
+            order: training.order,
+            policy,
+            episodes,
+            final_error_mg,
+            levels,
+            seed: common.seed,
+            timing,
+        })
     };
-    common.print(&document, || text(&document))
+    let documents: Vec<Document> = with_app(common, async |app| {
+        let (watch, mut jobs, mut documents) = (Watch::new(), Vec::new(), Vec::new());
+        for order in &arguments.order {
+            jobs.push(begin(app, &watch, request(*order)).await?);
+        }
+        for job in jobs {
+            watch.job(app, &job.id, "train").await?;
+            documents.push(document(app.training(&job.id).await?)?);
+        }
+        Ok::<_, Failure>(documents)
+    })?;
+    match documents.as_slice() {
+        [one] => common.print(one, || text(one)),
+        all => common.print(&all, || all.iter().map(text).collect::<Vec<_>>().join("\n\n")),
+    }
 }
 
 /// Train as a job (or find the job that did), calibrating first what is not calibrated, and wait for it.
 pub(super) async fn train(app: &App, watch: &Watch, request: TrainingRequest) -> Result<Training, Failure> {
+    let job = begin(app, watch, request).await?;
+    watch.job(app, &job.id, "train").await?;
+    Ok(app.training(&job.id).await?)
+}
+
+async fn begin(app: &App, watch: &Watch, request: TrainingRequest) -> Result<Job, Failure> {
     let job = match start(app, &request).await {
         Err(Error::Conflict { code: "calibration_missing", message }) => {
             watch.say(&format!("{message}: calibrating first"));
@@ -111,8 +137,7 @@ pub(super) async fn train(app: &App, watch: &Watch, request: TrainingRequest) ->
         }
         started => started?,
     };
-    watch.job(app, &job.id, "train").await?;
-    Ok(app.training(&job.id).await?)
+    Ok(job)
 }
 
 async fn start(app: &App, request: &TrainingRequest) -> Result<Job, Error> {
@@ -147,7 +172,11 @@ fn text(document: &Document) -> String {
     let rows: Vec<Vec<String>> =
         document.levels.iter().map(|level| keys.iter().map(|key| plain(&level[*key])).collect()).collect();
     format!(
-        "policy       {}\nepisodes     {}\nfinal error  {:.2} mg (mean of the last 20)\n\n{}",
+        "order        {}\npolicy       {}\nepisodes     {}\nfinal error  {:.2} mg (mean of the last 20)\n\n{}",
+        serde_json::to_value(document.order)
+            .ok()
+            .and_then(|order| order.as_str().map(str::to_owned))
+            .unwrap_or_default(),
         document.policy,
         document.episodes,
         document.final_error_mg,

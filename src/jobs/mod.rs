@@ -7,7 +7,7 @@
 //!  worker.rs   claim the row: fence + lease; wait while another lease lasts; nothing to do when it has ended
 //!     |        lease.rs renews the lease from a thread of its own
 //!     v
-//!  a compute thread, one at a time: calibrate.rs | train.rs | evaluate.rs
+//!  a compute thread: train.rs, several at once | calibrate.rs, evaluate.rs, one at a time
 //!              load inputs, call the pure function, save what it finds; every write carries the fence
 //! ```
 //!
@@ -38,8 +38,9 @@ use crate::store::jobs::Job;
 use crate::store::ledger::Lease;
 use crate::store::{self, Store, new_id, now};
 use bench::Bench;
+use queue::Queue;
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use stop::{Stop, StopFlag};
 use tokio::sync::Notify;
 use tokio::task::JoinHandle;
@@ -88,8 +89,10 @@ struct Shared {
     functions: Functions,
     /// Stop flags of running jobs, by id.
     running: Mutex<HashMap<String, Arc<StopFlag>>>,
-    /// Held by whoever computes: one job at a time, whatever the queue delivers.
-    compute: Mutex<()>,
+    /// Held by what computes alone: one job at a time, whatever the queue delivers.
+    turns: Mutex<()>,
+    /// Read by each training that computes; written by whoever waits for all of them.
+    trainings: RwLock<()>,
     /// Wakes the reconciler.
     reconcile: Notify,
     /// No more work is taken.
@@ -108,7 +111,8 @@ impl Jobs {
             store,
             functions,
             running: Mutex::default(),
-            compute: Mutex::default(),
+            turns: Mutex::default(),
+            trainings: RwLock::default(),
             reconcile: Notify::new(),
             closing: CancellationToken::new(),
         });
@@ -125,10 +129,10 @@ impl Jobs {
         queue::forget_deliveries(&self.shared.store).await?;
         reconcile::deliver_again(&self.shared.store).await?;
         self.bench.start().await?;
-        let tasks = [
-            tokio::spawn(worker::supervise(self.shared.clone())),
-            tokio::spawn(reconcile::keep_delivering(self.shared.clone())),
-        ];
+        let workers = Queue::ALL.into_iter().flat_map(|queue| std::iter::repeat_n(queue, queue.workers()));
+        let supervised = workers.map(|queue| tokio::spawn(worker::supervise(self.shared.clone(), queue)));
+        let mut tasks: Vec<JoinHandle<()>> = supervised.collect();
+        tasks.push(tokio::spawn(reconcile::keep_delivering(self.shared.clone())));
         self.tasks.lock().unwrap_or_else(PoisonError::into_inner).extend(tasks);
         Ok(())
     }
@@ -142,7 +146,7 @@ impl Jobs {
         let mut tx = self.shared.store.write().await?;
         let (job, created) = tx.insert_job(&new_id(), spec.kind(), &text, &sha256, now()).await?;
         if created {
-            queue::push(&mut tx, &Lease { job: job.id.clone(), fence: 0 }).await?;
+            queue::push(&mut tx, spec.kind(), &Lease { job: job.id.clone(), fence: 0 }).await?;
             tx.commit().await?;
         }
         Ok((job, created))

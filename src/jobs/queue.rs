@@ -11,6 +11,7 @@
 //! | one failed statement ends the worker and drops what it handles | `worker.rs` starts another; dropped work goes back |
 //! | it takes ten tasks ahead | batches of one |
 
+use crate::domain::job::JobKind;
 use crate::store::ledger::Lease;
 use crate::store::{self, Store, Tx};
 use apalis::layers::WorkerBuilderExt;
@@ -26,7 +27,48 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use tower::limit::ConcurrencyLimitLayer;
 
-const QUEUE: &str = "flip";
+/// Most workers of a queue: each looks for work on its own.
+const WORKERS_MAX: usize = 8;
+
+/// Who waits for whom: trainings for no one, everything else, which fills every core by itself, for its turn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Queue {
+    /// One job at a time.
+    Turns,
+    /// Trainings, whose steps follow one another: as many at once as there are cores, from two to eight.
+    Trainings,
+}
+
+impl Queue {
+    pub const ALL: [Self; 2] = [Self::Turns, Self::Trainings];
+
+    /// Where a job waits.
+    pub fn of(kind: JobKind) -> Self {
+        match kind {
+            JobKind::Training => Self::Trainings,
+            JobKind::Calibration | JobKind::Evaluation => Self::Turns,
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Turns => "flip",
+            Self::Trainings => "flip-trainings",
+        }
+    }
+
+    /// Its workers. A worker of the library that takes several tasks looks for the next one only now and then, and keeps the database's
+    /// writing connection in between.
+    pub fn workers(self) -> usize {
+        match self {
+            Self::Turns => 1,
+            Self::Trainings => {
+                std::thread::available_parallelism().map_or(2, |cores| cores.get().clamp(2, WORKERS_MAX))
+            }
+        }
+    }
+}
+
 /// How often an idle worker looks for a delivery.
 const POLL: Duration = Duration::from_millis(250);
 /// A worker that has not been heard of for twice this long loses its deliveries.
@@ -49,31 +91,35 @@ pub(super) async fn migrate(store: &Store) -> store::Result<()> {
 }
 
 /// Deliver a job: as part of `tx`, once for each fence.
-pub(super) async fn push(tx: &mut Tx, lease: &Lease) -> store::Result<()> {
+pub(super) async fn push(tx: &mut Tx, kind: JobKind, lease: &Lease) -> store::Result<()> {
     let delivery = Delivery { job: lease.job.clone() };
     let args = serde_json::to_vec(&delivery).map_err(|error| store::Error::Corrupt(error.to_string()))?;
     let key = format!("job:{}:{}", lease.job, lease.fence);
     // One attempt: trying again is the ledger's business.
     let task = TaskBuilder::new(args).idempotency_key(key).max_attempts(1).build();
-    apalis_sqlite::queries::push_tasks(tx.connection(), QUEUE, &[task]).await.map_err(library)
+    apalis_sqlite::queries::push_tasks(tx.connection(), Queue::of(kind).name(), &[task]).await.map_err(library)
 }
 
 /// Remove deliveries that were dealt with, so that their keys are free.
 pub(super) async fn forget_finished(tx: &mut Tx) -> store::Result<()> {
     let sql = "DELETE FROM Jobs WHERE job_type = ?1 AND status IN ('Done', 'Failed', 'Killed')";
-    sqlx::query(sql).bind(QUEUE).execute(tx.connection()).await?;
+    for queue in Queue::ALL {
+        sqlx::query(sql).bind(queue.name()).execute(tx.connection()).await?;
+    }
     Ok(())
 }
 
 /// Remove every delivery. Sound only at start, when no other process can have one in hand.
 pub(super) async fn forget_deliveries(store: &Store) -> store::Result<()> {
     let mut tx = store.write().await?;
-    sqlx::query("DELETE FROM Jobs WHERE job_type = ?1").bind(QUEUE).execute(tx.connection()).await?;
-    sqlx::query("DELETE FROM Workers WHERE worker_type = ?1").bind(QUEUE).execute(tx.connection()).await?;
+    for queue in Queue::ALL {
+        sqlx::query("DELETE FROM Jobs WHERE job_type = ?1").bind(queue.name()).execute(tx.connection()).await?;
+        sqlx::query("DELETE FROM Workers WHERE worker_type = ?1").bind(queue.name()).execute(tx.connection()).await?;
+    }
     tx.commit().await
 }
 
-/// Hand deliveries to `handle`, one at a time, until `closing`.
+/// Hand a queue's deliveries to `handle`, one at a time, until `closing`.
 ///
 /// The future is boxed here, where its types are named: inside another `async fn` the compiler cannot see that it is
 /// `Send`.
@@ -82,6 +128,7 @@ pub(super) async fn forget_deliveries(store: &Store) -> store::Result<()> {
 /// Whatever ended the worker early; what it was handling has been dropped.
 pub(super) fn run<H, F>(
     store: &Store,
+    queue: Queue,
     name: &str,
     handle: H,
     closing: CancellationToken,
@@ -90,7 +137,7 @@ where
     H: Fn(Delivery) -> F + Clone + Send + Sync + 'static,
     F: Future<Output = ()> + Send + 'static,
 {
-    let config = Config::default().queue(QUEUE).batch_size(1).heartbeat_interval(HEARTBEAT).missed_heartbeats(2);
+    let config = Config::default().queue(queue.name()).batch_size(1).heartbeat_interval(HEARTBEAT).missed_heartbeats(2);
     let storage = SqliteStorage::<Delivery>::new(store.writer()?).with_config(config).poll_with_interval(POLL);
     let handler = move |delivery: Delivery| {
         let handled = handle(delivery);

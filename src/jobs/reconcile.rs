@@ -16,8 +16,8 @@ pub(super) async fn deliver_again(store: &Store) -> store::Result<()> {
     }
     let mut tx = store.write().await?;
     queue::forget_finished(&mut tx).await?;
-    for lease in &claimable {
-        queue::push(&mut tx, lease).await?;
+    for (kind, lease) in &claimable {
+        queue::push(&mut tx, *kind, lease).await?;
     }
     tx.commit().await
 }

@@ -2,7 +2,7 @@
 
 use super::context::{JobContext, JobError};
 use super::lease::{Renewer, lease_end};
-use super::queue::{self, Delivery};
+use super::queue::{self, Delivery, Queue};
 use super::spec::JobSpec;
 use super::stop::{Stop, StopFlag};
 use super::{Shared, calibrate, evaluate, train};
@@ -27,7 +27,7 @@ const SETTLE_TRIES: u32 = 30;
 const SETTLE_PAUSE: Duration = Duration::from_secs(1);
 
 /// Keep a queue worker running until the machinery closes: the library ends one on the first statement that fails.
-pub(super) async fn supervise(shared: Arc<Shared>) {
+pub(super) async fn supervise(shared: Arc<Shared>, queue: Queue) {
     let mut pause = RESTART;
     while !shared.closing.is_cancelled() {
         // A name of its own for every start: the library's fence is the name.
@@ -38,7 +38,7 @@ pub(super) async fn supervise(shared: Arc<Shared>) {
             let (shared, owner) = (handling.clone(), owner.clone());
             async move { handle(shared, owner, delivery).await }
         };
-        let ended = match queue::run(&shared.store, &name, handle, shared.closing.clone()) {
+        let ended = match queue::run(&shared.store, queue, &name, handle, shared.closing.clone()) {
             Ok(running) => running.await.map_err(|error| error.to_string()),
             Err(error) => Err(error.to_string()),
         };
@@ -54,10 +54,12 @@ pub(super) async fn supervise(shared: Arc<Shared>) {
             }
         }
     }
-    // Whoever still computes holds the lane until the row is settled.
+    // Whoever still computes holds a lane until the row is settled.
     let waiting = shared.clone();
-    let last =
-        tokio::task::spawn_blocking(move || drop(waiting.compute.lock().unwrap_or_else(PoisonError::into_inner)));
+    let last = tokio::task::spawn_blocking(move || match queue {
+        Queue::Turns => drop(waiting.turns.lock().unwrap_or_else(PoisonError::into_inner)),
+        Queue::Trainings => drop(waiting.trainings.write().unwrap_or_else(PoisonError::into_inner)),
+    });
     if last.await.is_err() {
         tracing::error!("could not wait for the last computation");
     }
@@ -136,7 +138,13 @@ fn on_compute_thread(shared: &Shared, claimed: Claimed, stop: &Arc<StopFlag>, ru
     if let Err(error) = &renewer {
         tracing::error!(job = lease.job, %error, "no thread to renew a lease");
     }
-    let lane = shared.compute.lock().unwrap_or_else(PoisonError::into_inner);
+    // A worker that was started again may deliver what the one before has not left.
+    let alone = || shared.turns.lock().unwrap_or_else(PoisonError::into_inner);
+    let beside = || shared.trainings.read().unwrap_or_else(PoisonError::into_inner);
+    let lane = match Queue::of(claimed.kind) {
+        Queue::Turns => (Some(alone()), None),
+        Queue::Trainings => (None, Some(beside())),
+    };
     let context =
         JobContext::new(shared.store.clone(), shared.functions.clone(), lease.clone(), stop.clone(), runtime.clone());
     let ended = catch_unwind(AssertUnwindSafe(|| perform(&context, &claimed)))

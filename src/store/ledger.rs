@@ -63,12 +63,13 @@ pub enum Claim {
 }
 
 impl Store {
-    /// Jobs that wait for a worker, or whose worker's lease has ended, with their fences.
-    pub(crate) async fn claimable(&self, now: Timestamp) -> Result<Vec<Lease>> {
-        let sql = "SELECT id, fence FROM job \
+    /// Jobs that wait for a worker, or whose worker's lease has ended, with their kinds and fences.
+    pub(crate) async fn claimable(&self, now: Timestamp) -> Result<Vec<(JobKind, Lease)>> {
+        let sql = "SELECT id, kind, fence FROM job \
                    WHERE state = 'queued' OR (state = 'running' AND lease_until < ?1) ORDER BY seq";
         let rows = sqlx::query(sql).bind(now.unix_ms()).fetch_all(&self.reader).await?;
-        rows.iter().map(|row| Ok(Lease { job: row.plain("id")?, fence: row.plain("fence")? })).collect()
+        let lease = |row: &SqliteRow| Ok::<_, Error>(Lease { job: row.plain("id")?, fence: row.plain("fence")? });
+        rows.iter().map(|row| Ok((row.word("kind")?, lease(row)?))).collect()
     }
 
     /// End every lease. Sound only at start: the lock on the data folder proves that no other worker lives.

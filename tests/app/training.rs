@@ -69,6 +69,41 @@ async fn a_shut_down_training_resumes_and_ends_with_the_same_policy() {
     undisturbed.shutdown().await.unwrap();
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn trainings_run_side_by_side_and_end_as_they_do_alone() {
+    let (_folder, alone) = open(functions()).await;
+    let (folder, quick) = (tempfile::tempdir().unwrap(), functions());
+    // Each goes on only when the other has begun: one after the other they would wait for ever.
+    let (meeting, train) = (Arc::new(std::sync::Barrier::new(2)), quick.train.clone());
+    let together = Functions {
+        train: Arc::new(move |levels, settings, resume, flow, listener| {
+            meeting.wait();
+            train(levels, settings, resume, flow, listener)
+        }),
+        ..quick
+    };
+    let app = open_in(folder.path(), together).await;
+    let mut found = Vec::new();
+    for app in [&alone, &app] {
+        calibrated(app, "sand").await;
+        let mut jobs = Vec::new();
+        for seed in [1, 2] {
+            let request = TrainingRequest { seed: Some(seed), ..training_of("sand", 12) };
+            jobs.push(app.start_training(request).await.unwrap().0);
+        }
+        let mut policies = Vec::new();
+        for job in jobs {
+            assert_eq!(ended(app, &job.id).await.state, JobState::Succeeded);
+            policies.push(app.training(&job.id).await.unwrap().result.unwrap().policy);
+        }
+        found.push(policies);
+    }
+    assert_eq!(found[0], found[1]);
+    assert_ne!(found[0][0], found[0][1]);
+    app.shutdown().await.unwrap();
+    alone.shutdown().await.unwrap();
+}
+
 fn walk(folder: std::path::PathBuf) -> Vec<std::path::PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().map(|entry| entry.unwrap().path());
     entries.flat_map(|path| if path.is_dir() { walk(path) } else { vec![path] }).collect()
