@@ -126,7 +126,7 @@ async fn ten_kills_during_a_calibration_and_a_training_lose_nothing_and_repeat_n
     );
     assert!(is_whole(&trials));
 
-    let request = json!({"powders": ["sand"], "episodes": 12, "seed": 3});
+    let request = json!({"powders": ["sand"], "episodes": 12, "surrogate_episodes": 0, "seed": 3});
     let training = service.post("/v1/trainings", &token, &request).await["id"].as_str().unwrap().to_owned();
     let episodes = format!("/v1/trainings/{training}/episodes");
     let service = torment(service, folder.path(), &training, &episodes).await;

@@ -101,7 +101,8 @@ fn mean_error_mg(controller: &Controller, settings: &Settings) -> f64 {
 
 #[test]
 fn a_trained_policy_errs_less_than_half_as_much_as_an_untrained_one() {
-    let settings = Settings { episodes: 120, ..Settings::of(Preset::Flip, Order::Curriculum, 1) };
+    let ours = Settings::of(Preset::Flip, Order::Curriculum, 1);
+    let settings = Settings { episodes: 120, learning_rate: 1e-3, updates_per_step: 4.0, ..ours };
     let (trained, ..) = run(&settings, None);
     let policy = decode(&trained.artifact).unwrap();
     let ours = mean_error_mg(&policy.controller, &settings);

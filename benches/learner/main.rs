@@ -37,7 +37,12 @@ fn remembered(settings: &Settings, rng: &mut Pcg64Mcg) -> Replay {
         let played = play(&mut spoon, &Rules::PAPER, &balance::Settings::default(), 12.0, seed, |_| {
             [rng.random::<f32>(), 2.0 * rng.random::<f32>() - 1.0]
         });
-        let steps = played.steps.into_iter().map(|step| Memory { step, target_mg: 12.0, parameters: [0.5; COUNT] });
+        let steps = played.steps.into_iter().map(|step| Memory {
+            step,
+            target_mg: 12.0,
+            repose_deg: 0.0,
+            parameters: [0.5; COUNT],
+        });
         let state = if settings.stores_states() { vec![0.1; 2 * settings.hidden as usize] } else { Vec::new() };
         replay.push(Episode { steps: steps.collect(), state });
     }

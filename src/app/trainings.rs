@@ -31,9 +31,9 @@ pub struct TrainingRequest {
     /// Collection of settings.
     #[serde(default)]
     pub preset: Preset,
-    /// Episodes, 1 to 20000; default the preset's: 240 for a demonstration, 4000 (the full budget) for the paper's.
+    /// Episodes, 1 to 20000; default the preset's: 8000 of ours, 4000 of the paper's.
     pub episodes: Option<u32>,
-    /// Of these, the first on a fast model of the spoon instead of the simulator, 0 to all; default 0.
+    /// Of these, the first on a fast model of the spoon instead of the simulator, 0 to all; default all of ours, none of the paper's.
     pub surrogate_episodes: Option<u32>,
     /// Powders whose calibrated sets are the levels; default `sand`, `sugar`, `salt`. Not with the `paper` preset.
     pub powders: Option<Vec<String>>,
@@ -176,7 +176,7 @@ fn settings_of(request: &TrainingRequest) -> Result<Settings> {
     check.done()?;
     let mut settings = Settings::of(request.preset, request.order, request.seed.unwrap_or(1));
     settings.episodes = request.episodes.unwrap_or(settings.episodes);
-    settings.surrogate_episodes = request.surrogate_episodes.unwrap_or(settings.surrogate_episodes);
+    settings.surrogate_episodes = request.surrogate_episodes.unwrap_or_else(|| settings.surrogate_by_default());
     // Episodes are seconds of work, a checkpoint is a fraction of one.
     let rounds = (EPISODES_PER_CHECKPOINT / settings.episodes_per_round).max(1);
     settings.rounds_per_checkpoint = settings.rounds_per_checkpoint.min(rounds);

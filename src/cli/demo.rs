@@ -31,7 +31,7 @@ pub(super) struct Arguments {
     /// End after the table instead of serving on.
     #[arg(long)]
     exit: bool,
-    /// Episodes of the training [default: the demonstration budget, as `flip train` has it].
+    /// Episodes of the training [default: as `flip train` has it].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     episodes: Option<u32>,
     #[command(flatten)]

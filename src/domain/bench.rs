@@ -27,6 +27,11 @@ impl Action {
         }
     }
 
+    /// The inverse of [`Action::from_unit`].
+    pub fn to_unit(&self) -> [f64; 2] {
+        [self.incline_change_deg / INCLINE_CHANGE_DEG_MAX, 2.0 * self.shake_mm / SHAKE_MM_MAX - 1.0]
+    }
+
     /// The amplitude that is executed: zero below [`SHAKE_MM_MIN`].
     pub fn executed_shake_mm(&self) -> f64 {
         if self.shake_mm < SHAKE_MM_MIN { 0.0 } else { self.shake_mm }

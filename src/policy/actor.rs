@@ -1,7 +1,7 @@
 //! A learned policy, run forward in plain Rust.
 
 use super::manifest::Kind;
-use super::observation::{Encoding, Observation};
+use super::observation::{Encoding, Known, Observation};
 use super::recurrent::Recurrent;
 use crate::domain::bench::Action;
 use rand::{Rng, RngExt};
@@ -41,6 +41,10 @@ pub struct Carried {
     pub lstm: [Vec<f32>; 2],
     /// The action of the step before, in -1..=1; zeros before the first step.
     pub last_action: [f32; OUTPUTS],
+    /// The reading of the step before, mg; 0, the tare, before the first step.
+    pub last_reading_mg: f64,
+    /// The powder's angle of repose, degrees, where it is measured.
+    pub repose_deg: Option<f64>,
 }
 
 impl Carried {
@@ -198,7 +202,7 @@ impl Actor {
             Network::FeedForward(_) => Carried::default(),
             Network::Recurrent(network) => {
                 let zeros = || vec![0.0; network.hidden()];
-                Carried { lstm: [zeros(), zeros()], last_action: [0.0; OUTPUTS] }
+                Carried { lstm: [zeros(), zeros()], ..Carried::default() }
             }
         }
     }
@@ -219,16 +223,23 @@ impl Actor {
         }
     }
 
+    /// The Gaussian for what is seen now; what is carried advances, but for its last action.
+    fn look(&self, observation: &Observation, carried: &mut Carried) -> Head {
+        let known = Known { fell_mg: observation.reading_mg - carried.last_reading_mg, repose_deg: carried.repose_deg };
+        carried.last_reading_mg = observation.reading_mg;
+        self.forward(&observation.encode(self.encoding, &known), carried)
+    }
+
     /// The action at the centre of the policy, for weighing: `tanh(mean)`. Called once for each step.
     pub fn act(&self, observation: &Observation, carried: &mut Carried) -> Action {
-        let head = self.forward(&observation.encode(self.encoding), carried);
+        let head = self.look(observation, carried);
         carried.last_action = head.mean.map(f32::tanh);
         Action::from_unit(carried.last_action.map(f64::from))
     }
 
     /// A drawn action in -1..=1, for exploring: `tanh(mean + std * noise)`. Two normal numbers are consumed.
     pub fn sample(&self, observation: &Observation, carried: &mut Carried, rng: &mut impl Rng) -> [f32; OUTPUTS] {
-        let head = self.forward(&observation.encode(self.encoding), carried);
+        let head = self.look(observation, carried);
         carried.last_action = std::array::from_fn(|k| (head.mean[k] + head.log_std[k].exp() * normal(rng)).tanh());
         carried.last_action
     }
@@ -306,7 +317,8 @@ mod tests {
         let seen = Observation { reading_mg: 2.0, target_mg: 10.0, pitch_deg: 5.0 };
         let samples: Vec<f32> = (0..2000).map(|_| actor.sample(&seen, &mut actor.begin(), &mut rng)[1]).collect();
         assert!(samples.iter().all(|a| (-1.0..=1.0).contains(a)));
-        let centre = actor.forward(&seen.encode(Encoding::Missing), &mut actor.begin()).mean[1].tanh();
+        let centre =
+            actor.forward(&seen.encode(Encoding::Missing, &Known::default()), &mut actor.begin()).mean[1].tanh();
         let below = samples.iter().filter(|&&a| a < centre).count();
         // tanh keeps the median: 1000 +- 4 sd of 22.
         assert!((911..=1089).contains(&below), "{below} of 2000 below the median");

@@ -125,6 +125,12 @@ pub struct Dosing<'a> {
 }
 
 impl Dosing<'_> {
+    /// The same for a powder of this angle of repose, degrees, where it is measured.
+    pub fn knowing(mut self, repose_deg: Option<f64>) -> Self {
+        self.carried.repose_deg = repose_deg;
+        self
+    }
+
     /// Take up a weighing in its middle: a step that was carried out, with the action that was.
     pub fn resume(&mut self, step: Done) {
         self.propose(&step.before);

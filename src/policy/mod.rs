@@ -24,7 +24,7 @@ pub use dispenser::Dispenser;
 pub use episode::{Ending, Episode, ON_TARGET_MG, Rules, is_on_target, on_target_mg};
 pub use fuzzy::Fuzzy;
 pub use manifest::{Kind, LevelManifest, Manifest, SetManifest, Switch, SwitchReason};
-pub use observation::{Encoding, Observation};
+pub use observation::{Encoding, Known, Observation};
 pub use paced::Paced;
 pub use pid::{Gains, Pid};
 pub use response::{Response, Spoonful};

@@ -13,6 +13,15 @@ pub struct Observation {
     pub pitch_deg: f64,
 }
 
+/// What a policy knows beside its observation: what the weighing has shown so far, and the powder.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Known {
+    /// What the last step let fall by the balance's account, mg; 0 before the first step.
+    pub fell_mg: f64,
+    /// The powder's angle of repose, degrees, where it is measured.
+    pub repose_deg: Option<f64>,
+}
+
 /// How an [`Observation`] becomes the inputs of a network. Part of a policy: weights mean nothing without it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -30,7 +39,18 @@ pub enum Encoding {
     /// well as 7 mg from 14 mg. Both masses are clamped to what training visits: a larger target then looks like the
     /// largest trained one until it comes within reach, instead of like nothing ever seen.
     Missing,
+    /// [`Encoding::Missing`], the logarithm of a tenth of a milligram, and a running estimate of what a step gives: the last fall.
+    ///
+    /// ```text
+    /// [..., ln(1 + d / 0.1 mg) / 2 - 1, ln(1 + max(fell, 0) / 0.1 mg) / 2 - 1]
+    /// ```
+    Fall,
+    /// [`Encoding::Fall`] and the powder's flowability: `(angle of repose - 35 deg) / 10 deg`, or 0 where it is not measured.
+    FallAndRepose,
 }
+
+/// Mass from which the finer logarithm of [`Encoding::Fall`] rises, mg: one step of a fine balance.
+const FINE_MG: f64 = 0.1;
 
 /// Largest mass that [`Encoding::Missing`] tells apart, mg: the upper end of the training targets.
 const MISSING_MG_MAX: f64 = 15.0;
@@ -41,6 +61,8 @@ impl Encoding {
         match self {
             Self::Paper => 3,
             Self::Missing => 4,
+            Self::Fall => 6,
+            Self::FallAndRepose => 7,
         }
     }
 }
@@ -52,14 +74,14 @@ impl Observation {
     }
 
     /// The inputs of a network, appended to `inputs`: [`Encoding::width`] numbers of order one.
-    pub fn encode_into(&self, encoding: Encoding, inputs: &mut Vec<f32>) {
+    pub fn encode_into(&self, encoding: Encoding, known: &Known, inputs: &mut Vec<f32>) {
         match encoding {
             Encoding::Paper => inputs.extend([
                 (self.reading_mg / 2.0) as f32,
                 (-5.0 * self.pitch_deg.to_radians()) as f32,
                 (self.target_mg / 2.0) as f32,
             ]),
-            Encoding::Missing => {
+            Encoding::Missing | Encoding::Fall | Encoding::FallAndRepose => {
                 let missing = self.missing_mg().clamp(0.0, MISSING_MG_MAX);
                 inputs.extend([
                     (missing / 10.0) as f32,
@@ -67,14 +89,21 @@ impl Observation {
                     (self.pitch_deg / 25.0 - 1.0) as f32,
                     (self.reading_mg.clamp(0.0, MISSING_MG_MAX) / 10.0) as f32,
                 ]);
+                let fine = |mass_mg: f64| ((mass_mg.max(0.0) / FINE_MG).ln_1p() / 2.0 - 1.0) as f32;
+                if encoding != Encoding::Missing {
+                    inputs.extend([fine(missing), fine(known.fell_mg)]);
+                }
+                if encoding == Encoding::FallAndRepose {
+                    inputs.push(known.repose_deg.map_or(0.0, |deg| (deg - 35.0) / 10.0) as f32);
+                }
             }
         }
     }
 
     /// [`Observation::encode_into`] a new vector.
-    pub fn encode(&self, encoding: Encoding) -> Vec<f32> {
+    pub fn encode(&self, encoding: Encoding, known: &Known) -> Vec<f32> {
         let mut inputs = Vec::with_capacity(encoding.width());
-        self.encode_into(encoding, &mut inputs);
+        self.encode_into(encoding, known, &mut inputs);
         inputs
     }
 }
@@ -86,7 +115,7 @@ mod tests {
     #[test]
     fn the_papers_encoding_has_its_published_scales() {
         let seen = Observation { reading_mg: 4.0, target_mg: 12.0, pitch_deg: 36.0 };
-        let inputs = seen.encode(Encoding::Paper);
+        let inputs = seen.encode(Encoding::Paper, &Known::default());
         assert_eq!((inputs[0], inputs[2]), (2.0, 6.0));
         // 36 deg are a fifth of pi, times five.
         assert!((inputs[1] + std::f32::consts::PI).abs() < 1e-3);
@@ -94,14 +123,29 @@ mod tests {
 
     #[test]
     fn a_target_beyond_training_looks_like_the_largest_trained_one() {
-        let at =
-            |reading_mg, target_mg| Observation { reading_mg, target_mg, pitch_deg: 10.0 }.encode(Encoding::Missing);
+        let at = |reading_mg, target_mg| {
+            Observation { reading_mg, target_mg, pitch_deg: 10.0 }.encode(Encoding::Missing, &Known::default())
+        };
         assert_eq!(at(0.0, 20.0), at(0.0, 15.0));
         assert_eq!(at(18.0, 20.0), at(15.5, 17.5), "near the end only what is missing counts");
-        for encoding in [Encoding::Paper, Encoding::Missing] {
-            let inputs = Observation { reading_mg: 1e6, target_mg: 0.0, pitch_deg: 0.0 }.encode(encoding);
+        let known = Known { fell_mg: -3.0, repose_deg: Some(85.0) };
+        for encoding in [Encoding::Paper, Encoding::Missing, Encoding::Fall, Encoding::FallAndRepose] {
+            let inputs = Observation { reading_mg: 1e6, target_mg: 0.0, pitch_deg: 0.0 }.encode(encoding, &known);
             assert_eq!(inputs.len(), encoding.width());
             assert!(inputs.iter().all(|x| x.is_finite()));
         }
+    }
+
+    #[test]
+    fn the_last_fall_and_the_angle_come_after_what_is_missing() {
+        let seen = Observation { reading_mg: 4.0, target_mg: 12.0, pitch_deg: 36.0 };
+        let of = |encoding, fell_mg, repose_deg| seen.encode(encoding, &Known { fell_mg, repose_deg });
+        let [missing, fall] = [Encoding::Missing, Encoding::Fall].map(|encoding| of(encoding, 0.9, Some(30.0)));
+        assert_eq!(fall[..4], missing);
+        // 81 and 10 tenths.
+        assert!((fall[4] - (81f32.ln() / 2.0 - 1.0)).abs() < 1e-6 && (fall[5] - (10f32.ln() / 2.0 - 1.0)).abs() < 1e-6);
+        let all = of(Encoding::FallAndRepose, 0.9, Some(30.0));
+        assert_eq!((&all[..6], all[6]), (&fall[..], -0.5));
+        assert_eq!(of(Encoding::FallAndRepose, 0.9, None)[6], 0.0);
     }
 }

@@ -9,7 +9,7 @@ use super::surrogate::Surrogate;
 use super::training::{Flow, Level};
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
-use crate::policy::{Actor, OUTPUTS};
+use crate::policy::{Actor, Carried, OUTPUTS};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
@@ -31,6 +31,8 @@ pub struct Planned {
     /// Powder.
     pub set: ParameterSet,
     heap: u32,
+    /// Angle of repose of its level, degrees.
+    repose_deg: Option<f64>,
     target_mg: f64,
     rng: Pcg64Mcg,
     seed: u64,
@@ -57,7 +59,8 @@ pub fn plan(index: u32, level: u32, levels: &[Level], settings: &Settings) -> Pl
         }
     };
     let heap = rng.random_range(0..settings.fills_per_set);
-    Planned { index, level, set, heap, target_mg, rng, seed }
+    let repose_deg = levels.get(level as usize).map(|level| level.repose_deg);
+    Planned { index, level, set, heap, repose_deg, target_mg, rng, seed }
 }
 
 /// Play these episodes, one per task; results are in order. Without an actor the actions are random. None when `flow` said to
@@ -75,7 +78,7 @@ pub fn play_round<F: Filling>(
             if flow().is_break() {
                 return None;
             }
-            let surrogate = Surrogate { pitch: settings.rules.pitch };
+            let surrogate = Surrogate::new(settings.rules.pitch);
             let played = match settings.order {
                 _ if plan.index < settings.surrogate_episodes => {
                     let spoon = surrogate.fill(&plan.set, derive(plan.seed, &[SPOONFUL]));
@@ -97,7 +100,8 @@ pub fn play_round<F: Filling>(
 
 fn play_planned(plan: &mut Planned, mut spoon: impl Spoon, actor: Option<&Actor>, settings: &Settings) -> Played {
     let (target_mg, seed, rng) = (plan.target_mg, plan.seed, &mut plan.rng);
-    let mut carried = actor.map(Actor::begin).unwrap_or_default();
+    let begun = actor.map(Actor::begin).unwrap_or_default();
+    let mut carried = Carried { repose_deg: plan.repose_deg, ..begun };
     let tilt = settings.warmup_tilt as f32 * rng.random::<f32>();
     play(&mut spoon, &settings.rules, &settings.balance, target_mg, seed, |seen| match actor {
         Some(actor) => actor.sample(seen, &mut carried, rng),
@@ -112,9 +116,9 @@ fn random_action(tilt: f32, rng: &mut Pcg64Mcg) -> [f32; OUTPUTS] {
 }
 
 /// What the learner remembers of an episode; `actor` is the present one, whether or not it played.
-pub fn remembered(set: &ParameterSet, played: &Played, actor: &Actor, settings: &Settings) -> Episode {
-    let parameters = set.to_unit().map(|x| x as f32);
-    let target_mg = played.target_mg as f32;
-    let steps = played.steps.iter().map(|&step| Memory { step, target_mg, parameters }).collect();
+pub fn remembered(plan: &Planned, played: &Played, actor: &Actor, settings: &Settings) -> Episode {
+    let parameters = plan.set.to_unit().map(|x| x as f32);
+    let (target_mg, repose_deg) = (played.target_mg as f32, plan.repose_deg.unwrap_or(0.0) as f32);
+    let steps = played.steps.iter().map(|&step| Memory { step, target_mg, repose_deg, parameters }).collect();
     Episode::new(steps, actor, settings)
 }

@@ -72,6 +72,8 @@ pub fn reward(target_mg: f64, true_mg: f64) -> f64 {
 /// One step as it is remembered: nothing in it depends on the target, so any target can be asked of it afterwards.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
+    /// What the step before let fall by the balance's account, mg; 0 at the first one.
+    pub fell_mg: f32,
     /// Reading before the step, mg.
     pub reading_mg: f32,
     /// Pitch before the step, degrees.
@@ -123,7 +125,7 @@ pub fn play(
     let tare_mg = spoon.vial_mg();
     let mut true_mg = 0.0;
     let mut seen = Observation { reading_mg: read(0.0, 0.0, 0), target_mg, pitch_deg: spoon.pitch_deg() };
-    let (mut steps, mut sum) = (Vec::new(), 0.0);
+    let (mut steps, mut sum, mut fell_mg) = (Vec::new(), 0.0, seen.reading_mg);
     let ending = loop {
         let action = propose(&seen);
         spoon.step(Action::from_unit(action.map(f64::from)));
@@ -135,6 +137,7 @@ pub fn play(
         true_mg = spoon.vial_mg() - tare_mg;
         let next = Observation { reading_mg: read(before_mg, true_mg, index), target_mg, pitch_deg: spoon.pitch_deg() };
         steps.push(Step {
+            fell_mg: fell_mg as f32,
             reading_mg: seen.reading_mg as f32,
             pitch_deg: seen.pitch_deg as f32,
             action,
@@ -143,6 +146,7 @@ pub fn play(
             next_true_mg: true_mg as f32,
         });
         sum += reward(target_mg, true_mg);
+        fell_mg = next.reading_mg - seen.reading_mg;
         seen = next;
         match rules.after(index, &seen, balance.readability_mg) {
             Episode::Running => {}

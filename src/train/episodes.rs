@@ -24,7 +24,7 @@ impl Episode {
             Some(first) if settings.stores_states() => {
                 let mut carried = actor.begin();
                 let seen = first.before(first.target_mg.into());
-                actor.forward(&seen.encode(settings.encoding), &mut carried);
+                actor.forward(&seen.encode(settings.encoding, &first.known_before()), &mut carried);
                 carried.to_flat()
             }
             _ => Vec::new(),
@@ -44,11 +44,12 @@ pub(super) fn draw(ring: &Ring<Episode>, settings: &Settings, rng: &mut impl Rng
         let target_mg = drawn_target(&episode.steps[0], settings, rng);
         stored.extend(&episode.state);
         let mut course = Vec::new();
-        episode.steps[0].before(target_mg).encode_into(settings.encoding, &mut course);
+        let first = &episode.steps[0];
+        first.before(target_mg).encode_into(settings.encoding, &first.known_before(), &mut course);
         course.extend([0.0; OUTPUTS]);
         for memory in &episode.steps {
             let ends = batch.push(memory, target_mg, settings);
-            memory.after(target_mg).encode_into(settings.encoding, &mut course);
+            memory.after(target_mg).encode_into(settings.encoding, &memory.known_after(), &mut course);
             course.extend(memory.step.action);
             if ends {
                 break;

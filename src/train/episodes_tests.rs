@@ -13,6 +13,7 @@ use rand_pcg::Pcg64Mcg;
 fn episode(readings: &[f32]) -> Vec<Memory> {
     let step = |(k, w): (usize, &[f32])| Memory {
         step: Step {
+            fell_mg: 0.0,
             reading_mg: w[0],
             pitch_deg: k as f32,
             action: [0.1 * k as f32, -0.5],
@@ -21,6 +22,7 @@ fn episode(readings: &[f32]) -> Vec<Memory> {
             next_true_mg: w[1],
         },
         target_mg: 12.0,
+        repose_deg: 0.0,
         parameters: [0.5; COUNT],
     };
     readings.windows(2).enumerate().map(step).collect()
@@ -77,7 +79,7 @@ fn an_episode_asked_about_another_target_ends_where_it_would_have_ended() {
     for e in 0..300 {
         let first = row;
         // The first input is what is missing over 10 mg: it tells the target that was asked for.
-        let target_mg = batch.now[first * (4 + COUNT + 2)] * 10.0;
+        let target_mg = batch.now[first * (settings.encoding.width() + COUNT + 2)] * 10.0;
         assert!((2.0..15.0).contains(&target_mg));
         let expected = if target_mg < 5.0 {
             1

@@ -4,7 +4,7 @@ use super::environment::{Step, reward};
 use super::episodes::{self, Episode};
 use super::settings::{Network, Settings};
 use crate::domain::parameters::COUNT;
-use crate::policy::{Encoding, Ending, ON_TARGET_MG, Observation, is_on_target, on_target_mg};
+use crate::policy::{Encoding, Ending, Known, ON_TARGET_MG, Observation, is_on_target, on_target_mg};
 use rand::{Rng, RngExt};
 
 /// A remembered step: the target it was played for, and the powder's parameters for the critic.
@@ -14,12 +14,14 @@ pub struct Memory {
     pub step: Step,
     /// Target of the episode, mg.
     pub target_mg: f32,
+    /// The powder's angle of repose, degrees; 0 where none is known.
+    pub repose_deg: f32,
     /// The nine parameters as fractions of their ranges.
     pub parameters: [f32; COUNT],
 }
 
 /// Numbers in one [`Memory`], for the checkpoint.
-const WIDTH: usize = 8 + COUNT;
+const WIDTH: usize = 10 + COUNT;
 
 impl Memory {
     /// What was seen before the step, had the target been `target_mg`.
@@ -34,10 +36,24 @@ impl Memory {
         Observation { reading_mg: s.next_reading_mg.into(), target_mg, pitch_deg: s.next_pitch_deg.into() }
     }
 
+    /// What was known before it.
+    pub(super) fn known_before(&self) -> Known {
+        self.known(self.step.fell_mg.into())
+    }
+
+    /// What was known after it.
+    pub(super) fn known_after(&self) -> Known {
+        self.known(f64::from(self.step.next_reading_mg) - f64::from(self.step.reading_mg))
+    }
+
+    fn known(&self, fell_mg: f64) -> Known {
+        Known { fell_mg, repose_deg: (self.repose_deg > 0.0).then_some(self.repose_deg.into()) }
+    }
+
     fn to_row(self) -> [f32; WIDTH] {
         let s = self.step;
         let mut row = [0.0; WIDTH];
-        row[..8].copy_from_slice(&[
+        row[..10].copy_from_slice(&[
             s.reading_mg,
             s.pitch_deg,
             s.action[0],
@@ -46,14 +62,17 @@ impl Memory {
             s.next_pitch_deg,
             s.next_true_mg,
             self.target_mg,
+            s.fell_mg,
+            self.repose_deg,
         ]);
-        row[8..].copy_from_slice(&self.parameters);
+        row[10..].copy_from_slice(&self.parameters);
         row
     }
 
     fn from_row(row: &[f32]) -> Self {
         Self {
             step: Step {
+                fell_mg: row[8],
                 reading_mg: row[0],
                 pitch_deg: row[1],
                 action: [row[2], row[3]],
@@ -62,7 +81,8 @@ impl Memory {
                 next_true_mg: row[6],
             },
             target_mg: row[7],
-            parameters: std::array::from_fn(|k| row[8 + k]),
+            repose_deg: row[9],
+            parameters: std::array::from_fn(|k| row[10 + k]),
         }
     }
 }
@@ -276,11 +296,11 @@ impl Batch {
     pub(super) fn push(&mut self, memory: &Memory, target_mg: f64, settings: &Settings) -> bool {
         let s = &memory.step;
         let encoding: Encoding = settings.encoding;
-        memory.before(target_mg).encode_into(encoding, &mut self.now);
+        memory.before(target_mg).encode_into(encoding, &memory.known_before(), &mut self.now);
         self.now.extend(memory.parameters);
         self.now.extend(s.action);
         let next = memory.after(target_mg);
-        next.encode_into(encoding, &mut self.next);
+        next.encode_into(encoding, &memory.known_after(), &mut self.next);
         self.next.extend(memory.parameters);
         let terminated = settings.rules.ending == Ending::OnTarget
             && is_on_target(next.missing_mg(), settings.balance.readability_mg);
@@ -301,6 +321,7 @@ mod tests {
     fn memory(reading_mg: f32, next_reading_mg: f32) -> Memory {
         Memory {
             step: Step {
+                fell_mg: 0.0,
                 reading_mg,
                 pitch_deg: 8.0,
                 action: [0.25, -0.5],
@@ -309,6 +330,7 @@ mod tests {
                 next_true_mg: next_reading_mg + 0.25,
             },
             target_mg: 12.0,
+            repose_deg: 30.0,
             parameters: [0.5; COUNT],
         }
     }
@@ -329,7 +351,8 @@ mod tests {
     fn a_step_without_relabelling_is_given_back_as_it_was_played() {
         let settings = Settings { relabel_share: 0.0, batch: 1, ..settings(Preset::Paper) };
         let batch = replay(&settings, vec![memory(3.0, 5.0)]).draw(&settings, &mut Pcg64Mcg::seed_from_u64(1));
-        let seen = Observation { reading_mg: 3.0, target_mg: 12.0, pitch_deg: 8.0 }.encode(Encoding::Paper);
+        let seen =
+            Observation { reading_mg: 3.0, target_mg: 12.0, pitch_deg: 8.0 }.encode(Encoding::Paper, &Known::default());
         assert_eq!(batch.now, [seen, vec![0.5; COUNT], vec![0.25, -0.5]].concat());
         assert_eq!((batch.reward, batch.goes_on), (vec![-6.75], vec![1.0]));
     }
@@ -344,7 +367,7 @@ mod tests {
             // The first input is what is missing over 10 mg: it tells the target that was asked for.
             let target = f64::from(now[0]) * 10.0 + 3.0;
             assert!((4.0..15.0).contains(&target), "the step would not have been taken for {target} mg");
-            assert_eq!((now[width - 2], now[width + COUNT..].to_vec()), (8.0 / 25.0 - 1.0, vec![0.25, -0.5]));
+            assert_eq!((now[2], now[width + COUNT..].to_vec()), (8.0 / 25.0 - 1.0, vec![0.25, -0.5]));
             let terminated = target - 9.0 < 1.0;
             assert_eq!(batch.goes_on[k], if terminated { 0.0 } else { 1.0 });
             let expected = settings.reward_scale * training_reward(&settings, target, 9.25, terminated);

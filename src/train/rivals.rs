@@ -1,22 +1,25 @@
-//! Tuning the rivals of other robots: a few scale factors each, on the powders and targets of the schedule.
+//! Tuning what is set by a few numbers: the rivals of other robots, and the rules that ship, on the powders and targets of the schedule.
 
 use super::environment::Filling;
-use super::schedule::{Tuning, errors_mg, halve, mean_error_mg};
+use super::schedule::{KEPT, Tuning, errors_mg, halve, mean_error_mg};
 use super::spoons::Spoons;
 use super::training::Level;
+use crate::domain::bench::{INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MAX};
 use crate::domain::seed::derive;
-use crate::policy::{Controller, Fuzzy, Gains, Kind, Pid};
+use crate::policy::{Controller, Fuzzy, Gains, Kind, Paced, Pid};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::Serialize;
 
-/// A controller of another robot.
+/// What is searched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rival {
     /// [`Pid`]: six gains.
     Pid,
     /// [`Fuzzy`]: five factors.
     Fuzzy,
+    /// [`Paced`], which is ours: fifteen.
+    Paced,
 }
 
 /// A rival and how it did in the search.
@@ -24,9 +27,9 @@ pub enum Rival {
 pub struct TunedRival {
     /// Its numbers.
     pub kind: Kind,
-    /// Mean absolute error over powders, spoons and targets of its last round, mg. It was chosen for being small: expect more on
-    /// other spoons.
-    pub mae_mg: f64,
+    /// Mean absolute error over powders, spoons and targets of its last round, mg, overdoses as the search counts them. It was chosen for
+    /// being small: expect more on other spoons.
+    pub loss_mg: f64,
     /// Pours in the search.
     pub pours: u32,
     /// The controller.
@@ -39,10 +42,30 @@ impl Rival {
     ///
     /// Of the PID rule: P, I and D of the incline, then of the shake, 1/mg; the largest alone would answer 10 mg with the whole action.
     /// Of the fuzzy rules: medium missing mass in mg, some fall in mg, tilt of *far* in degrees, gentle and strong shake in mm.
+    /// Of the paced rules: medium missing mass in mg and how much larger a large one is; some fall in mg and how much larger much is; back and
+    /// on in degrees and how much larger far is; gentle shake in mm, and where usual and strong ones are between it and 16 mm; then the rules'
+    /// own numbers.
     fn ranges(self) -> &'static [[f64; 2]] {
         match self {
             Self::Pid => &[[0.0, 0.1], [-0.02, 0.02], [-0.1, 0.1], [0.0, 0.1], [-0.02, 0.02], [-0.1, 0.1]],
             Self::Fuzzy => &[[3.0, 12.0], [0.5, 5.0], [3.0, 8.0], [0.9, 5.0], [5.5, 16.0]],
+            Self::Paced => &[
+                [1.5, 8.0],
+                [2.0, 8.0],
+                [0.05, 1.0],
+                [4.0, 16.0],
+                [-8.0, -2.0],
+                [1.0, 5.0],
+                [1.0, 2.0],
+                [1.0, 3.0],
+                [0.01, 0.5],
+                [0.6, 1.0],
+                [0.3, 1.5],
+                [60.0, 240.0],
+                [1.0, 8.0],
+                [1.0, 2.5],
+                [1.0, 10.0],
+            ],
         }
     }
 
@@ -67,9 +90,31 @@ impl Rival {
                 };
                 (Kind::Fuzzy { fuzzy }, Controller::Fuzzy(fuzzy))
             }
+            Self::Paced => {
+                let (medium, some, on, gentle) = (round(x[0], 1), round(x[2], 2), round(x[5], 1), round(x[7], 1));
+                let between = |share: f64| round(gentle * (SHAKE_MM_MAX / gentle).powf(share), 2);
+                let far = round((x[6] * on).min(INCLINE_CHANGE_DEG_MAX), 1).max(on + 0.1);
+                let paced = Paced {
+                    gentle: Fuzzy {
+                        missing_mg: [0.5, medium, round(x[1] * medium, 1)],
+                        fall_mg: [0.0, some, round(x[3] * some, 2)],
+                        tilt_deg: [round(x[4], 1), 0.0, on, far],
+                        shake_mm: [gentle, between(x[8]).max(gentle + 0.01), between(x[9])],
+                    },
+                    pace_mg: round(x[10], 2),
+                    climb_deg: round(x[11], 0),
+                    first_mm: round(x[12], 1),
+                    harder: round(x[13], 2),
+                    stuck_mm_per_mg: round(x[14], 1),
+                };
+                (Kind::Paced { paced }, Controller::Paced(paced))
+            }
         }
     }
 }
+
+/// Spoons of each powder for each candidate in the first round of a slow search.
+const SLOW_SPOONS: u32 = 2;
 
 /// Search the rival with the smallest mean absolute error on these powders, as [`super::schedule::tune`] does the schedule: random
 /// points and successive halving, then the same once more around the best. A pour serves one target, for these look at it.
@@ -77,24 +122,68 @@ impl Rival {
 /// # Panics
 /// Without powders, parameter sets, targets or candidates.
 pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning, rival: Rival) -> TunedRival {
+    let (best, spoons) = search(filling, levels, tuning, rival, KEPT);
+    let (loss_mg, point) = &best[0];
+    let (kind, controller) = rival.at(point);
+    found(kind, controller, *loss_mg, spoons, levels, tuning)
+}
+
+/// [`tune`] on a fast spoon, and the best of it once more by successive halving on a slow one, together with those `known` before.
+///
+/// # Panics
+/// Without powders, parameter sets, targets or candidates.
+pub fn tune_twice<F: Filling, G: Filling>(
+    fast: &F,
+    slow: &G,
+    levels: &[Level],
+    tuning: &Tuning,
+    rival: Rival,
+    known: &[(Kind, Controller)],
+) -> TunedRival {
+    let (best, _) = search(fast, levels, tuning, rival, 4 * KEPT);
+    let spoons = Spoons::new(slow, derive(tuning.seed, &[5]));
+    let score = |of: &(Kind, Controller), doses| loss_mg(&of.1, levels, tuning, &spoons, doses);
+    let field = known.iter().cloned().chain(best.iter().map(|(_, point)| rival.at(point))).collect();
+    let (best, poured) = halve(field, SLOW_SPOONS, KEPT, score);
+    let (loss_mg, (kind, controller)) = best.into_iter().next().expect("a field is not empty");
+    found(kind, controller, loss_mg, poured, levels, tuning)
+}
+
+/// The `kept` best points of a search on these spoons, the best first, and the spoons of each powder that were poured.
+fn search<F: Filling>(
+    filling: &F,
+    levels: &[Level],
+    tuning: &Tuning,
+    rival: Rival,
+    kept: usize,
+) -> (Vec<(f64, Vec<f64>)>, u32) {
     assert!(!levels.is_empty() && levels.iter().all(|l| !l.sets.is_empty()) && tuning.candidates > 0);
     let spoons = Spoons::new(filling, derive(tuning.seed, &[1]));
     let mut rng = Pcg64Mcg::seed_from_u64(derive(tuning.seed, &[2]));
-    let score = |point: &Vec<f64>, doses| mae_mg(&rival.at(point).1, levels, tuning, &spoons, doses);
+    let score = |point: &Vec<f64>, doses| loss_mg(&rival.at(point).1, levels, tuning, &spoons, doses);
     let size = rival.ranges().len();
     let field = (0..tuning.candidates).map(|_| (0..size).map(|_| rng.random_range(0.0..1.0)).collect());
-    let (best, first_spoons) = halve(field.collect(), tuning.spoons, score);
+    let (best, first_spoons) = halve(field.collect(), tuning.spoons, kept, score);
     let mut aside = |from: &Vec<f64>| -> Vec<f64> {
         from.iter().map(|u| (u + rng.random_range(-0.15..0.15)).clamp(0.0, 1.0)).collect()
     };
     let around = (best.len()..tuning.candidates.div_ceil(2) as usize).map(|k| aside(&best[k % best.len()].1));
     let around: Vec<Vec<f64>> = around.collect();
     let field = best.into_iter().map(|(_, point)| point).chain(around).collect();
-    let (best, second_spoons) = halve(field, tuning.spoons, score);
-    let (mae_mg, point) = &best[0];
-    let (kind, controller) = rival.at(point);
-    let pours = (first_spoons + second_spoons) * (levels.len() * tuning.targets_mg.len()) as u32;
-    TunedRival { kind, mae_mg: *mae_mg, pours, controller }
+    let (best, second_spoons) = halve(field, tuning.spoons, kept, score);
+    (best, first_spoons + second_spoons)
+}
+
+fn found(
+    kind: Kind,
+    controller: Controller,
+    loss_mg: f64,
+    spoons: u32,
+    levels: &[Level],
+    tuning: &Tuning,
+) -> TunedRival {
+    let pours = spoons * (levels.len() * tuning.targets_mg.len()) as u32;
+    TunedRival { kind, loss_mg, pours, controller }
 }
 
 /// Mean absolute error of a controller on `doses` spoons of each powder, filled with another seed than the search, mg.
@@ -106,11 +195,11 @@ pub fn assess<F: Filling>(
     doses: u32,
     seed: u64,
 ) -> f64 {
-    mae_mg(controller, levels, tuning, &Spoons::new(filling, derive(seed, &[4])), doses)
+    loss_mg(controller, levels, &tuning.plain(), &Spoons::new(filling, derive(seed, &[4])), doses)
 }
 
-/// Mean absolute error over powders, spoons and targets, mg.
-fn mae_mg<F: Filling>(
+/// Mean cost of the errors over powders, spoons and targets, mg.
+fn loss_mg<F: Filling>(
     controller: &Controller,
     levels: &[Level],
     tuning: &Tuning,
@@ -141,13 +230,14 @@ mod tests {
 
     #[test]
     fn every_point_of_the_cube_is_a_rival_within_its_bounds() {
-        for rival in [Rival::Pid, Rival::Fuzzy] {
+        for rival in [Rival::Pid, Rival::Fuzzy, Rival::Paced] {
             let size = rival.ranges().len();
             for corner in 0..1u32 << size {
                 let point: Vec<f64> = (0..size).map(|k| f64::from(corner >> k & 1)).collect();
                 match rival.at(&point).1 {
                     Controller::Pid(pid) => assert_eq!(pid.checked(), Ok(pid)),
                     Controller::Fuzzy(fuzzy) => assert_eq!(fuzzy.checked(), Ok(fuzzy)),
+                    Controller::Paced(paced) => assert_eq!(paced.checked(), Ok(paced)),
                     other => panic!("{other:?} is no rival"),
                 }
             }
@@ -155,16 +245,24 @@ mod tests {
     }
 
     #[test]
-    fn a_search_finds_a_better_rival_than_the_middle_of_its_ranges_and_finds_it_again() {
+    fn a_search_finds_a_better_rival_than_chance_and_finds_it_again() {
         let formula = Formula { pitch: PitchLimits::WIDE };
         let tuning = Tuning { candidates: 32, ..Tuning::new(1) };
-        for rival in [Rival::Pid, Rival::Fuzzy] {
+        for rival in [Rival::Pid, Rival::Fuzzy, Rival::Paced] {
             let tuned = tune(&formula, &levels(), &tuning, rival);
-            let middle = rival.at(&vec![0.5; rival.ranges().len()]).1;
-            let on_others = |controller| assess(&formula, &levels(), &tuning, controller, 20, 99);
-            let (ours, theirs) = (on_others(&tuned.controller), on_others(&middle));
-            assert!(ours < theirs, "{rival:?}: tuned {ours}, middle {theirs}");
+            let on_others = |controller: &Controller| assess(&formula, &levels(), &tuning, controller, 20, 99);
+            let mut rng = Pcg64Mcg::seed_from_u64(5);
+            let mut drawn = || rival.ranges().iter().map(|_| rng.random_range(0.0..1.0)).collect::<Vec<f64>>();
+            let theirs = (0..20).map(|_| on_others(&rival.at(&drawn()).1)).sum::<f64>() / 20.0;
+            let ours = on_others(&tuned.controller);
+            assert!(ours < theirs, "{rival:?}: tuned {ours}, drawn {theirs}");
             assert_eq!(tune(&formula, &levels(), &tuning, rival), tuned);
+            let twice = tune_twice(&formula, &formula, &levels(), &tuning, rival, &[]);
+            assert!(on_others(&twice.controller) < theirs, "{rival:?}: searched twice {twice:?}, drawn {theirs}");
+            // A search that is hopeless by itself keeps what was good before.
+            let (hopeless, known) = (Tuning { candidates: 1, ..tuning.clone() }, [(tuned.kind, tuned.controller)]);
+            let kept = tune_twice(&formula, &formula, &levels(), &hopeless, rival, &known);
+            assert!(on_others(&kept.controller) < theirs, "{rival:?}: kept {kept:?}, drawn {theirs}");
         }
     }
 }

@@ -5,7 +5,7 @@ use super::spoons::Spoons;
 use super::training::Level;
 use crate::domain::bench::{Action, SHAKE_MM_MAX};
 use crate::domain::seed::derive;
-use crate::policy::{Controller, Episode, Observation, Rules, Schedule, ScheduledStep};
+use crate::policy::{Controller, Episode, ON_TARGET_MG, Observation, Rules, Schedule, ScheduledStep};
 use crate::sim::balance;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -23,6 +23,8 @@ pub struct Tuning {
     pub candidates: u32,
     /// Spoons per powder in the first round. Default 1.
     pub spoons: u32,
+    /// Factor on errors of more than 1 mg too much in the search. Default 1.
+    pub overdose_factor: f64,
     /// Targets a schedule has to serve, mg. Default 5 to 15 in steps of 2.5.
     pub targets_mg: Vec<f64>,
     /// Steps, ending and pitch range.
@@ -38,10 +40,16 @@ impl Tuning {
             seed,
             candidates: 64,
             spoons: 1,
+            overdose_factor: 1.0,
             targets_mg: vec![5.0, 7.5, 10.0, 12.5, 15.0],
             rules: Rules::FLIP,
             balance: balance::Settings::default(),
         }
+    }
+
+    /// The same with every error counted once.
+    pub(super) fn plain(&self) -> Self {
+        Self { overdose_factor: 1.0, ..self.clone() }
     }
 }
 
@@ -93,7 +101,7 @@ pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning) -> Tuned
         [step(), step()]
     });
     let score = |[first, last]: &Ends, doses| score(&ramp(*first, *last), levels, tuning, &spoons, doses);
-    let (best, first_spoons) = halve(field.collect(), tuning.spoons, score);
+    let (best, first_spoons) = halve(field.collect(), tuning.spoons, KEPT, score);
     // The second field: the best of the first, and steps aside from them.
     let mut aside = |from: ScheduledStep| ScheduledStep {
         pitch_deg: (from.pitch_deg + rng.random_range(-6.0..6.0)).clamp(0.0, pitch_max_deg),
@@ -101,7 +109,7 @@ pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning) -> Tuned
     };
     let around = (best.len()..tuning.candidates.div_ceil(2) as usize).map(|k| best[k % best.len()].1.map(&mut aside));
     let field = best.iter().map(|(_, ends)| *ends).chain(around).collect();
-    let (best, second_spoons) = halve(field, tuning.spoons, score);
+    let (best, second_spoons) = halve(field, tuning.spoons, KEPT, score);
     let (mae_mg, [first, last]) = best[0];
     Tuned { schedule: ramp(first, last), mae_mg, pours: (first_spoons + second_spoons) * levels.len() as u32 }
 }
@@ -109,13 +117,14 @@ pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning) -> Tuned
 /// The two ends of a ramp.
 type Ends = [ScheduledStep; 2];
 /// Candidates that a search hands over.
-const KEPT: usize = 4;
+pub(super) const KEPT: usize = 4;
 
 /// Successive halving: each round scores every remaining candidate on twice as many spoons of each powder and keeps the better quarter,
-/// until [`KEPT`] are left. Those with their scores, the best first, and the spoons of each powder that were poured.
+/// until `kept` are left. Those with their scores, the best first, and the spoons of each powder that were poured.
 pub(super) fn halve<C: Send + Sync>(
     mut field: Vec<C>,
     mut spoons: u32,
+    kept: usize,
     score: impl Fn(&C, u32) -> f64 + Sync,
 ) -> (Vec<(f64, C)>, u32) {
     let mut poured = 0;
@@ -124,10 +133,10 @@ pub(super) fn halve<C: Send + Sync>(
         poured += scored.len() as u32 * spoons;
         // A stable sort: of equals the first drawn wins.
         scored.sort_by(|a, b| a.0.total_cmp(&b.0));
-        if scored.len() <= KEPT {
+        if scored.len() <= kept {
             return (scored, poured);
         }
-        scored.truncate(scored.len().div_ceil(4).max(KEPT));
+        scored.truncate(scored.len().div_ceil(4).max(kept));
         field = scored.into_iter().map(|(_, candidate)| candidate).collect();
         spoons *= 2;
     }
@@ -142,7 +151,7 @@ pub fn assess<F: Filling>(
     doses: u32,
     seed: u64,
 ) -> f64 {
-    score(schedule, levels, tuning, &Spoons::new(filling, derive(seed, &[4])), doses)
+    score(schedule, levels, &tuning.plain(), &Spoons::new(filling, derive(seed, &[4])), doses)
 }
 
 /// Mean absolute error of a schedule over powders, spoons and targets, mg.
@@ -174,7 +183,7 @@ pub(super) fn mean_error_mg<F: Filling>(
     errors.iter().sum::<f64>() / errors.len() as f64
 }
 
-/// The absolute true error at each target when one spoon is poured by this controller, which is told `shown_mg`.
+/// What the true error at each target costs when one spoon is poured by this controller, which is told `shown_mg`.
 pub(super) fn errors_mg(
     controller: &Controller,
     mut spoon: impl Spoon,
@@ -183,7 +192,7 @@ pub(super) fn errors_mg(
     shown_mg: f64,
     seed: u64,
 ) -> Vec<f64> {
-    let mut dosing = controller.begin(&tuning.rules, 1.0);
+    let mut dosing = controller.begin(&tuning.rules, tuning.balance.readability_mg);
     let mut waiting = targets_mg.to_vec();
     let mut errors = Vec::new();
     let mut reading_mg = 0.0;
@@ -197,7 +206,9 @@ pub(super) fn errors_mg(
             let seen = Observation { reading_mg, target_mg, pitch_deg: spoon.pitch_deg() };
             let goes_on = tuning.rules.after(steps, &seen, tuning.balance.readability_mg) == Episode::Running;
             if !goes_on {
-                errors.push((target_mg - spoon.vial_mg()).abs());
+                let missing_mg = target_mg - spoon.vial_mg();
+                let factor = if missing_mg < -ON_TARGET_MG { tuning.overdose_factor } else { 1.0 };
+                errors.push(factor * missing_mg.abs());
             }
             goes_on
         });

@@ -88,9 +88,10 @@ pub struct Settings {
     /// Seed of everything that is drawn.
     pub seed: u64,
 
-    /// Episodes in the training. Default 240 (demonstration), 4000 (paper).
+    /// Episodes in the training. Default 8000 (ours), 4000 (paper).
     pub episodes: u32,
-    /// First episodes that are played on a model of the spoon ([`super::Surrogate`]) instead of the simulator, a thousand times as fast. Default 0.
+    /// First episodes that are played on a model of the spoon ([`super::Surrogate`]) instead of the simulator, a thousand times as fast. Default 0;
+    /// a training that is asked for without a number plays as many as [`Settings::surrogate_by_default`].
     #[serde(default, skip_serializing_if = "is_zero")]
     pub surrogate_episodes: u32,
     /// Episodes collected in parallel with one snapshot of the policy, before updates. Fixed, so that the result does not
@@ -121,7 +122,7 @@ pub struct Settings {
     pub hidden: u32,
     /// Transitions per update; episodes per update for a recurrent network. Default 256 (ours), 16 (prior work).
     pub batch: u32,
-    /// Updates per environment step. Default 4 (ours), 1 (prior work).
+    /// Updates per environment step. Default 1.
     pub updates_per_step: f64,
     /// Episodes with random actions before the first update. Default 16 (ours), 20 (prior work).
     pub warmup_episodes: u32,
@@ -131,7 +132,7 @@ pub struct Settings {
     /// Transitions kept; the oldest is forgotten first. A recurrent network keeps as many episodes as have room at the most
     /// steps. Default 1 000 000 (prior work).
     pub replay_capacity: u32,
-    /// Adam's step size for actor, critics and temperature. Default 1e-3 (ours), 1e-4 (prior work).
+    /// Adam's step size for actor, critics and temperature. Default 3e-4 (ours), 1e-4 (prior work).
     pub learning_rate: f64,
     /// How far off a critic is. Default squared (Haarnoja 2018), Huber (prior work).
     #[serde(default)]
@@ -170,7 +171,7 @@ impl Settings {
             preset,
             order,
             seed,
-            episodes: 240,
+            episodes: 8000,
             surrogate_episodes: 0,
             episodes_per_round: 4,
             rounds_per_checkpoint: 5,
@@ -180,15 +181,15 @@ impl Settings {
             target_mg_max: 15.0,
             balance: balance::Settings::default(),
             spoon: dispense::Settings::default(),
-            encoding: Encoding::Missing,
+            encoding: Encoding::Fall,
             network: Network::FeedForward,
             hidden: 128,
             batch: 256,
-            updates_per_step: 4.0,
+            updates_per_step: 1.0,
             warmup_episodes: 16,
             warmup_tilt: 0.6,
             replay_capacity: 1_000_000,
-            learning_rate: 1e-3,
+            learning_rate: 3e-4,
             critic_loss: CriticLoss::Squared,
             gamma: 0.9,
             tau: 0.005,
@@ -211,7 +212,6 @@ impl Settings {
                 encoding: Encoding::Paper,
                 network: Network::Recurrent { replayed: Replayed::StoredState },
                 batch: 16,
-                updates_per_step: 1.0,
                 warmup_episodes: 20,
                 warmup_tilt: 0.0,
                 learning_rate: 1e-4,
@@ -265,6 +265,14 @@ impl Settings {
         bounded("relabel_mg_min", self.relabel_mg_min, 0.1, self.target_mg_max, "mg")?;
         count("curriculum.queue", self.curriculum.queue, 1, 100_000)?;
         Ok(self)
+    }
+
+    /// Episodes on the surrogate unless a request says otherwise: all of ours, none of the published ones.
+    pub fn surrogate_by_default(&self) -> u32 {
+        match self.preset {
+            Preset::Flip => self.episodes,
+            Preset::Paper => 0,
+        }
     }
 
     /// Episodes are remembered with the actor's state after their first step.

@@ -29,6 +29,8 @@ use rand_pcg::Pcg64Mcg;
 pub struct Surrogate {
     /// Range of the pitch.
     pub pitch: PitchLimits,
+    /// How much spoonfuls of one powder differ: 1 as simulated ones do, 0 not at all.
+    pub spread: f64,
 }
 
 /// B: of the onset in degrees, of ln slope in mg/deg and of ln stroke in mm, each a constant and a number for each direction.
@@ -65,6 +67,11 @@ pub struct SurrogateSpoon {
 }
 
 impl Surrogate {
+    /// Spoonfuls as simulated ones are.
+    pub fn new(pitch: PitchLimits) -> Self {
+        Self { pitch, spread: 1.0 }
+    }
+
     /// What a spoonful of this powder does, as chance will have it.
     fn spoonful(&self, set: &ParameterSet, seed: u64) -> Spoonful {
         let d = directions(set);
@@ -77,7 +84,7 @@ impl Surrogate {
             ..RESPONSE
         };
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
-        response.spoonful(std::array::from_fn(|_| normal(&mut rng).into()))
+        response.spoonful(std::array::from_fn(|_| self.spread * f64::from(normal(&mut rng))))
     }
 }
 
@@ -119,7 +126,7 @@ mod tests {
     use super::*;
     use crate::stats::summary::{mean, sd};
 
-    const SURROGATE: Surrogate = Surrogate { pitch: PitchLimits::WIDE };
+    const SURROGATE: Surrogate = Surrogate { pitch: PitchLimits::WIDE, spread: 1.0 };
     const SHAKE: Action = Action { incline_change_deg: 8.0, shake_mm: 8.0 };
 
     /// Mass of one dose after four shakes, each 8 deg higher, for many spoonfuls.

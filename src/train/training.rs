@@ -154,6 +154,9 @@ pub(super) struct Progress {
     pub on_level: Vec<u32>,
 }
 
+/// Rounds on the surrogate for one in the simulator, between checkpoints.
+const SURROGATE_ROUNDS: u32 = 50;
+
 /// Episodes in the final error.
 const RECENT: usize = 20;
 
@@ -184,7 +187,7 @@ pub fn train_on<F: Filling>(
         for record in records {
             stop |= on_event(Event::Episode(Box::new(record))).is_break();
         }
-        if state.progress.rounds.is_multiple_of(settings.rounds_per_checkpoint) {
+        if state.progress.rounds.is_multiple_of(rounds_per_checkpoint(&state.progress, settings)) {
             stop |= on_event(Event::Checkpoint(checkpoint::encode(&state, levels, settings))).is_break();
         }
         if stop && state.progress.episodes < settings.episodes {
@@ -192,6 +195,12 @@ pub fn train_on<F: Filling>(
         }
     }
     state.finish(levels, settings)
+}
+
+/// Rounds between checkpoints where the training stands: on the surrogate they are over in no time.
+fn rounds_per_checkpoint(progress: &Progress, settings: &Settings) -> u32 {
+    let on_surrogate = progress.episodes < settings.surrogate_episodes;
+    settings.rounds_per_checkpoint.saturating_mul(if on_surrogate { SURROGATE_ROUNDS } else { 1 })
 }
 
 /// The levels in the order they are met.
@@ -250,7 +259,7 @@ impl State {
             return Ok(None);
         };
         for (plan, played) in &played {
-            self.replay.push(remembered(&plan.set, played, &actor, settings));
+            self.replay.push(remembered(plan, played, &actor, settings));
             self.count(plan, played);
             self.progress.learning_steps += if learns { played.steps.len() as u64 } else { 0 };
         }
