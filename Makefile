@@ -3,7 +3,7 @@
 # make bench-peers   the simulator's speed beside other simulators', which it installs (python3.11, PyPI)
 # make bench-learner   the learner's speed beside Stable-Baselines3's, which it installs (python3, PyPI)
 # make calibration-report   the published method and ours on the five powders, twenty minutes on two cores
-# make training-report   trains ours and the four published orders, and weighs with all; hours, stop it and call it again (EPISODES=4000)
+# make training-report   trains ours and the four published orders, and weighs with all; an hour and a half, stop it and call it again (EPISODES=4000)
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash
@@ -75,18 +75,19 @@ EPISODES ?= 200
 training-report: setup
 	cargo build --release --locked
 	data="$${DATA:-$(CURDIR)/target/training-report}"
-	flip() { cargo run --quiet --release --locked -- "$$@" --data-dir "$$data" --seed 1; }
-	policy() { python3 -c 'import json, sys; print(json.load(sys.stdin)["policy"])'; }
-	doses() { echo "== $$*"; flip evaluate --targets-mg 5,10,15,20 --repeats 5 "$$@"; }
-	ours=$$(flip train --json | policy)
+	flip() { cargo run --quiet --release --locked -- "$$@" --data-dir "$$data"; }
+	policies() { python3 -c 'import json, sys; found = json.load(sys.stdin); print(*[one["policy"] for one in (found if isinstance(found, list) else [found])])'; }
+	doses() { echo "== $$*"; flip evaluate --targets-mg 5,10,15,20 --repeats 5 --seed 3 "$$@"; }
+	flip calibrate --powder all --seed 1 > "$$data.calibrations.txt"
+	ours=$$(flip train --seed 1 --json | policies)
 	doses --policy "$$ours"
 	for conditions in '--readability-mg 1' '--readability-mg 0.1' '--particles 3500' '--extension rotation=1 --extension rolling_friction=0.2' \
 			'--extension size_spread=0.2' '--extension humidity=0.5'; do
-		doses --policy "$$ours" --controllers policy,paced --max-shakes 30 $$conditions
+		doses --policy "$$ours" --controllers paced --max-shakes 30 $$conditions
 	done
-	for order in curriculum random reverse domain-randomisation; do
-		paper=$$(flip train --order "$$order" --preset paper --episodes $(EPISODES) --json | policy)
-		echo "== preset paper, $$order, $(EPISODES) episodes"
+	orders=curriculum,random,reverse,domain-randomisation
+	for paper in $$(flip train --order "$$orders" --preset paper --episodes $(EPISODES) --seed 1 --json | policies); do
+		echo "== preset paper, $(EPISODES) episodes, the next of $$orders"
 		doses --policy "$$paper" --controllers policy
 	done
 
