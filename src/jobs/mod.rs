@@ -4,7 +4,7 @@
 //!  App -- row + delivery, one transaction --> [store]
 //!                                               | queue.rs (apalis) delivers: at least once, nothing more
 //!                                               v
-//!  worker.rs   claim the row: fence + lease; wait while another lease lasts; nothing to do when it has ended
+//!  worker.rs   take a lane (lanes.rs) and claim the row: fence + lease; without either nothing is done, and it is delivered again
 //!     |        lease.rs renews the lease from a thread of its own
 //!     v
 //!  a compute thread: train.rs, several at once | calibrate.rs, evaluate.rs, one at a time
@@ -18,6 +18,7 @@ pub mod calibrate;
 mod conditions;
 mod context;
 pub mod evaluate;
+mod lanes;
 mod lease;
 pub mod observe;
 mod queue;
@@ -38,9 +39,9 @@ use crate::store::jobs::Job;
 use crate::store::ledger::Lease;
 use crate::store::{self, Store, new_id, now};
 use bench::Bench;
-use queue::Queue;
+use lanes::Lanes;
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError};
 use stop::{Stop, StopFlag};
 use tokio::sync::Notify;
 use tokio::task::JoinHandle;
@@ -89,10 +90,7 @@ struct Shared {
     functions: Functions,
     /// Stop flags of running jobs, by id.
     running: Mutex<HashMap<String, Arc<StopFlag>>>,
-    /// Held by what computes alone: one job at a time, whatever the queue delivers.
-    turns: Mutex<()>,
-    /// Read by each training that computes; written by whoever waits for all of them.
-    trainings: RwLock<()>,
+    lanes: Lanes,
     /// Wakes the reconciler.
     reconcile: Notify,
     /// No more work is taken.
@@ -111,8 +109,7 @@ impl Jobs {
             store,
             functions,
             running: Mutex::default(),
-            turns: Mutex::default(),
-            trainings: RwLock::default(),
+            lanes: Lanes::new(),
             reconcile: Notify::new(),
             closing: CancellationToken::new(),
         });
@@ -129,10 +126,10 @@ impl Jobs {
         queue::forget_deliveries(&self.shared.store).await?;
         reconcile::deliver_again(&self.shared.store).await?;
         self.bench.start().await?;
-        let workers = Queue::ALL.into_iter().flat_map(|queue| std::iter::repeat_n(queue, queue.workers()));
-        let supervised = workers.map(|queue| tokio::spawn(worker::supervise(self.shared.clone(), queue)));
-        let mut tasks: Vec<JoinHandle<()>> = supervised.collect();
-        tasks.push(tokio::spawn(reconcile::keep_delivering(self.shared.clone())));
+        let tasks = [
+            tokio::spawn(worker::supervise(self.shared.clone())),
+            tokio::spawn(reconcile::keep_delivering(self.shared.clone())),
+        ];
         self.tasks.lock().unwrap_or_else(PoisonError::into_inner).extend(tasks);
         Ok(())
     }

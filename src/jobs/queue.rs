@@ -10,6 +10,7 @@
 //! | it redelivers without end what kills its process | the ledger counts attempts |
 //! | one failed statement ends the worker and drops what it handles | `worker.rs` starts another; dropped work goes back |
 //! | it takes ten tasks ahead | batches of one |
+//! | while a task is handled it may hold a connection, with a transaction | a task is handled in milliseconds: computing is elsewhere |
 
 use crate::domain::job::JobKind;
 use crate::store::ledger::Lease;
@@ -27,58 +28,19 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use tower::limit::ConcurrencyLimitLayer;
 
-/// Most workers of a queue: each looks for work on its own.
-const WORKERS_MAX: usize = 8;
-
-/// Who waits for whom: trainings for no one, everything else, which fills every core by itself, for its turn.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Queue {
-    /// One job at a time.
-    Turns,
-    /// Trainings, whose steps follow one another: as many at once as there are cores, from two to eight.
-    Trainings,
-}
-
-impl Queue {
-    pub const ALL: [Self; 2] = [Self::Turns, Self::Trainings];
-
-    /// Where a job waits.
-    pub fn of(kind: JobKind) -> Self {
-        match kind {
-            JobKind::Training => Self::Trainings,
-            JobKind::Calibration | JobKind::Evaluation => Self::Turns,
-        }
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Turns => "flip",
-            Self::Trainings => "flip-trainings",
-        }
-    }
-
-    /// Its workers. A worker of the library that takes several tasks looks for the next one only now and then, and keeps the database's
-    /// writing connection in between.
-    pub fn workers(self) -> usize {
-        match self {
-            Self::Turns => 1,
-            Self::Trainings => {
-                std::thread::available_parallelism().map_or(2, |cores| cores.get().clamp(2, WORKERS_MAX))
-            }
-        }
-    }
-}
-
+const QUEUE: &str = "flip";
 /// How often an idle worker looks for a delivery.
 const POLL: Duration = Duration::from_millis(250);
 /// A worker that has not been heard of for twice this long loses its deliveries.
 const HEARTBEAT: Duration = Duration::from_secs(5);
 
-/// What is delivered: only which job. What it is to do, the ledger knows.
+/// What is delivered: only which job, and of what kind. What it is to do, the ledger knows.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Delivery {
     /// Job id.
     pub job: String,
+    /// Its kind, which says whom it has to wait for.
+    pub kind: JobKind,
 }
 
 /// Create or update the queue's tables.
@@ -92,34 +54,30 @@ pub(super) async fn migrate(store: &Store) -> store::Result<()> {
 
 /// Deliver a job: as part of `tx`, once for each fence.
 pub(super) async fn push(tx: &mut Tx, kind: JobKind, lease: &Lease) -> store::Result<()> {
-    let delivery = Delivery { job: lease.job.clone() };
+    let delivery = Delivery { job: lease.job.clone(), kind };
     let args = serde_json::to_vec(&delivery).map_err(|error| store::Error::Corrupt(error.to_string()))?;
     let key = format!("job:{}:{}", lease.job, lease.fence);
     // One attempt: trying again is the ledger's business.
     let task = TaskBuilder::new(args).idempotency_key(key).max_attempts(1).build();
-    apalis_sqlite::queries::push_tasks(tx.connection(), Queue::of(kind).name(), &[task]).await.map_err(library)
+    apalis_sqlite::queries::push_tasks(tx.connection(), QUEUE, &[task]).await.map_err(library)
 }
 
 /// Remove deliveries that were dealt with, so that their keys are free.
 pub(super) async fn forget_finished(tx: &mut Tx) -> store::Result<()> {
     let sql = "DELETE FROM Jobs WHERE job_type = ?1 AND status IN ('Done', 'Failed', 'Killed')";
-    for queue in Queue::ALL {
-        sqlx::query(sql).bind(queue.name()).execute(tx.connection()).await?;
-    }
+    sqlx::query(sql).bind(QUEUE).execute(tx.connection()).await?;
     Ok(())
 }
 
 /// Remove every delivery. Sound only at start, when no other process can have one in hand.
 pub(super) async fn forget_deliveries(store: &Store) -> store::Result<()> {
     let mut tx = store.write().await?;
-    for queue in Queue::ALL {
-        sqlx::query("DELETE FROM Jobs WHERE job_type = ?1").bind(queue.name()).execute(tx.connection()).await?;
-        sqlx::query("DELETE FROM Workers WHERE worker_type = ?1").bind(queue.name()).execute(tx.connection()).await?;
-    }
+    sqlx::query("DELETE FROM Jobs WHERE job_type = ?1").bind(QUEUE).execute(tx.connection()).await?;
+    sqlx::query("DELETE FROM Workers WHERE worker_type = ?1").bind(QUEUE).execute(tx.connection()).await?;
     tx.commit().await
 }
 
-/// Hand a queue's deliveries to `handle`, one at a time, until `closing`.
+/// Hand deliveries to `handle`, one at a time, until `closing`. It has to be quick: see the table above.
 ///
 /// The future is boxed here, where its types are named: inside another `async fn` the compiler cannot see that it is
 /// `Send`.
@@ -128,7 +86,6 @@ pub(super) async fn forget_deliveries(store: &Store) -> store::Result<()> {
 /// Whatever ended the worker early; what it was handling has been dropped.
 pub(super) fn run<H, F>(
     store: &Store,
-    queue: Queue,
     name: &str,
     handle: H,
     closing: CancellationToken,
@@ -137,7 +94,7 @@ where
     H: Fn(Delivery) -> F + Clone + Send + Sync + 'static,
     F: Future<Output = ()> + Send + 'static,
 {
-    let config = Config::default().queue(queue.name()).batch_size(1).heartbeat_interval(HEARTBEAT).missed_heartbeats(2);
+    let config = Config::default().queue(QUEUE).batch_size(1).heartbeat_interval(HEARTBEAT).missed_heartbeats(2);
     let storage = SqliteStorage::<Delivery>::new(store.writer()?).with_config(config).poll_with_interval(POLL);
     let handler = move |delivery: Delivery| {
         let handled = handle(delivery);

@@ -1,8 +1,9 @@
 //! From a delivery to a settled row.
 
 use super::context::{JobContext, JobError};
+use super::lanes::Place;
 use super::lease::{Renewer, lease_end};
-use super::queue::{self, Delivery, Queue};
+use super::queue::{self, Delivery};
 use super::spec::JobSpec;
 use super::stop::{Stop, StopFlag};
 use super::{Shared, calibrate, evaluate, train};
@@ -11,13 +12,10 @@ use crate::store::ledger::{Claim, Claimed, Lease};
 use crate::store::{self, now};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
-use tokio::sync::oneshot;
 
-/// Most that is waited between two looks at somebody else's lease.
-const HELD_WAIT_MAX: Duration = Duration::from_secs(1);
 /// Pause before a worker that failed is started again, and the longest after it failed again and again.
 const RESTART: Duration = Duration::from_millis(500);
 const RESTART_MAX: Duration = Duration::from_secs(30);
@@ -27,7 +25,7 @@ const SETTLE_TRIES: u32 = 30;
 const SETTLE_PAUSE: Duration = Duration::from_secs(1);
 
 /// Keep a queue worker running until the machinery closes: the library ends one on the first statement that fails.
-pub(super) async fn supervise(shared: Arc<Shared>, queue: Queue) {
+pub(super) async fn supervise(shared: Arc<Shared>) {
     let mut pause = RESTART;
     while !shared.closing.is_cancelled() {
         // A name of its own for every start: the library's fence is the name.
@@ -38,7 +36,7 @@ pub(super) async fn supervise(shared: Arc<Shared>, queue: Queue) {
             let (shared, owner) = (handling.clone(), owner.clone());
             async move { handle(shared, owner, delivery).await }
         };
-        let ended = match queue::run(&shared.store, queue, &name, handle, shared.closing.clone()) {
+        let ended = match queue::run(&shared.store, &name, handle, shared.closing.clone()) {
             Ok(running) => running.await.map_err(|error| error.to_string()),
             Err(error) => Err(error.to_string()),
         };
@@ -54,104 +52,65 @@ pub(super) async fn supervise(shared: Arc<Shared>, queue: Queue) {
             }
         }
     }
-    // Whoever still computes holds a lane until the row is settled.
-    let waiting = shared.clone();
-    let last = tokio::task::spawn_blocking(move || match queue {
-        Queue::Turns => drop(waiting.turns.lock().unwrap_or_else(PoisonError::into_inner)),
-        Queue::Trainings => drop(waiting.trainings.write().unwrap_or_else(PoisonError::into_inner)),
-    });
-    if last.await.is_err() {
-        tracing::error!("could not wait for the last computation");
-    }
+    // Whoever still computes holds a place until the row is settled.
+    shared.lanes.all_free().await;
 }
 
-/// One delivery. When this returns the ledger has been served, whatever happened.
+/// One delivery: begin to compute, or leave it to the reconciler, which delivers again what can be claimed.
 async fn handle(shared: Arc<Shared>, owner: String, delivery: Delivery) {
+    // The next who leaves a place wakes the reconciler.
+    let Some(place) = shared.lanes.take(delivery.kind) else { return };
     match claim(&shared, &owner, &delivery.job).await {
-        Ok(Some(claimed)) => compute(shared, claimed).await,
+        Ok(Some(claimed)) => compute(shared, claimed, place),
         Ok(None) => {}
-        Err(error) => {
-            // The row is as it was; the reconciler delivers it again.
-            tracing::error!(job = delivery.job, %error, "could not claim a job");
-            tokio::time::sleep(HELD_WAIT_MAX).await;
-            shared.reconcile.notify_one();
-        }
+        // The row is as it was.
+        Err(error) => tracing::error!(job = delivery.job, %error, "could not claim a job"),
     }
 }
 
-/// Claim a job, waiting while somebody else's lease lasts. `None`: there is nothing to do.
+/// Claim a job. `None`: there is nothing to do, or somebody else's lease lasts.
 async fn claim(shared: &Shared, owner: &str, job: &str) -> store::Result<Option<Claimed>> {
-    loop {
-        if shared.closing.is_cancelled() {
-            return Ok(None);
-        }
-        let at = now();
-        let mut tx = shared.store.write().await?;
-        let claim = tx.claim(job, owner, at, lease_end(at)).await?;
-        tx.commit().await?;
-        match claim {
-            Claim::Granted(claimed) => return Ok(Some(claimed)),
-            Claim::Ended => return Ok(None),
-            Claim::Held(until) => {
-                let left = u64::try_from(until.unix_ms() - at.unix_ms() + 1).unwrap_or(1);
-                tokio::time::sleep(Duration::from_millis(left).min(HELD_WAIT_MAX)).await;
-            }
-        }
+    if shared.closing.is_cancelled() {
+        return Ok(None);
+    }
+    let at = now();
+    let mut tx = shared.store.write().await?;
+    let claim = tx.claim(job, owner, at, lease_end(at)).await?;
+    tx.commit().await?;
+    match claim {
+        Claim::Granted(claimed) => Ok(Some(claimed)),
+        Claim::Ended | Claim::Held(_) => Ok(None),
     }
 }
 
-/// Sets the flag when dropped: if the queue drops the handler, the computation must not go on unheard.
-struct StopOnDrop(Arc<StopFlag>);
-
-impl Drop for StopOnDrop {
-    fn drop(&mut self) {
-        self.0.set(Stop::Shutdown);
-    }
-}
-
-/// Compute on a thread of its own, and wait for it without blocking.
-async fn compute(shared: Arc<Shared>, claimed: Claimed) {
+/// Compute on a thread of its own. Nobody waits for it: the lease says that it is computed, and its place when it has ended.
+fn compute(shared: Arc<Shared>, claimed: Claimed, place: Place) {
     let stop = Arc::new(StopFlag::default());
     shared.running().insert(claimed.lease.job.clone(), stop.clone());
     // A shutdown between the claim and the line above has not seen the flag.
     if shared.closing.is_cancelled() {
         stop.set(Stop::Shutdown);
     }
-    let _stop = StopOnDrop(stop.clone());
-    let (done, wait) = oneshot::channel();
-    let runtime = Handle::current();
-    let job = claimed.lease.job.clone();
-    let thread = std::thread::Builder::new().name("compute".into()).spawn(move || {
-        on_compute_thread(&shared, claimed, &stop, runtime);
-        // Whoever waited may be gone.
-        let _ = done.send(());
-    });
-    match thread {
-        Ok(_) => drop(wait.await),
-        Err(error) => tracing::error!(job, %error, "no thread for a job; it goes on when its lease has ended"),
+    let (runtime, job) = (Handle::current(), claimed.lease.job.clone());
+    let compute = move || on_compute_thread(&shared, claimed, &stop, runtime, place);
+    if let Err(error) = std::thread::Builder::new().name("compute".into()).spawn(compute) {
+        tracing::error!(job, %error, "no thread for a job; it goes on when its lease has ended");
     }
 }
 
-fn on_compute_thread(shared: &Shared, claimed: Claimed, stop: &Arc<StopFlag>, runtime: Handle) {
+fn on_compute_thread(shared: &Shared, claimed: Claimed, stop: &Arc<StopFlag>, runtime: Handle, place: Place) {
     let lease = claimed.lease.clone();
     let renewer = Renewer::start(shared.store.clone(), lease.clone(), stop.clone(), runtime.clone());
     if let Err(error) = &renewer {
         tracing::error!(job = lease.job, %error, "no thread to renew a lease");
     }
-    // A worker that was started again may deliver what the one before has not left.
-    let alone = || shared.turns.lock().unwrap_or_else(PoisonError::into_inner);
-    let beside = || shared.trainings.read().unwrap_or_else(PoisonError::into_inner);
-    let lane = match Queue::of(claimed.kind) {
-        Queue::Turns => (Some(alone()), None),
-        Queue::Trainings => (None, Some(beside())),
-    };
     let context =
         JobContext::new(shared.store.clone(), shared.functions.clone(), lease.clone(), stop.clone(), runtime.clone());
     let ended = catch_unwind(AssertUnwindSafe(|| perform(&context, &claimed)))
         .unwrap_or_else(|panic| Err(JobError::Retry(format!("it panicked: {}", panic_message(&*panic)))));
     runtime.block_on(settle_surely(shared, &lease, stop, ended));
     shared.running().remove(&lease.job);
-    drop(lane);
+    drop(place);
     shared.reconcile.notify_one();
 }
 

@@ -1,0 +1,65 @@
+//! Who computes at the same time: trainings beside everything, calibrations and evaluations one after another.
+//!
+//! The steps of a training follow one another, so one leaves cores idle. A calibration or an evaluation fills every core by itself, and a
+//! calibration leaves an emulator that the next one needs.
+
+use crate::domain::job::JobKind;
+use std::sync::Arc;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+
+/// Places to compute in.
+pub(super) struct Lanes {
+    turns: Arc<Semaphore>,
+    trainings: Arc<Semaphore>,
+    /// Most trainings at once: as many as there are cores, and at least two.
+    trainings_max: u32,
+}
+
+/// A place, free again when dropped.
+pub(super) type Place = OwnedSemaphorePermit;
+
+impl Lanes {
+    /// All free.
+    pub fn new() -> Self {
+        let trainings_max = std::thread::available_parallelism().map_or(2, |cores| cores.get().max(2)) as u32;
+        let free = |places: u32| Arc::new(Semaphore::new(places as usize));
+        Self { turns: free(1), trainings: free(trainings_max), trainings_max }
+    }
+
+    /// A place for a job of this kind; `None` when all are taken.
+    pub fn take(&self, kind: JobKind) -> Option<Place> {
+        let lane = match kind {
+            JobKind::Training => &self.trainings,
+            JobKind::Calibration | JobKind::Evaluation => &self.turns,
+        };
+        lane.clone().try_acquire_owned().ok()
+    }
+
+    /// Wait until nobody computes.
+    pub async fn all_free(&self) {
+        // They are never closed, so both are granted.
+        let _ = self.turns.acquire().await;
+        let _ = self.trainings.acquire_many(self.trainings_max).await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn trainings_compute_beside_everything_and_the_rest_takes_turns() {
+        let lanes = Lanes::new();
+        let calibration = lanes.take(JobKind::Calibration).unwrap();
+        assert!(lanes.take(JobKind::Evaluation).is_none());
+        let trainings: Vec<Place> = std::iter::from_fn(|| lanes.take(JobKind::Training)).collect();
+        assert_eq!(trainings.len() as u32, lanes.trainings_max);
+        drop(calibration);
+        assert!(lanes.take(JobKind::Evaluation).is_some());
+        let waiting = tokio::time::timeout(std::time::Duration::from_millis(20), lanes.all_free()).await;
+        assert!(waiting.is_err(), "trainings still compute");
+        drop(trainings);
+        lanes.all_free().await;
+        assert!(lanes.take(JobKind::Training).is_some());
+    }
+}
