@@ -11,6 +11,7 @@
 //! | one failed statement ends the worker and drops what it handles | `worker.rs` starts another; dropped work goes back |
 //! | it takes ten tasks ahead | batches of one |
 //! | while a task is handled it may hold a connection, with a transaction | a task is handled in milliseconds: computing is elsewhere |
+//! | a worker may hang after a statement that failed | `silence` hears that its heart stands still; `worker.rs` starts another |
 
 use crate::domain::job::JobKind;
 use crate::store::ledger::Lease;
@@ -24,7 +25,7 @@ use apalis_sqlite::{Config, SqliteStorage};
 use futures::FutureExt;
 use futures::future::BoxFuture;
 use serde::{Deserialize, Serialize};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 use tower::limit::ConcurrencyLimitLayer;
 
@@ -32,7 +33,9 @@ const QUEUE: &str = "flip";
 /// How often an idle worker looks for a delivery.
 const POLL: Duration = Duration::from_millis(250);
 /// A worker that has not been heard of for twice this long loses its deliveries.
-const HEARTBEAT: Duration = Duration::from_secs(5);
+const HEARTBEAT: Duration = Duration::from_secs(2);
+/// A worker that has not been heard of for so long hangs.
+const SILENCE: Duration = Duration::from_secs(7);
 
 /// What is delivered: only which job, and of what kind. What it is to do, the ledger knows.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -110,6 +113,20 @@ where
         Ok::<(), WorkerError>(())
     };
     Ok(worker.run_until(closed).boxed())
+}
+
+/// Returns when the worker of this name, started just now, has not been heard of for some time.
+pub(super) async fn silence(store: &Store, name: &str) {
+    let mut heard = Instant::now();
+    let mut last_seen = None;
+    while heard.elapsed() < SILENCE {
+        tokio::time::sleep(HEARTBEAT / 2).await;
+        let sql = "SELECT last_seen FROM Workers WHERE id = ?1";
+        let now: Option<i64> = sqlx::query_scalar(sql).bind(name).fetch_optional(store.reader()).await.ok().flatten();
+        if now != last_seen {
+            (heard, last_seen) = (Instant::now(), now);
+        }
+    }
 }
 
 fn library(error: apalis_sqlite::Error) -> store::Error {

@@ -37,7 +37,10 @@ pub(super) async fn supervise(shared: Arc<Shared>) {
             async move { handle(shared, owner, delivery).await }
         };
         let ended = match queue::run(&shared.store, &name, handle, shared.closing.clone()) {
-            Ok(running) => running.await.map_err(|error| error.to_string()),
+            Ok(running) => tokio::select! {
+                ended = running => ended.map_err(|error| error.to_string()),
+                () = queue::silence(&shared.store, &name) => Err("it was not heard of any more".to_owned()),
+            },
             Err(error) => Err(error.to_string()),
         };
         match ended {

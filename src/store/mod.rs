@@ -101,6 +101,11 @@ impl Store {
         self.writer.as_ref().ok_or(Error::ReadOnly)
     }
 
+    /// Connections that read, for statements about the queue library's tables.
+    pub(crate) fn reader(&self) -> &SqlitePool {
+        &self.reader
+    }
+
     /// Artifacts: checkpoints and traces.
     pub fn artifacts(&self) -> &Artifacts {
         &self.artifacts
