@@ -129,7 +129,8 @@ fn the_first_episodes_are_played_on_the_surrogate_and_the_others_are_not() {
 fn an_interrupted_training_ends_with_the_same_bytes_as_an_unbroken_one() {
     for settings in kinds() {
         let (unbroken, episodes, checkpoints) = run(&settings, None);
-        assert_eq!(checkpoints.len(), 3);
+        // Every other round; on the surrogate, where rounds are over in no time, every hundredth.
+        assert_eq!(checkpoints.len(), if settings.surrogate_episodes > 0 { 2 } else { 3 });
         for checkpoint in &checkpoints {
             let (resumed, again, _) = run(&settings, Some(checkpoint));
             assert_eq!(resumed, unbroken);
