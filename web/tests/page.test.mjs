@@ -160,6 +160,7 @@ describe('a training', () => {
       if (order !== 'Domain randomisation') await page.getByLabel('Salt').uncheck()
       await page.getByLabel('Episodes').fill('4')
       await page.getByRole('button', { name: 'Start the training' }).click()
+      await page.getByText('Table of Reward of the episode').waitFor()
       await page.locator('main .badge', { hasText: 'Succeeded' }).waitFor({ timeout: 120_000 })
     }
   })
