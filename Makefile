@@ -3,7 +3,7 @@
 # make bench-peers   the simulator's speed beside other simulators', which it installs (python3.11, PyPI)
 # make bench-learner   the learner's speed beside Stable-Baselines3's, which it installs (python3, PyPI)
 # make calibration-report   the published method and ours on the five powders, twenty minutes on two cores
-# make training-report   trains ours and the four published orders, and weighs with all; an hour and a half, stop it and call it again (EPISODES=4000)
+# make training-report   trains ours and the four published orders, and weighs with all; hours, stop it and call it again (EPISODES=4000)
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash

@@ -15,6 +15,9 @@
 //! repeated, so it can be stopped and called again. Prints the table, and beside runs.jsonl it writes runs.svg: the training error, mean over
 //! the seeds.
 
+mod calibrated;
+
+use calibrated::Calibrated;
 use flip::domain::bench::Action;
 use flip::domain::parameters::ParameterSet;
 use flip::domain::seed::derive;
@@ -45,25 +48,6 @@ const TRAINED: usize = 7;
 /// Powders that our own trainings see.
 const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
 const COLOURS: [&str; 4] = ["#0b7a75", "#5b6c8f", "#c77d0a", "#a4243b"];
-
-/// What this program reads of the document of `flip calibrate`.
-#[derive(Deserialize)]
-struct Calibrated {
-    powders: Vec<Powder>,
-}
-
-#[derive(Deserialize)]
-struct Powder {
-    /// Empty where an angle was calibrated, not a powder.
-    powder: String,
-    target_deg: f64,
-    sets: Vec<Set>,
-}
-
-#[derive(Deserialize)]
-struct Set {
-    parameters: ParameterSet,
-}
 
 /// What is compared: settings by name, each of which is trained with several seeds.
 struct Study {

@@ -12,34 +12,17 @@
 //! once more in the simulator, beside those that are built in. The error on other heaps is the simulator's either way. Prints the rival, its error in the search (optimistic: it was chosen for being small), and its
 //! error on heaps that the search did not see.
 
-use flip::domain::parameters::ParameterSet;
+mod calibrated;
+
+use calibrated::Calibrated;
 use flip::policy::{Controller, Fuzzy, Kind, Paced, Pid, Rules};
 use flip::sim::balance;
 use flip::train::environment::simulated;
 use flip::train::rivals::{self, Rival};
 use flip::train::schedule::{self, Tuning};
 use flip::train::{Level, Order, Preset, Settings, Surrogate};
-use serde::Deserialize;
 use serde_json::json;
 use std::time::Instant;
-
-/// What this program reads of the document of `flip calibrate`.
-#[derive(Deserialize)]
-struct Calibrated {
-    powders: Vec<Powder>,
-}
-
-#[derive(Deserialize)]
-struct Powder {
-    powder: String,
-    target_deg: f64,
-    sets: Vec<Set>,
-}
-
-#[derive(Deserialize)]
-struct Set {
-    parameters: ParameterSet,
-}
 
 /// Powders, and sets of each, that our own trainings see.
 const TRAINED: [&str; 3] = ["sand", "sugar", "salt"];

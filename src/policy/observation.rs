@@ -16,7 +16,7 @@ pub struct Observation {
 /// What a policy knows beside its observation: what the weighing has shown so far, and the powder.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Known {
-    /// What the last step let fall by the balance's account, mg; 0 before the first step.
+    /// What the last step let fall by the balance's account, mg; before the first step, what the tared balance shows.
     pub fell_mg: f64,
     /// The powder's angle of repose, degrees, where it is measured.
     pub repose_deg: Option<f64>,

@@ -72,7 +72,7 @@ pub fn reward(target_mg: f64, true_mg: f64) -> f64 {
 /// One step as it is remembered: nothing in it depends on the target, so any target can be asked of it afterwards.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
-    /// What the step before let fall by the balance's account, mg; 0 at the first one.
+    /// What the step before let fall by the balance's account, mg; at the first one, what the tared balance shows.
     pub fell_mg: f32,
     /// Reading before the step, mg.
     pub reading_mg: f32,
