@@ -6,7 +6,7 @@
 //! cargo run --release --example surrogate_trainings -- orders runs.jsonl 5 4000 28.json 33.json 37.json powders.json
 //! ```
 //!
-//! Studies: `orders`, the four published orders with the settings of the `paper` preset; `orders-feed-forward`, the same with a feed-forward
+//! `STUDY:NAME,NAME` makes those trainings of it alone. Studies: `orders`, the four published orders with the settings of the `paper` preset; `orders-feed-forward`, the same with a feed-forward
 //! network of the same width; `orders-one-spoonful`, that again where every spoonful of a powder does the same; `gains`, our own settings, and
 //! each of them taken back alone.
 //!
@@ -106,8 +106,8 @@ fn study(name: &str, episodes: u32, seed: u64) -> anyhow::Result<Study> {
         "orders-feed-forward" | "orders-one-spoonful" => orders(Preset::Paper, &feed_forward),
         "orders-ours" => orders(Preset::Flip, &|_| ()),
         "gains" => {
-            let base = Settings { episodes, ..Settings::of(Preset::Flip, Order::Curriculum, seed) };
-            gains(&base)
+            let ours = Settings::of(Preset::Flip, Order::Curriculum, seed);
+            gains(&Settings { episodes, updates_per_step: ours.surrogate_updates_per_step, ..ours })
         }
         other => anyhow::bail!(
             "there is no study `{other}`: orders, orders-feed-forward, orders-one-spoonful, orders-ours, gains"
@@ -386,15 +386,19 @@ fn main() -> anyhow::Result<()> {
         anyhow::bail!("surrogate_trainings STUDY RUNS.jsonl SEEDS EPISODES SETS.json…");
     };
     let (seeds, episodes): (u64, u32) = (seeds.parse()?, episodes.parse()?);
+    let (name, only) = name.split_once(':').map_or((name.as_str(), None), |(name, only)| (name, Some(only)));
     let (levels, powders) = read(files, study(name, episodes, 1)?.on_angles)?;
     let known = std::fs::read_to_string(out).unwrap_or_default();
     let mut runs: Vec<Run> = known.lines().map(serde_json::from_str).collect::<Result<_, _>>()?;
-    runs.retain(|run| run.study == *name && run.episodes == episodes && run.seed <= seeds);
+    runs.retain(|run| run.study == name && run.episodes == episodes && run.seed <= seeds);
     let mut missing = Vec::new();
     for seed in 1..=seeds {
         let Study { trainings, spread, .. } = study(name, episodes, seed)?;
         let is_new = |training: &(String, Settings)| !runs.iter().any(|run| run.seed == seed && run.name == training.0);
-        missing.extend(trainings.into_iter().filter(is_new).map(|(training, settings)| (training, settings, spread)));
+        let is_asked =
+            |training: &(String, Settings)| only.is_none_or(|only| only.split(',').any(|name| name == training.0));
+        let trainings = trainings.into_iter().filter(is_new).filter(is_asked);
+        missing.extend(trainings.map(|(training, settings)| (training, settings, spread)));
     }
     let file = Mutex::new(std::fs::File::options().create(true).append(true).open(out)?);
     let new: Vec<Run> = missing
@@ -402,7 +406,7 @@ fn main() -> anyhow::Result<()> {
         .map(|(training, settings, spread)| {
             let settings = settings.checked()?;
             let found = run(&levels, &powders, &settings, spread)?;
-            let run = Run { study: name.clone(), name: training, seed: settings.seed, episodes, ..found };
+            let run = Run { study: name.to_owned(), name: training, seed: settings.seed, episodes, ..found };
             let line = serde_json::to_string(&run)?;
             writeln!(file.lock().unwrap_or_else(|broken| broken.into_inner()), "{line}")?;
             eprintln!("{}, seed {}: {:.2} mg in {:.0} s", run.name, run.seed, run.mae_all_mg, run.seconds);

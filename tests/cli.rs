@@ -365,10 +365,10 @@ fn a_policy_out_of_a_file_answers_once_with_its_history_or_line_by_line() {
         assert!((answer["shake_mm"].as_f64().unwrap() - shake_mm).abs() < 1e-9, "{answer}");
         assert_eq!(answer["episode"], episode);
     };
-    // 6 mg are missing: 0.06 of 8 deg, 0.3 of 16 mm.
+    // The sum needs what was missing before.
     let alone = infer(&["--json"]);
-    expect_status(&alone, 0);
-    expect(&document(&alone), 0.48, 4.8, "running");
+    expect_status(&alone, 2);
+    assert!(stderr(&alone).contains("reading_mg: must be within 1 mg of the tare"), "{}", stderr(&alone));
     // With the 10 mg that were missing before, the sum is 16.
     let action = flip::domain::bench::Action { incline_change_deg: 0.8, shake_mm: 8.0 };
     let history = folder.path().join("history.json");
@@ -377,7 +377,12 @@ fn a_policy_out_of_a_file_answers_once_with_its_history_or_line_by_line() {
     let remembered = infer(&["--json", "--history", history.to_str().unwrap()]);
     expect_status(&remembered, 0);
     expect(&document(&remembered), 1.28, 4.8, "running");
-    assert!(String::from_utf8(infer(&[]).stdout).unwrap().contains("shake 4.80 mm"));
+    assert!(
+        String::from_utf8(infer(&["--history", history.to_str().unwrap()]).stdout).unwrap().contains("shake 4.80 mm")
+    );
+    let late = [Done { before: seen(3.0, 0.0), action, after: seen(4.0, 0.8) }];
+    std::fs::write(&history, serde_json::to_string(&late).unwrap()).unwrap();
+    assert!(stderr(&infer(&["--history", history.to_str().unwrap()])).contains("history[0].before.reading_mg"));
 
     let lines = |lines: &[Value]| {
         let mut command = command(folder.path(), &["policy", "infer", "--file", &file, "--stdin"]);

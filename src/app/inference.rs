@@ -16,6 +16,9 @@ pub struct Proposal {
     pub episode: Episode,
 }
 
+/// Largest reading of a vial that was tared and into which nothing was poured, mg.
+const TARE_MG_MAX: f64 = 1.0;
+
 /// A policy out of its file.
 #[derive(Debug, Clone)]
 pub struct Driver(Policy);
@@ -26,6 +29,7 @@ pub struct Driving<'a> {
     dosing: Dosing<'a>,
     rules: Rules,
     readability_mg: f64,
+    remembers: bool,
     steps: u32,
     target_mg: Option<f64>,
 }
@@ -48,7 +52,8 @@ impl Driver {
         bounded("readability_mg", readability_mg, 0.001, 10.0, "mg")?;
         let rules = self.0.manifest.rules;
         let dosing = self.0.controller.begin(&rules, readability_mg);
-        Ok(Driving { dosing, rules, readability_mg, steps: 0, target_mg: None })
+        let remembers = !self.0.controller.is_memoryless();
+        Ok(Driving { dosing, rules, readability_mg, remembers, steps: 0, target_mg: None })
     }
 }
 
@@ -61,6 +66,7 @@ impl Driving<'_> {
         for (k, step) in history.iter().enumerate() {
             self.check(&format!("history[{k}].before."), &step.before)?;
             self.check(&format!("history[{k}].after."), &step.after)?;
+            self.check_beginning(&format!("history[{k}].before."), &step.before)?;
             let action = format!("history[{k}].action.");
             bounded(&format!("{action}incline_change_deg"), step.action.incline_change_deg, -90.0, 90.0, "deg")?;
             bounded(&format!("{action}shake_mm"), step.action.shake_mm, 0.0, 1000.0, "mm")?;
@@ -76,9 +82,23 @@ impl Driving<'_> {
     /// `Invalid` names what is not possible.
     pub fn next(&mut self, seen: &Observation) -> Result<Proposal> {
         self.check("", seen)?;
+        self.check_beginning("", seen)?;
         let episode = self.rules.after(self.steps, seen, self.readability_mg);
         self.steps += 1;
         Ok(Proposal { action: self.dosing.propose(seen), episode })
+    }
+
+    /// A policy that remembers the weighing would take a reading that it met first for what the last step let fall.
+    fn check_beginning(&self, path: &str, seen: &Observation) -> Result<()> {
+        if self.steps > 0 || !self.remembers || seen.reading_mg.abs() <= TARE_MG_MAX {
+            return Ok(());
+        }
+        let message = format!(
+            "must be within {TARE_MG_MAX} mg of the tare, 0, before the first step, got {} mg: this policy remembers the weighing; give the earlier \
+             steps too (--history, or one line each to --stdin)",
+            seen.reading_mg
+        );
+        Err(FieldError::new(format!("{path}reading_mg"), message).into())
     }
 
     /// Numbers that a balance and an arm can show, and one target for the whole weighing.

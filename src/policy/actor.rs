@@ -207,6 +207,11 @@ impl Actor {
         }
     }
 
+    /// What it does follows from the observation alone.
+    pub fn is_memoryless(&self) -> bool {
+        matches!(self.network, Network::FeedForward(_)) && self.encoding.is_memoryless()
+    }
+
     /// The Gaussian over unsquashed actions for these inputs; what is carried advances by one step, but for its last action.
     ///
     /// # Panics

@@ -81,6 +81,15 @@ impl Schedule {
 }
 
 impl Controller {
+    /// What it proposes follows from the observation alone, so that it can take up a weighing of which it knows nothing else.
+    pub fn is_memoryless(&self) -> bool {
+        match self {
+            Self::Learned(actor) => actor.is_memoryless(),
+            Self::Fixed(_) => true,
+            Self::Schedule(_) | Self::Dispenser(_) | Self::Pid(_) | Self::Fuzzy(_) | Self::Paced(_) => false,
+        }
+    }
+
     /// A network that never trained, by seed: what learning is compared with.
     pub fn untrained(seed: u64) -> Self {
         Self::Learned(Actor::untrained(Encoding::Missing, &[128, 128], &mut Pcg64Mcg::seed_from_u64(seed)))

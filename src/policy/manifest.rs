@@ -127,6 +127,8 @@ pub enum SwitchReason {
     Maximum,
     /// The level's episodes were spent.
     TimeOut,
+    /// The training went over from the surrogate to the simulator, and begins with the first level again.
+    Simulator,
 }
 
 /// A move from one level to the next.

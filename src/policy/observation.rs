@@ -56,6 +56,11 @@ const FINE_MG: f64 = 0.1;
 const MISSING_MG_MAX: f64 = 15.0;
 
 impl Encoding {
+    /// The inputs are those of the observation alone: nothing of the weighing has to be remembered.
+    pub fn is_memoryless(self) -> bool {
+        matches!(self, Self::Paper | Self::Missing)
+    }
+
     /// Number of inputs.
     pub fn width(self) -> usize {
         match self {

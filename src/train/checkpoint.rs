@@ -19,7 +19,7 @@ use std::collections::HashMap;
 /// The only metadata key: the format keeps no order among several.
 const KEY: &str = "flip.training";
 /// Raised when the layout changes: an older checkpoint is then refused, not misread.
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 
 #[derive(Serialize, Deserialize)]
 struct Header {

@@ -67,6 +67,18 @@ impl Curriculum {
         }
     }
 
+    /// Begin again, at most `level_episodes_max` episodes on each level but the last: the training has left the surrogate.
+    pub fn begin_again(&mut self, level_episodes_max: u32) {
+        if self.level > 0 {
+            let reason = SwitchReason::Simulator;
+            self.switches.push(Switch { episode: self.episodes, from: self.level, to: 0, reason });
+        }
+        self.rule.episodes_max = level_episodes_max;
+        self.level = 0;
+        self.queue.clear();
+        self.on_level = 0;
+    }
+
     /// The level of the next episode, from 0.
     pub fn level(&self) -> u32 {
         self.level
@@ -118,6 +130,20 @@ impl Curriculum {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_curriculum_that_begins_again_has_its_levels_and_a_limit_of_its_own_before_it() {
+        let mut curriculum = Curriculum::new(3, &Rule::default(), 4);
+        let moves = |curriculum: &mut Curriculum, episodes| {
+            (0..episodes).for_each(|_| _ = curriculum.record(curriculum.level(), 5.0));
+            curriculum.switches().iter().map(|s| (s.episode, s.from, s.to, s.reason)).collect::<Vec<_>>()
+        };
+        moves(&mut curriculum, 10);
+        curriculum.begin_again(2);
+        let time_out = |episode, from| (episode, from, from + 1, SwitchReason::TimeOut);
+        let back = (10, 2, 0, SwitchReason::Simulator);
+        assert_eq!(moves(&mut curriculum, 9), [time_out(4, 0), time_out(8, 1), back, time_out(12, 0), time_out(14, 1)]);
+    }
 
     /// The episodes at which a curriculum of three levels moves when errors follow `error`.
     fn switches(episodes: u32, error: impl Fn(u32) -> f64) -> Vec<(u32, u32, SwitchReason)> {

@@ -58,7 +58,7 @@ impl Rival {
                 [1.0, 5.0],
                 [1.0, 2.0],
                 [1.0, 3.0],
-                [0.01, 0.5],
+                [0.0, 0.5],
                 [0.6, 1.0],
                 [0.3, 1.5],
                 [60.0, 240.0],
@@ -67,6 +67,42 @@ impl Rival {
                 [1.0, 10.0],
             ],
         }
+    }
+
+    /// The point of the unit cube where this rival is; of one that is not in it, the nearest. None for another kind.
+    fn point(self, controller: &Controller) -> Option<Vec<f64>> {
+        let x = match (self, controller) {
+            (Self::Pid, Controller::Pid(pid)) => {
+                [pid.incline, pid.shake].iter().flat_map(|g| [g.p, g.i, g.d]).collect()
+            }
+            (Self::Fuzzy, Controller::Fuzzy(f)) => {
+                vec![f.missing_mg[1], f.fall_mg[1], f.tilt_deg[3], f.shake_mm[0], f.shake_mm[2]]
+            }
+            (Self::Paced, Controller::Paced(paced)) => {
+                let Fuzzy { missing_mg, fall_mg, tilt_deg, shake_mm } = paced.gentle;
+                let share = |mm: f64| (mm / shake_mm[0]).ln() / (SHAKE_MM_MAX / shake_mm[0]).ln();
+                vec![
+                    missing_mg[1],
+                    missing_mg[2] / missing_mg[1],
+                    fall_mg[1],
+                    fall_mg[2] / fall_mg[1],
+                    tilt_deg[0],
+                    tilt_deg[2],
+                    tilt_deg[3] / tilt_deg[2],
+                    shake_mm[0],
+                    share(shake_mm[1]),
+                    share(shake_mm[2]),
+                    paced.pace_mg,
+                    paced.climb_deg,
+                    paced.first_mm,
+                    paced.harder,
+                    paced.stuck_mm_per_mg,
+                ]
+            }
+            _ => return None,
+        };
+        let unit = |(value, [low, high]): (&f64, &[f64; 2])| ((value - low) / (high - low)).clamp(0.0, 1.0);
+        Some(x.iter().zip(self.ranges()).map(unit).collect())
     }
 
     /// The rival at a point of the unit cube.
@@ -115,6 +151,8 @@ impl Rival {
 
 /// Spoons of each powder for each candidate in the first round of a slow search.
 const SLOW_SPOONS: u32 = 2;
+/// Candidates of a slow search that lie around what was known before.
+const AROUND_KNOWN: usize = 31;
 
 /// Search the rival with the smallest mean absolute error on these powders, as [`super::schedule::tune`] does the schedule: random
 /// points and successive halving, then the same once more around the best. A pour serves one target, for these look at it.
@@ -128,7 +166,8 @@ pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning, rival: R
     found(kind, controller, *loss_mg, spoons, levels, tuning)
 }
 
-/// [`tune`] on a fast spoon, and the best of it once more by successive halving on a slow one, together with those `known` before.
+/// [`tune`] on a fast spoon, and the best of it once more by successive halving on a slow one, together with those `known` before and with
+/// others around these, a third of whose numbers are moved.
 ///
 /// # Panics
 /// Without powders, parameter sets, targets or candidates.
@@ -138,12 +177,19 @@ pub fn tune_twice<F: Filling, G: Filling>(
     levels: &[Level],
     tuning: &Tuning,
     rival: Rival,
-    known: &[(Kind, Controller)],
+    known: &[Controller],
 ) -> TunedRival {
     let (best, _) = search(fast, levels, tuning, rival, 4 * KEPT);
     let spoons = Spoons::new(slow, derive(tuning.seed, &[5]));
     let score = |of: &(Kind, Controller), doses| loss_mg(&of.1, levels, tuning, &spoons, doses);
-    let field = known.iter().cloned().chain(best.iter().map(|(_, point)| rival.at(point))).collect();
+    let mut rng = Pcg64Mcg::seed_from_u64(derive(tuning.seed, &[6]));
+    let mut aside = |from: &Vec<f64>| -> Vec<f64> {
+        let moved = |u: &f64| if rng.random_bool(1.0 / 3.0) { u + rng.random_range(-0.15..0.15) } else { *u };
+        from.iter().map(moved).map(|u| u.clamp(0.0, 1.0)).collect()
+    };
+    let known: Vec<Vec<f64>> = known.iter().filter_map(|controller| rival.point(controller)).collect();
+    let around: Vec<Vec<f64>> = known.iter().cycle().take(AROUND_KNOWN).map(&mut aside).collect();
+    let field = known.iter().chain(&around).chain(best.iter().map(|(_, point)| point)).map(|p| rival.at(p)).collect();
     let (best, poured) = halve(field, SLOW_SPOONS, KEPT, score);
     let (loss_mg, (kind, controller)) = best.into_iter().next().expect("a field is not empty");
     found(kind, controller, loss_mg, poured, levels, tuning)
@@ -245,6 +291,26 @@ mod tests {
     }
 
     #[test]
+    fn a_rival_is_found_again_at_its_point() {
+        for (rival, known) in [
+            (Rival::Pid, Controller::Pid(Pid::CHOSEN)),
+            (Rival::Fuzzy, Controller::Fuzzy(Fuzzy::CHOSEN)),
+            (Rival::Paced, Controller::Paced(Paced::CHOSEN)),
+        ] {
+            let found = rival.at(&rival.point(&known).unwrap()).1;
+            let twice = rival.at(&rival.point(&found).unwrap()).1;
+            assert_eq!(found, twice, "{rival:?}");
+        }
+        let paced = Controller::Paced(Paced::CHOSEN);
+        assert_eq!(
+            Rival::Paced.at(&Rival::Paced.point(&paced).unwrap()).1,
+            paced,
+            "the shipped rules are within the search"
+        );
+        assert_eq!(Rival::Pid.point(&paced), None);
+    }
+
+    #[test]
     fn a_search_finds_a_better_rival_than_chance_and_finds_it_again() {
         let formula = Formula { pitch: PitchLimits::WIDE };
         let tuning = Tuning { candidates: 32, ..Tuning::new(1) };
@@ -260,7 +326,7 @@ mod tests {
             let twice = tune_twice(&formula, &formula, &levels(), &tuning, rival, &[]);
             assert!(on_others(&twice.controller) < theirs, "{rival:?}: searched twice {twice:?}, drawn {theirs}");
             // A search that is hopeless by itself keeps what was good before.
-            let (hopeless, known) = (Tuning { candidates: 1, ..tuning.clone() }, [(tuned.kind, tuned.controller)]);
+            let (hopeless, known) = (Tuning { candidates: 1, ..tuning.clone() }, [tuned.controller]);
             let kept = tune_twice(&formula, &formula, &levels(), &hopeless, rival, &known);
             assert!(on_others(&kept.controller) < theirs, "{rival:?}: kept {kept:?}, drawn {theirs}");
         }

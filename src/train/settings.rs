@@ -88,10 +88,11 @@ pub struct Settings {
     /// Seed of everything that is drawn.
     pub seed: u64,
 
-    /// Episodes in the training. Default 8000 (ours), 4000 (paper).
+    /// Episodes in the training. Default 4400 (ours), 4000 (paper).
     pub episodes: u32,
-    /// First episodes that are played on a model of the spoon ([`super::Surrogate`]) instead of the simulator, a thousand times as fast. Default 0;
-    /// a training that is asked for without a number plays as many as [`Settings::surrogate_by_default`].
+    /// First episodes that are played on a model of the spoon ([`super::Surrogate`]) instead of the simulator, a thousand times as fast; what they
+    /// taught stays, their steps are forgotten. Default 0; a training that is asked for without a number plays as many as
+    /// [`Settings::surrogate_by_default`].
     #[serde(default, skip_serializing_if = "is_zero")]
     pub surrogate_episodes: u32,
     /// Episodes collected in parallel with one snapshot of the policy, before updates. Fixed, so that the result does not
@@ -99,7 +100,7 @@ pub struct Settings {
     pub episodes_per_round: u32,
     /// Rounds between checkpoints. Default 5.
     pub rounds_per_checkpoint: u32,
-    /// Different heaps per parameter set; a filled spoon is kept and cloned. Default 2.
+    /// Different heaps per parameter set; a filled spoon is kept and cloned. Default 20 (ours), 2 (paper).
     pub fills_per_set: u32,
 
     /// Steps, ending and pitch range of an episode. Default: at most 10 steps, ends on target.
@@ -122,8 +123,11 @@ pub struct Settings {
     pub hidden: u32,
     /// Transitions per update; episodes per update for a recurrent network. Default 256 (ours), 16 (prior work).
     pub batch: u32,
-    /// Updates per environment step. Default 1.
+    /// Updates for each step in the simulator. Default 10 (ours: a step there costs more than they do), 1 (prior work).
     pub updates_per_step: f64,
+    /// Updates for each step on the surrogate. Default 1.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub surrogate_updates_per_step: f64,
     /// Episodes with random actions before the first update. Default 16 (ours), 20 (prior work).
     pub warmup_episodes: u32,
     /// Random actions tilt the spoon: each warm-up episode draws a mean incline change from 0 to this share of 8 deg, so that
@@ -171,11 +175,11 @@ impl Settings {
             preset,
             order,
             seed,
-            episodes: 8000,
+            episodes: 4400,
             surrogate_episodes: 0,
             episodes_per_round: 4,
             rounds_per_checkpoint: 5,
-            fills_per_set: 2,
+            fills_per_set: 20,
             rules: Rules::FLIP,
             target_mg_min: 5.0,
             target_mg_max: 15.0,
@@ -185,7 +189,8 @@ impl Settings {
             network: Network::FeedForward,
             hidden: 128,
             batch: 256,
-            updates_per_step: 1.0,
+            updates_per_step: 10.0,
+            surrogate_updates_per_step: 1.0,
             warmup_episodes: 16,
             warmup_tilt: 0.6,
             replay_capacity: 1_000_000,
@@ -207,11 +212,13 @@ impl Settings {
             Preset::Paper => Self {
                 episodes: 4000,
                 episodes_per_round: 1,
+                fills_per_set: 2,
                 rounds_per_checkpoint: 20,
                 rules: Rules::PAPER,
                 encoding: Encoding::Paper,
                 network: Network::Recurrent { replayed: Replayed::StoredState },
                 batch: 16,
+                updates_per_step: 1.0,
                 warmup_episodes: 20,
                 warmup_tilt: 0.0,
                 learning_rate: 1e-4,
@@ -247,6 +254,7 @@ impl Settings {
         count("hidden", self.hidden, 1, 4096)?;
         count("batch", self.batch, 1, 65_536)?;
         bounded("updates_per_step", self.updates_per_step, 0.0, 1000.0, "")?;
+        bounded("surrogate_updates_per_step", self.surrogate_updates_per_step, 0.0, 1000.0, "")?;
         bounded("warmup_tilt", self.warmup_tilt, 0.0, 1.0, "")?;
         count("replay_capacity", self.replay_capacity, 1, 10_000_000)?;
         bounded("learning_rate", self.learning_rate, 1e-8, 1.0, "")?;
@@ -267,10 +275,10 @@ impl Settings {
         Ok(self)
     }
 
-    /// Episodes on the surrogate unless a request says otherwise: all of ours, none of the published ones.
+    /// Episodes on the surrogate unless a request says otherwise: nine tenths of ours, none of the published ones.
     pub fn surrogate_by_default(&self) -> u32 {
         match self.preset {
-            Preset::Flip => self.episodes,
+            Preset::Flip => self.episodes - self.episodes.div_ceil(10),
             Preset::Paper => 0,
         }
     }
@@ -280,17 +288,27 @@ impl Settings {
         self.network == Network::Recurrent { replayed: Replayed::StoredState }
     }
 
-    /// Most episodes on one of `levels` levels: the published 1330, or an equal share of a smaller budget.
+    /// Most episodes on one of `levels` levels when there are `episodes` for all: the published 1330, or an equal share of a smaller budget.
     ///
     /// ```text
     /// min(1330, ceil(episodes / levels))
     /// ```
     ///
     /// With the published three levels and 4000 episodes this is the published rule (the shares would be 1334); with a
-    /// demonstration budget every level still gets its turn.
-    pub fn level_episodes_max(&self, levels: u32) -> u32 {
-        self.curriculum.episodes_max.min(self.episodes.div_ceil(levels.max(1)))
+    /// demonstration budget every level still gets its turn, on the surrogate and once more in the simulator.
+    pub fn level_episodes_max(&self, episodes: u32, levels: u32) -> u32 {
+        self.curriculum.episodes_max.min(episodes.div_ceil(levels.max(1)))
     }
+}
+
+/// What is meant where nothing is said.
+fn one() -> f64 {
+    1.0
+}
+
+/// Left out likewise.
+fn is_one(value: &f64) -> bool {
+    *value == 1.0
 }
 
 /// Left out of the text of settings from before there was a surrogate, so that their trainings are found.
@@ -315,14 +333,13 @@ mod tests {
             (paper.network, paper.critic_loss),
             (Network::Recurrent { replayed: Replayed::StoredState }, CriticLoss::Huber)
         );
-        assert_eq!(paper.level_episodes_max(3), 1330);
+        assert_eq!(paper.level_episodes_max(4000, 3), 1330);
     }
 
     #[test]
     fn a_demonstration_shares_its_episodes_among_the_levels() {
-        let mut settings = Settings::of(Preset::Flip, Order::Curriculum, 1);
-        settings.episodes = 160;
-        assert_eq!(settings.level_episodes_max(3), 54);
+        let settings = Settings::of(Preset::Flip, Order::Curriculum, 1);
+        assert_eq!(settings.level_episodes_max(160, 3), 54);
     }
 
     #[test]

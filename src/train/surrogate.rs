@@ -1,4 +1,4 @@
-//! A spoon in microseconds: what simulated ones were seen to do. Our own training is played on it, or its first part.
+//! A spoon in microseconds: what simulated ones were seen to do. Our own trainings begin on it.
 //!
 //! The model is the dispenser's ([`crate::policy::Response`]): a mass that is loose, and the share of it that a shake takes. Which spoonful it is
 //! follows from the powder and from chance,

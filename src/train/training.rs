@@ -145,8 +145,10 @@ pub(super) struct State {
 pub(super) struct Progress {
     pub rounds: u32,
     pub episodes: u32,
-    /// Environment steps since the warm-up.
+    /// Steps in the simulator since the warm-up.
     pub learning_steps: u64,
+    /// Steps on the surrogate since the warm-up.
+    pub surrogate_steps: u64,
     pub updates: u64,
     /// Errors of the last 20 episodes, mg.
     pub recent: VecDeque<f64>,
@@ -232,10 +234,11 @@ impl State {
         let count = levels.len().max(1) as u32;
         // A random order has no level to leave.
         let steps = if matches!(settings.order, Order::Curriculum | Order::Reverse) { count } else { 1 };
+        let first = if settings.surrogate_episodes > 0 { settings.surrogate_episodes } else { settings.episodes };
         Self {
             learner: Learner::new(settings, &mut rng),
             replay: Replay::new(settings),
-            curriculum: Curriculum::new(steps, &settings.curriculum, settings.level_episodes_max(count)),
+            curriculum: Curriculum::new(steps, &settings.curriculum, settings.level_episodes_max(first, count)),
             progress: Progress { on_level: vec![0; count as usize], ..Progress::default() },
         }
     }
@@ -249,7 +252,10 @@ impl State {
         flow: &Flow<'_>,
     ) -> Result<Option<Vec<EpisodeRecord>>, TrainError> {
         let first = self.progress.episodes;
-        let count = settings.episodes_per_round.min(settings.episodes - first);
+        // No round is played half on the surrogate and half in the simulator.
+        let on_surrogate = first < settings.surrogate_episodes;
+        let end = if on_surrogate { settings.surrogate_episodes } else { settings.episodes };
+        let count = settings.episodes_per_round.min(end - first);
         let planned =
             (first..first + count).map(|index| plan(index, self.curriculum.level(), levels, settings)).collect();
         let diverged = TrainError::Diverged { episodes: first };
@@ -261,10 +267,19 @@ impl State {
         for (plan, played) in &played {
             self.replay.push(remembered(plan, played, &actor, settings));
             self.count(plan, played);
-            self.progress.learning_steps += if learns { played.steps.len() as u64 } else { 0 };
+            let steps =
+                if on_surrogate { &mut self.progress.surrogate_steps } else { &mut self.progress.learning_steps };
+            *steps += if learns { played.steps.len() as u64 } else { 0 };
         }
         self.progress.rounds += 1;
         let losses = self.learn(settings);
+        let left = settings.episodes - self.progress.episodes;
+        if on_surrogate && left > 0 && self.progress.episodes == settings.surrogate_episodes {
+            // What the surrogate did would be most of every batch, and the simulator does something else.
+            self.replay = Replay::new(settings);
+            let count = self.progress.on_level.len() as u32;
+            self.curriculum.begin_again(settings.level_episodes_max(left, count));
+        }
         Ok(Some(played.iter().map(|(plan, played)| record(plan, played, levels, losses)).collect()))
     }
 
@@ -282,8 +297,9 @@ impl State {
 
     /// Make the updates that are due; the mean of what they saw.
     fn learn(&mut self, settings: &Settings) -> Option<Losses> {
-        let due = (settings.updates_per_step * self.progress.learning_steps as f64).floor() as u64;
-        let count = due.saturating_sub(self.progress.updates);
+        let due = settings.updates_per_step * self.progress.learning_steps as f64
+            + settings.surrogate_updates_per_step * self.progress.surrogate_steps as f64;
+        let count = (due.floor() as u64).saturating_sub(self.progress.updates);
         let mut sum = Losses::default();
         for _ in 0..count {
             let mut rng = Pcg64Mcg::seed_from_u64(derive(settings.seed, &[stream::UPDATE, self.progress.updates]));
