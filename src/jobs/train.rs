@@ -137,7 +137,7 @@ impl Recorder<'_> {
             record.powder,
             self.recent.len()
         );
-        let progress = Progress { fraction: f64::from(done) / f64::from(all), message };
+        let progress = Progress { fraction: self.spec.settings.share_done(done), message };
         let told = self.context.report(&progress);
         self.note(told);
     }

@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 /// Angles of repose of the published curriculum's three levels, degrees.
 pub const PAPER_LEVELS_DEG: [f64; 3] = [28.0, 33.0, 37.0];
 
+/// Episodes on the surrogate that take as long as one in the simulator, or so.
+pub(super) const SURROGATE_EPISODES: u32 = 50;
+
 /// Which settings a training starts from.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -283,6 +286,15 @@ impl Settings {
         }
     }
 
+    /// Share of the training's work that is done after these episodes; one on the surrogate is a fiftieth of one in the simulator.
+    pub fn share_done(&self, episodes: u32) -> f64 {
+        let work = |episodes: u32| {
+            let on_surrogate = episodes.min(self.surrogate_episodes);
+            f64::from(on_surrogate) / f64::from(SURROGATE_EPISODES) + f64::from(episodes - on_surrogate)
+        };
+        work(episodes) / work(self.episodes)
+    }
+
     /// Episodes are remembered with the actor's state after their first step.
     pub fn stores_states(&self) -> bool {
         self.network == Network::Recurrent { replayed: Replayed::StoredState }
@@ -334,6 +346,16 @@ mod tests {
             (Network::Recurrent { replayed: Replayed::StoredState }, CriticLoss::Huber)
         );
         assert_eq!(paper.level_episodes_max(4000, 3), 1330);
+    }
+
+    #[test]
+    fn the_share_that_is_done_counts_what_episodes_take() {
+        let settings =
+            Settings { episodes: 1100, surrogate_episodes: 1000, ..Settings::of(Preset::Flip, Order::Random, 1) };
+        let shares = [0, 500, 1000, 1050, 1100].map(|episodes| settings.share_done(episodes));
+        assert_eq!(shares, [0.0, 10.0 / 120.0, 20.0 / 120.0, 70.0 / 120.0, 1.0]);
+        let all = Settings { surrogate_episodes: 1100, ..settings };
+        assert_eq!([0, 550, 1100].map(|episodes| all.share_done(episodes)), [0.0, 0.5, 1.0]);
     }
 
     #[test]

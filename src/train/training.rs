@@ -6,7 +6,7 @@ use super::curriculum::Curriculum;
 use super::environment::{Filling, Played, simulated};
 use super::replay::Replay;
 use super::sac::{Learner, Losses};
-use super::settings::{Order, Settings};
+use super::settings::{Order, SURROGATE_EPISODES, Settings};
 use super::spoons::Spoons;
 use crate::domain::FieldError;
 use crate::domain::parameters::ParameterSet;
@@ -156,9 +156,6 @@ pub(super) struct Progress {
     pub on_level: Vec<u32>,
 }
 
-/// Rounds on the surrogate for one in the simulator, between checkpoints.
-const SURROGATE_ROUNDS: u32 = 50;
-
 /// Episodes in the final error.
 const RECENT: usize = 20;
 
@@ -202,7 +199,7 @@ pub fn train_on<F: Filling>(
 /// Rounds between checkpoints where the training stands: on the surrogate they are over in no time.
 fn rounds_per_checkpoint(progress: &Progress, settings: &Settings) -> u32 {
     let on_surrogate = progress.episodes < settings.surrogate_episodes;
-    settings.rounds_per_checkpoint.saturating_mul(if on_surrogate { SURROGATE_ROUNDS } else { 1 })
+    settings.rounds_per_checkpoint.saturating_mul(if on_surrogate { SURROGATE_EPISODES } else { 1 })
 }
 
 /// The levels in the order they are met.
