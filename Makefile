@@ -77,18 +77,20 @@ training-report: setup
 	data="$${DATA:-$(CURDIR)/target/training-report}"
 	flip() { cargo run --quiet --release --locked -- "$$@" --data-dir "$$data"; }
 	policies() { python3 -c 'import json, sys; found = json.load(sys.stdin); print(*[one["policy"] for one in (found if isinstance(found, list) else [found])])'; }
-	doses() { echo "== $$*"; flip evaluate --targets-mg 5,10,15,20 --repeats 5 --seed 4 "$$@"; }
+	doses() { echo "== $$*"; flip evaluate --targets-mg 5,10,15,20 --seed 4 "$$@"; }
 	flip calibrate --powder all --seed 1 > "$$data.calibrations.txt"
 	ours=$$(flip train --seed 1 --json | policies)
-	doses --policy "$$ours"
-	for conditions in '--readability-mg 1' '--readability-mg 0.1' '--particles 3500' '--extension rotation=1 --extension rolling_friction=0.2' \
-			'--extension size_spread=0.2' '--extension humidity=0.5'; do
-		doses --controllers paced --max-shakes 30 $$conditions
+	doses --repeats 5 --policy "$$ours"
+	for readability in 0.1 1; do
+		doses --repeats 5 --controllers paced --max-shakes 30 --readability-mg $$readability
+	done
+	for conditions in '--particles 3500' '--extension rotation=1 --extension rolling_friction=0.2' '--extension size_spread=0.2' '--extension humidity=0.5'; do
+		doses --repeats 3 --controllers paced --max-shakes 30 $$conditions
 	done
 	orders=curriculum,random,reverse,domain-randomisation
 	for paper in $$(flip train --order "$$orders" --preset paper --episodes $(EPISODES) --seed 1 --json | policies); do
 		echo "== preset paper, $(EPISODES) episodes, the next of $$orders"
-		doses --policy "$$paper" --controllers policy
+		doses --repeats 5 --policy "$$paper" --controllers policy
 	done
 
 lint: setup
