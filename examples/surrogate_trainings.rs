@@ -148,6 +148,7 @@ fn gains(base: &Settings) -> Vec<(String, Settings)> {
         ("discount 0.99", with(&|s| s.gamma = 0.99)),
         ("learning rate 1e-3", with(&|s| s.learning_rate = 1e-3)),
         ("learning rate 1e-4", with(&|s| s.learning_rate = 1e-4)),
+        ("powders alone, none from the box", with(&|s| s.box_share = 0.0)),
         ("random order", with(&|s| s.order = Order::Random)),
         ("recurrent, whole episodes", recurrent(Replayed::Episodes, base.relabel_share)),
         ("recurrent, whole episodes, without hindsight", recurrent(Replayed::Episodes, 0.0)),

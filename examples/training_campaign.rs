@@ -41,9 +41,11 @@ fn settings(overrides: &Value) -> anyhow::Result<Settings> {
             *old = new.clone();
         }
     }
-    // Left out of the text where it is 0.
-    if let Some(episodes) = overrides.get("surrogate_episodes") {
-        value["surrogate_episodes"] = episodes.clone();
+    // Left out of the text where they are as usual.
+    for key in ["surrogate_episodes", "surrogate_updates_per_step", "box_share"] {
+        if let Some(new) = overrides.get(key) {
+            value[key] = new.clone();
+        }
     }
     Ok(serde_json::from_value::<Settings>(value)?.checked()?)
 }

@@ -35,6 +35,7 @@ fn small(order: Order) -> Settings {
         hidden: 16,
         batch: 16,
         updates_per_step: 0.7,
+        box_share: 0.0,
         ..Settings::of(Preset::Flip, order, 3)
     }
 }
@@ -46,11 +47,12 @@ fn small_recurrent(replayed: Replayed) -> Settings {
 }
 
 /// Every kind of training that must be reproducible.
-fn kinds() -> [Settings; 5] {
+fn kinds() -> [Settings; 6] {
     let recurrent = [Replayed::StoredState, Replayed::Episodes].map(small_recurrent);
     let [stored, episodes] = recurrent;
     let surrogate = Settings { surrogate_episodes: 10, ..small(Order::Reverse) };
-    [small(Order::Curriculum), small(Order::DomainRandomisation), stored, episodes, surrogate]
+    let box_too = Settings { box_share: 0.5, ..surrogate.clone() };
+    [small(Order::Curriculum), small(Order::DomainRandomisation), stored, episodes, surrogate, box_too]
 }
 
 /// Never stops.
@@ -216,6 +218,7 @@ fn a_recurrent_policy_learns_and_weighs_by_what_it_remembers() {
         batch: 16,
         updates_per_step: 1.0,
         episodes: 120,
+        box_share: 0.0,
         ..Settings::of(Preset::Flip, Order::Curriculum, 1)
     };
     let (trained, ..) = run(&settings, None);
@@ -270,6 +273,17 @@ fn levels_are_met_in_the_order_asked_for() {
     assert!(met(Order::Random).1.len() > 6, "a random order keeps changing");
     let (trained, powders) = met(Order::DomainRandomisation);
     assert_eq!((powders, trained.levels.len()), (vec!["randomised".to_owned()], 0));
+}
+
+#[test]
+fn a_share_of_the_episodes_is_of_powders_from_the_whole_box_and_counts_for_no_level() {
+    let (trained, episodes, _) = run(&Settings { box_share: 0.5, episodes: 70, ..small(Order::Curriculum) }, None);
+    let found = episodes.iter().filter(|e| e.powder == "randomised").count() as u32;
+    assert!((20..=50).contains(&found), "{found} of 70");
+    assert_eq!(trained.levels.iter().map(|level| level.episodes).sum::<u32>(), 70 - found);
+    let known: Vec<String> = levels().iter().flat_map(|level| level.sets.iter().map(ParameterSet::id)).collect();
+    assert!(episodes.iter().all(|e| (e.powder == "randomised") != known.contains(&e.parameter_set)));
+    assert_eq!(trained.manifest.switches.last().map(|switch| switch.to), Some(2), "the last level is reached");
 }
 
 #[test]

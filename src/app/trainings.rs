@@ -31,9 +31,9 @@ pub struct TrainingRequest {
     /// Collection of settings.
     #[serde(default)]
     pub preset: Preset,
-    /// Episodes, 1 to 20000; default the preset's: 4400 of ours, 4000 of the paper's.
+    /// Episodes, 1 to 20000; default the preset's: 4800 of ours, 4000 of the paper's.
     pub episodes: Option<u32>,
-    /// Of these, the first on a fast model of the spoon instead of the simulator, 0 to all; default nine tenths of ours, none of the paper's.
+    /// Of these, the first on a fast model of the spoon instead of the simulator, 0 to all; default four fifths of ours, none of the paper's.
     pub surrogate_episodes: Option<u32>,
     /// Powders whose calibrated sets are the levels; default `sand`, `sugar`, `salt`. Not with the `paper` preset.
     pub powders: Option<Vec<String>>,

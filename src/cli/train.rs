@@ -25,10 +25,10 @@ pub(super) struct Arguments {
     /// Collection of settings: FLIP's own, or as published.
     #[arg(long, value_enum, default_value_t = PresetFlag::Flip)]
     preset: PresetFlag,
-    /// Episodes [default: the preset's: 4400 for flip, 4000 for paper].
+    /// Episodes [default: the preset's: 4800 for flip, 4000 for paper].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     episodes: Option<u32>,
-    /// Of these, the first N on a fast model of the spoon instead of the simulator [default: nine tenths for flip, 0 for paper].
+    /// Of these, the first N on a fast model of the spoon instead of the simulator [default: four fifths for flip, 0 for paper].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     surrogate_episodes: Option<u32>,
     /// Powders whose calibrated sets are the levels [default: sand,sugar,salt]; not with the paper preset.

@@ -28,6 +28,8 @@ pub struct Planned {
     pub index: u32,
     /// Level it belongs to.
     pub level: u32,
+    /// Its powder is drawn from the whole box, and does not count towards the level.
+    pub randomised: bool,
     /// Powder.
     pub set: ParameterSet,
     heap: u32,
@@ -51,16 +53,17 @@ pub fn plan(index: u32, level: u32, levels: &[Level], settings: &Settings) -> Pl
         Order::DomainRandomisation => 0,
         Order::Curriculum | Order::Reverse => level,
     };
-    let set = match settings.order {
-        Order::DomainRandomisation => ParameterSet::from_unit(std::array::from_fn(|_| rng.random())),
-        _ => {
-            let sets = &levels[level as usize].sets;
-            sets[rng.random_range(0..sets.len())]
-        }
+    let randomised = settings.order == Order::DomainRandomisation
+        || (settings.box_share > 0.0 && rng.random::<f64>() < settings.box_share);
+    let set = if randomised {
+        ParameterSet::from_unit(std::array::from_fn(|_| rng.random()))
+    } else {
+        let sets = &levels[level as usize].sets;
+        sets[rng.random_range(0..sets.len())]
     };
     let heap = rng.random_range(0..settings.fills_per_set);
-    let repose_deg = levels.get(level as usize).map(|level| level.repose_deg);
-    Planned { index, level, set, heap, repose_deg, target_mg, rng, seed }
+    let repose_deg = levels.get(level as usize).filter(|_| !randomised).map(|level| level.repose_deg);
+    Planned { index, level, randomised, set, heap, repose_deg, target_mg, rng, seed }
 }
 
 /// Play these episodes, one per task; results are in order. Without an actor the actions are random. None when `flow` said to
@@ -79,19 +82,15 @@ pub fn play_round<F: Filling>(
                 return None;
             }
             let surrogate = Surrogate::new(settings.rules.pitch);
-            let played = match settings.order {
-                _ if plan.index < settings.surrogate_episodes => {
-                    let spoon = surrogate.fill(&plan.set, derive(plan.seed, &[SPOONFUL]));
-                    play_planned(&mut plan, spoon, actor, settings)
-                }
-                Order::DomainRandomisation => {
-                    let spoon = spoons.fill(&plan.set, plan.index);
-                    play_planned(&mut plan, spoon, actor, settings)
-                }
-                Order::Curriculum | Order::Random | Order::Reverse => {
-                    let spoon = spoons.take(&plan.set, plan.heap);
-                    play_planned(&mut plan, spoon, actor, settings)
-                }
+            let played = if plan.index < settings.surrogate_episodes {
+                let spoon = surrogate.fill(&plan.set, derive(plan.seed, &[SPOONFUL]));
+                play_planned(&mut plan, spoon, actor, settings)
+            } else if plan.randomised {
+                let spoon = spoons.fill(&plan.set, plan.index);
+                play_planned(&mut plan, spoon, actor, settings)
+            } else {
+                let spoon = spoons.take(&plan.set, plan.heap);
+                play_planned(&mut plan, spoon, actor, settings)
             };
             Some((plan, played))
         })

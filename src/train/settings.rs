@@ -91,18 +91,22 @@ pub struct Settings {
     /// Seed of everything that is drawn.
     pub seed: u64,
 
-    /// Episodes in the training. Default 4400 (ours), 4000 (paper).
+    /// Episodes in the training. Default 4800 (ours), 4000 (paper).
     pub episodes: u32,
     /// First episodes that are played on a model of the spoon ([`super::Surrogate`]) instead of the simulator, a thousand times as fast; what they
     /// taught stays, their steps are forgotten. Default 0; a training that is asked for without a number plays as many as
     /// [`Settings::surrogate_by_default`].
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub surrogate_episodes: u32,
     /// Episodes collected in parallel with one snapshot of the policy, before updates. Fixed, so that the result does not
     /// depend on the number of threads. Default 4 (ours), 1 (paper).
     pub episodes_per_round: u32,
     /// Rounds between checkpoints. Default 5.
     pub rounds_per_checkpoint: u32,
+    /// Share of the episodes whose parameter set is drawn from the whole published box instead of a powder's, so that a powder that was never
+    /// met is not new in every way. They do not count towards a level. Default 0.25 (ours), 0 (published).
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub box_share: f64,
     /// Different heaps per parameter set; a filled spoon is kept and cloned. Default 20 (ours), 2 (paper).
     pub fills_per_set: u32,
 
@@ -178,10 +182,11 @@ impl Settings {
             preset,
             order,
             seed,
-            episodes: 4400,
+            episodes: 4800,
             surrogate_episodes: 0,
             episodes_per_round: 4,
             rounds_per_checkpoint: 5,
+            box_share: 0.25,
             fills_per_set: 20,
             rules: Rules::FLIP,
             target_mg_min: 5.0,
@@ -215,6 +220,7 @@ impl Settings {
             Preset::Paper => Self {
                 episodes: 4000,
                 episodes_per_round: 1,
+                box_share: 0.0,
                 fills_per_set: 2,
                 rounds_per_checkpoint: 20,
                 rules: Rules::PAPER,
@@ -263,6 +269,7 @@ impl Settings {
         bounded("learning_rate", self.learning_rate, 1e-8, 1.0, "")?;
         bounded("gamma", self.gamma, 0.0, 0.9999, "")?;
         bounded("tau", self.tau, 0.0, 1.0, "")?;
+        bounded("box_share", self.box_share, 0.0, 1.0, "")?;
         bounded("target_entropy", self.target_entropy, -100.0, 100.0, "nats")?;
         bounded("initial_alpha", self.initial_alpha, 1e-6, 1e3, "")?;
         bounded("reward_scale", self.reward_scale, 1e-6, 1e6, "")?;
@@ -278,10 +285,10 @@ impl Settings {
         Ok(self)
     }
 
-    /// Episodes on the surrogate unless a request says otherwise: nine tenths of ours, none of the published ones.
+    /// Episodes on the surrogate unless a request says otherwise: four fifths of ours, none of the published ones.
     pub fn surrogate_by_default(&self) -> u32 {
         match self.preset {
-            Preset::Flip => self.episodes - self.episodes.div_ceil(10),
+            Preset::Flip => self.episodes - self.episodes.div_ceil(5),
             Preset::Paper => 0,
         }
     }
@@ -303,13 +310,14 @@ impl Settings {
     /// Most episodes on one of `levels` levels when there are `episodes` for all: the published 1330, or an equal share of a smaller budget.
     ///
     /// ```text
-    /// min(1330, ceil(episodes / levels))
+    /// min(1330, ceil(episodes (1 - box_share) / levels))
     /// ```
     ///
     /// With the published three levels and 4000 episodes this is the published rule (the shares would be 1334); with a
     /// demonstration budget every level still gets its turn, on the surrogate and once more in the simulator.
     pub fn level_episodes_max(&self, episodes: u32, levels: u32) -> u32 {
-        self.curriculum.episodes_max.min(episodes.div_ceil(levels.max(1)))
+        let share = f64::from(episodes) * (1.0 - self.box_share) / f64::from(levels.max(1));
+        self.curriculum.episodes_max.min(share.ceil() as u32)
     }
 }
 
@@ -323,9 +331,9 @@ fn is_one(value: &f64) -> bool {
     *value == 1.0
 }
 
-/// Left out of the text of settings from before there was a surrogate, so that their trainings are found.
-fn is_zero(count: &u32) -> bool {
-    *count == 0
+/// Left out of the text of settings, so that trainings from before there was such a setting are found.
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 #[cfg(test)]
@@ -361,7 +369,9 @@ mod tests {
     #[test]
     fn a_demonstration_shares_its_episodes_among_the_levels() {
         let settings = Settings::of(Preset::Flip, Order::Curriculum, 1);
-        assert_eq!(settings.level_episodes_max(160, 3), 54);
+        assert_eq!(settings.box_share, 0.25);
+        assert_eq!(settings.level_episodes_max(160, 3), 40);
+        assert_eq!(Settings { box_share: 0.0, ..settings }.level_episodes_max(160, 3), 54);
     }
 
     #[test]

@@ -30,7 +30,7 @@ pub struct Level {
     pub sets: Vec<ParameterSet>,
 }
 
-/// The powder of an episode under [`Order::DomainRandomisation`].
+/// The powder of an episode whose parameter set is drawn from the whole box.
 pub const RANDOMISED: &str = "randomised";
 
 /// What a training reports while it runs.
@@ -282,10 +282,14 @@ impl State {
 
     fn count(&mut self, plan: &Planned, played: &Played) {
         let error_mg = (played.target_mg - played.dispensed_mg).abs();
-        // Under a random order every episode belongs to the curriculum's only level.
-        self.curriculum.record(plan.level, error_mg);
         self.progress.episodes += 1;
-        self.progress.on_level[plan.level as usize] += 1;
+        if plan.randomised {
+            self.curriculum.pass();
+        } else {
+            // Under a random order every episode belongs to the curriculum's only level.
+            self.curriculum.record(plan.level, error_mg);
+            self.progress.on_level[plan.level as usize] += 1;
+        }
         if self.progress.recent.len() == RECENT {
             self.progress.recent.pop_front();
         }
@@ -355,7 +359,7 @@ fn record(plan: &Planned, played: &Played, levels: &[Level], losses: Option<Loss
     EpisodeRecord {
         index: plan.index,
         level: plan.level,
-        powder: levels.get(plan.level as usize).map_or(RANDOMISED, |level| &level.powder).to_owned(),
+        powder: if plan.randomised { RANDOMISED } else { &levels[plan.level as usize].powder }.to_owned(),
         parameter_set: plan.set.id(),
         target_mg: played.target_mg,
         dispensed_mg: played.dispensed_mg,
