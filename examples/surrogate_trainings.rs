@@ -107,7 +107,8 @@ fn study(name: &str, episodes: u32, seed: u64) -> anyhow::Result<Study> {
         "orders-ours" => orders(Preset::Flip, &|_| ()),
         "gains" => {
             let ours = Settings::of(Preset::Flip, Order::Curriculum, seed);
-            gains(&Settings { episodes, updates_per_step: ours.surrogate_updates_per_step, ..ours })
+            let updates_per_step = ours.surrogate_updates_per_step;
+            gains(&Settings { episodes, updates_per_step, box_share: 0.0, ..ours })
         }
         other => anyhow::bail!(
             "there is no study `{other}`: orders, orders-feed-forward, orders-one-spoonful, orders-ours, gains"
@@ -119,7 +120,7 @@ fn study(name: &str, episodes: u32, seed: u64) -> anyhow::Result<Study> {
     Ok(Study { trainings, spread, on_angles: name.starts_with("orders") })
 }
 
-/// Our settings, and each of them taken back alone.
+/// These settings, and each of them changed alone.
 fn gains(base: &Settings) -> Vec<(String, Settings)> {
     let recurrent = |replayed, relabel_share| Settings {
         network: Network::Recurrent { replayed },
@@ -148,7 +149,7 @@ fn gains(base: &Settings) -> Vec<(String, Settings)> {
         ("discount 0.99", with(&|s| s.gamma = 0.99)),
         ("learning rate 1e-3", with(&|s| s.learning_rate = 1e-3)),
         ("learning rate 1e-4", with(&|s| s.learning_rate = 1e-4)),
-        ("powders alone, none from the box", with(&|s| s.box_share = 0.0)),
+        ("a quarter of the episodes from the box", with(&|s| s.box_share = 0.25)),
         ("random order", with(&|s| s.order = Order::Random)),
         ("recurrent, whole episodes", recurrent(Replayed::Episodes, base.relabel_share)),
         ("recurrent, whole episodes, without hindsight", recurrent(Replayed::Episodes, 0.0)),
