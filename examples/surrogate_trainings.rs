@@ -287,18 +287,20 @@ fn tell(names: &[String], runs: &[Run]) {
     let powders: BTreeSet<&String> = runs.iter().flat_map(|run| run.mae_mg.keys()).collect();
     let header: Vec<&str> = powders.iter().map(|powder| powder.as_str()).collect();
     println!(
-        "| training | seeds | last {WINDOW} episodes mg | policy mg | drawn mg | {} | over % | shakes | s |",
+        "| training | seeds | last {WINDOW} episodes mg | policy mg | lowest last, its policy mg | drawn mg | {} | over % | shakes | s |",
         header.join(" | ")
     );
-    println!("|{}", "---|".repeat(8 + header.len()));
+    println!("|{}", "---|".repeat(9 + header.len()));
     for name in names {
         let of: Vec<&Run> = runs.iter().filter(|run| run.name == *name).collect();
         let each = |value: &dyn Fn(&Run) -> f64| over_seeds(&of.iter().map(|run| value(run)).collect::<Vec<_>>());
+        let last = |run: &Run| run.curve_mg.last().copied().unwrap_or(0.0);
+        let chosen = of.iter().min_by(|a, b| last(a).total_cmp(&last(b))).map_or(0.0, |run| run.mae_all_mg);
         let by_powder: Vec<String> = powders.iter().map(|powder| each(&|run| run.mae_mg[*powder])).collect();
         println!(
-            "| {name} | {} | {} | {} | {} | {} | {} | {} | {:.0} |",
+            "| {name} | {} | {} | {} | {chosen:.2} | {} | {} | {} | {} | {:.0} |",
             of.len(),
-            each(&|run| run.curve_mg.last().copied().unwrap_or(0.0)),
+            each(&last),
             each(&|run| run.mae_all_mg),
             each(&|run| run.drawn_mg),
             by_powder.join(" | "),
