@@ -8,6 +8,7 @@ pub mod stats;
 pub mod policy;
 
 pub mod calibrate;
+pub mod discover;
 pub mod train;
 pub mod weigh;
 

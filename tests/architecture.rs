@@ -4,13 +4,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Module, and the modules it may name. A module may always name itself.
-const ARROWS: [(&str, &[&str]); 14] = [
+const ARROWS: [(&str, &[&str]); 15] = [
     ("domain", &[]),
     ("stats", &[]),
     ("sim", &["domain"]),
     ("policy", &["domain", "stats"]),
     ("hardware", &["domain"]),
     ("calibrate", &["domain", "stats"]),
+    ("discover", &["domain", "stats"]),
     ("train", &["domain", "sim", "policy", "stats"]),
     ("weigh", &["domain", "hardware", "policy"]),
     ("store", &["domain"]),
@@ -39,7 +40,7 @@ const CONFINED: [(&str, &[&str]); 20] = [
     ("tower_http::", &["api"]),
     ("tch::", &["train"]),
     ("csv::", &["app"]),
-    ("rayon::", &["calibrate", "train", "jobs", "cli"]),
+    ("rayon::", &["calibrate", "discover", "train", "jobs", "cli"]),
     ("clap::", &["cli"]),
     ("indicatif::", &["cli"]),
     ("rustix::", &["cli"]),

@@ -1,0 +1,209 @@
+//! The causes that FLIP knows, and how strong each is in each run of a campaign.
+//!
+//! | mechanism | covariate | strength, up to its size | source |
+//! |---|---|---|---|
+//! | `humidity` | relative humidity h | h^m, m = 1, 2, 4, 8; logistic around 50 and 60 % | liquid bridges: Vandewalle et al., PRE 85 (2012) 031309 |
+//! | `deliquescence` | h | a step at 65, 75, 85 % | sodium chloride 75 %, sucrose 85 % |
+//! | `charge` | h | (45 % - h)^m below 45 %, m = 1, 2 | Vandewalle et al. 2012 |
+//! | `rest_time` | time at rest t | 1 - exp(-t / T), T = 5, 20, 60, 200 min; log(1 + t / T), T = 1, 10 min | Restagno, Bocquet, Charlaix, cond-mat/9908142 |
+//! | `humid_ageing` | h, t | h^m times a function of t as above | Restagno et al. |
+//! | `container_age` | days since opening a | a, sqrt a, 1 - exp(-a / 10 d) | |
+//! | `temperature` | T | T, exp(T / 10 K) | |
+//! | `vibration` | rms acceleration v | v, v^2, sqrt v | |
+//! | `funnel_height` | height H | log H | |
+//! | `order` | place in the session k | k, 1 - exp(-k / 2), 1 - exp(-k / 5) | |
+//! | `batch`, `method_bias`, `operator`, `base_friction` | batch, method, operator, plate | one number for each level | |
+
+use super::campaign::Campaign;
+use super::signature::Course;
+
+/// Causes that look alike are claimed together first.
+pub type Family = &'static str;
+
+/// A cause that the simulator can be extended by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[allow(missing_docs)] // The module's table says what each is.
+pub enum Mechanism {
+    Humidity,
+    Deliquescence,
+    Charge,
+    RestTime,
+    HumidAgeing,
+    ContainerAge,
+    Temperature,
+    Vibration,
+    FunnelHeight,
+    Order,
+    Batch,
+    MethodBias,
+    Operator,
+    BaseFriction,
+}
+
+/// Which way a cause moves the angle of repose, where physics says so.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Direction {
+    Up,
+    Down,
+    Either,
+}
+
+impl Direction {
+    pub fn sign(self) -> Option<f64> {
+        match self {
+            Self::Up => Some(1.0),
+            Self::Down => Some(-1.0),
+            Self::Either => None,
+        }
+    }
+}
+
+impl Mechanism {
+    /// All of them.
+    pub const ALL: [Self; 14] = [
+        Self::Humidity,
+        Self::Deliquescence,
+        Self::Charge,
+        Self::RestTime,
+        Self::HumidAgeing,
+        Self::ContainerAge,
+        Self::Temperature,
+        Self::Vibration,
+        Self::FunnelHeight,
+        Self::Order,
+        Self::Batch,
+        Self::MethodBias,
+        Self::Operator,
+        Self::BaseFriction,
+    ];
+
+    /// Name, as reports have it, and family.
+    pub fn name(self) -> (&'static str, Family) {
+        match self {
+            Self::Humidity => ("humidity", "moisture"),
+            Self::Deliquescence => ("deliquescence", "moisture"),
+            Self::Charge => ("charge", "electrostatic"),
+            Self::RestTime => ("rest_time", "consolidation"),
+            Self::HumidAgeing => ("humid_ageing", "moisture_x_rest"),
+            Self::ContainerAge => ("container_age", "ageing"),
+            Self::Temperature => ("temperature", "temperature"),
+            Self::Vibration => ("vibration", "vibration"),
+            Self::FunnelHeight => ("funnel_height", "protocol"),
+            Self::Order => ("order", "protocol"),
+            Self::Batch => ("batch", "size"),
+            Self::MethodBias => ("method_bias", "protocol"),
+            Self::Operator => ("operator", "protocol"),
+            Self::BaseFriction => ("base_friction", "protocol"),
+        }
+    }
+
+    /// The covariates without which nothing can be said.
+    pub fn covariates(self) -> &'static [&'static str] {
+        match self {
+            Self::Humidity | Self::Deliquescence | Self::Charge => &["relative_humidity_pct"],
+            Self::RestTime => &["rest_min"],
+            Self::HumidAgeing => &["relative_humidity_pct", "rest_min"],
+            Self::ContainerAge => &["container_age_d"],
+            Self::Temperature => &["temperature_c"],
+            Self::Vibration => &["vibration_rms_m_s2"],
+            Self::FunnelHeight => &["funnel_height_mm"],
+            Self::Order => &["order_in_session"],
+            Self::Batch => &["batch"],
+            Self::MethodBias => &["method"],
+            Self::Operator => &["operator"],
+            Self::BaseFriction => &["plate"],
+        }
+    }
+
+    pub(super) fn direction(self) -> Direction {
+        match self {
+            Self::Humidity
+            | Self::Deliquescence
+            | Self::Charge
+            | Self::RestTime
+            | Self::HumidAgeing
+            | Self::ContainerAge => Direction::Up,
+            Self::Vibration | Self::FunnelHeight => Direction::Down,
+            _ => Direction::Either,
+        }
+    }
+
+    /// Odds before any data, over those of a plain cause: a step or a product fits what a plain cause does, and more.
+    pub(super) fn prior(self) -> f64 {
+        match self {
+            Self::Deliquescence | Self::HumidAgeing => 0.5,
+            _ => 1.0,
+        }
+    }
+
+    /// What this cause may do to the runs of a campaign, one course for each form that it may have.
+    ///
+    /// # Errors
+    /// Why this campaign cannot tell.
+    pub(super) fn courses(self, campaign: &Campaign) -> Result<Vec<Course>, String> {
+        let powder = campaign.powder_of();
+        let first = self.covariates()[0];
+        if let Self::Batch | Self::MethodBias | Self::Operator | Self::BaseFriction = self {
+            let (level, count) = campaign.levels(first)?;
+            let course = Course::of_levels(&level, count, &powder);
+            return course.map(|course| vec![course]).ok_or_else(|| format!("each powder has but one {first}"));
+        }
+        let values = campaign.numbers(first)?;
+        let strengths: Vec<Vec<f64>> = match self {
+            Self::Humidity => of(&values, &HUMIDITY),
+            Self::Deliquescence => of(&values, &DELIQUESCENCE),
+            Self::Charge => of(&values, &[|h| (0.45 - h / 100.0).max(0.0), |h| (0.45 - h / 100.0).max(0.0).powi(2)]),
+            Self::RestTime => of(&values, &REST),
+            Self::HumidAgeing => {
+                let rest = campaign.numbers("rest_min")?;
+                let rests = of(&rest, &REST[1..]);
+                let product = |humid: Vec<f64>| {
+                    let times = move |rest: &Vec<f64>| humid.iter().zip(rest).map(|(h, t)| h * t).collect();
+                    rests.iter().map(times).collect::<Vec<Vec<f64>>>()
+                };
+                of(&values, &HUMIDITY[..3]).into_iter().flat_map(product).collect()
+            }
+            Self::ContainerAge => of(&values, &[|a| a, |a| a.max(0.0).sqrt(), |a| 1.0 - (-a / 10.0).exp()]),
+            Self::Temperature => of(&values, &[|t| t, |t| (t / 10.0).exp()]),
+            Self::Vibration => of(&values, &[|v| v, |v| v * v, |v| v.max(0.0).sqrt()]),
+            Self::FunnelHeight => of(&values, &[|height| height.max(1.0).ln()]),
+            _ => of(&values, &[|k| k, |k| 1.0 - (-k / 2.0).exp(), |k| 1.0 - (-k / 5.0).exp()]),
+        };
+        let courses: Vec<Course> =
+            strengths.iter().filter_map(|strength| Course::of_strength(strength, &powder)).collect();
+        match courses.is_empty() {
+            true => Err(format!("{} has no range in which it could act", self.covariates().join(" and "))),
+            false => Ok(courses),
+        }
+    }
+}
+
+type Form = fn(f64) -> f64;
+
+/// Relative humidity in percent.
+const HUMIDITY: [Form; 6] = [
+    |h| h / 100.0,
+    |h| (h / 100.0).powi(2),
+    |h| (h / 100.0).powi(4),
+    |h| (h / 100.0).powi(8),
+    |h| step(h, 50.0, 5.0),
+    |h| step(h, 60.0, 5.0),
+];
+const DELIQUESCENCE: [Form; 3] = [|h| step(h, 65.0, 1.0), |h| step(h, 75.0, 1.0), |h| step(h, 85.0, 1.0)];
+/// Minutes.
+const REST: [Form; 6] = [
+    |t| 1.0 - (-t / 5.0).exp(),
+    |t| 1.0 - (-t / 20.0).exp(),
+    |t| 1.0 - (-t / 60.0).exp(),
+    |t| 1.0 - (-t / 200.0).exp(),
+    |t| t.max(0.0).ln_1p(),
+    |t| (t.max(0.0) / 10.0).ln_1p(),
+];
+
+fn step(at: f64, middle: f64, width: f64) -> f64 {
+    1.0 / (1.0 + ((middle - at) / width).exp())
+}
+
+fn of(values: &[f64], forms: &[Form]) -> Vec<Vec<f64>> {
+    forms.iter().map(|form| values.iter().map(|&value| form(value)).collect()).collect()
+}

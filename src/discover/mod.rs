@@ -1,0 +1,25 @@
+//! What the simulator gets wrong, by the angles of repose that a laboratory measured under recorded conditions.
+//!
+//! ```text
+//! campaign.rs    what was measured, run by run, and under which conditions
+//! signature.rs   what each cause of the catalogue would do to those very runs
+//! catalogue.rs   the causes
+//! screen.rs      is anything wrong, and what explains it best
+//! ```
+//!
+//! The calibrated simulator predicts one angle for a powder, whatever the day. Anything that a new calibration would absorb, a powder's own mean,
+//! is therefore not looked at; what is left is judged by the evidence of each cause's signature in noise that has repeats, days, and days
+//! that treat powders differently ([`mixed_model`](crate::stats::mixed_model)). The best of all causes is compared with the best that campaigns
+//! of the same design have when nothing is wrong, so that many causes cost nothing in false alarms.
+
+pub mod campaign;
+mod catalogue;
+mod screen;
+mod signature;
+
+#[cfg(test)]
+mod tests;
+
+pub use campaign::{Campaign, Covariate, Run, Values};
+pub use catalogue::{Family, Mechanism};
+pub use screen::{Judged, Screening, Settings, Untestable, screen};
