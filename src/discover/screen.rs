@@ -131,12 +131,10 @@ pub fn screen(campaign: &Campaign, settings: &Settings) -> Result<Screening, Fie
     let log_noises: Vec<f64> =
         noises.iter().map(|noise| noise.model.log_null(noise.model.squares(&alone)[0])).collect();
     let all = with_simulated(campaign, &weights, &noises, &log_noises, &observed, settings);
-    let judged: Vec<(Vec<f64>, Vec<Vec<f64>>)> =
+    let judged: Vec<Evidences> =
         noises.par_iter().map(|noise| evidences(&noise.model, &hypotheses, &powder, &all)).collect();
-    // Over the noise models, for each campaign: [campaign] of noise alone, [hypothesis][campaign] of the causes.
-    let over_noises =
-        |of: &dyn Fn(&(Vec<f64>, Vec<Vec<f64>>)) -> f64| log_mean_exp(&judged.iter().map(of).collect::<Vec<f64>>());
-    let log_odds = |k: usize, h: usize| over_noises(&|(_, causes)| causes[h][k]) - over_noises(&|(null, _)| null[k]);
+    let over_noises = |of: &dyn Fn(&Evidences) -> f64| log_mean_exp(&judged.iter().map(of).collect::<Vec<f64>>());
+    let log_odds = |k: usize, h: usize| over_noises(&|it| it.causes[h][k]) - over_noises(&|it| it.null[k]);
     let largest = |k: usize| {
         hypotheses.iter().enumerate().map(|(h, it)| log_odds(k, h) + it.prior.ln()).fold(f64::NEG_INFINITY, f64::max)
     };
@@ -325,13 +323,15 @@ fn with_simulated(
     all
 }
 
-/// Log evidence of noise alone `[campaign]`, and of each cause `[hypothesis][campaign]`, under one noise model.
-fn evidences(
-    noise: &Whitening,
-    hypotheses: &[Hypothesis],
-    powder: &[usize],
-    all: &DMatrix<f64>,
-) -> (Vec<f64>, Vec<Vec<f64>>) {
+/// Log evidences under one noise model.
+struct Evidences {
+    /// Of noise alone, `[campaign]`.
+    null: Vec<f64>,
+    /// Of each cause, `[hypothesis][campaign]`.
+    causes: Vec<Vec<f64>>,
+}
+
+fn evidences(noise: &Whitening, hypotheses: &[Hypothesis], powder: &[usize], all: &DMatrix<f64>) -> Evidences {
     let squares = noise.squares(all);
     let null: Vec<f64> = squares.iter().map(|&squares| noise.log_null(squares)).collect();
     let judge = |hypothesis: &Hypothesis| {
@@ -351,5 +351,5 @@ fn evidences(
         };
         (0..all.ncols()).map(of_campaign).collect()
     };
-    (null, hypotheses.iter().map(judge).collect())
+    Evidences { null, causes: hypotheses.iter().map(judge).collect() }
 }

@@ -3,6 +3,7 @@ use super::*;
 use crate::stats::normal;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+use std::collections::BTreeMap;
 
 const POWDERS: [&str; 5] = ["sand", "sugar", "salt", "semolina", "sodium_bicarbonate"];
 /// Published means and SDs of five repeats, degrees.
@@ -99,8 +100,8 @@ fn verdicts(
     count: u64,
     effect_deg: f64,
     effect: impl Fn(&Laboratory, usize) -> f64 + Copy,
-) -> (usize, std::collections::BTreeMap<String, usize>) {
-    let mut named = std::collections::BTreeMap::new();
+) -> (usize, BTreeMap<String, usize>) {
+    let mut named = BTreeMap::new();
     let mut found = 0;
     for seed in 0..count {
         let screening = screen(&Laboratory::new(seed).campaign(effect_deg, effect), &SETTINGS).unwrap();
