@@ -95,12 +95,11 @@ impl Laboratory {
     }
 }
 
+/// What is added to the angle of a run, before it is scaled.
+type Effect = fn(&Laboratory, usize) -> f64;
+
 /// Of `count` campaigns: how many are found to have something wrong, and how often each cause is the most probable of those.
-fn verdicts(
-    count: u64,
-    effect_deg: f64,
-    effect: impl Fn(&Laboratory, usize) -> f64 + Copy,
-) -> (usize, BTreeMap<String, usize>) {
+fn verdicts(count: u64, effect_deg: f64, effect: Effect) -> (usize, BTreeMap<String, usize>) {
     let mut named = BTreeMap::new();
     let mut found = 0;
     for seed in 0..count {
@@ -133,7 +132,7 @@ fn hidden_effects_are_found_and_named() {
     let operator = |lab: &Laboratory, i: usize| lab.operator[i] as f64;
     // A whole wave over the pressures of twenty days, which is little to see it by.
     let pressure = |lab: &Laboratory, i: usize| ((lab.pressure[i] - 985.0) / 6.0).sin();
-    let cases: [(&str, fn(&Laboratory, usize) -> f64, usize); 4] = [
+    let cases: [(&str, Effect, usize); 4] = [
         ("humidity", humidity, 8),
         ("rest_time", rest, 8),
         ("operator", operator, 8),
