@@ -26,7 +26,8 @@ const LIST_MAX: usize = 20;
 pub struct EvaluationRequest {
     /// Policy id; default the newest, which is the shipped one as long as nothing was trained.
     pub policy: Option<String>,
-    /// Some of `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid`, `fuzzy`, `paced`; default all.
+    /// Some of `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid`, `fuzzy`, `paced`; default all. A policy that is named by its id
+    /// is always among them.
     pub controllers: Option<Vec<String>>,
     /// Powder ids; default the five published ones.
     pub powders: Option<Vec<String>>,
@@ -95,7 +96,10 @@ impl App {
             within_the_spoon(&id, &targets_mg, &sets, &conditions)?;
             subjects.push(EvaluationPowder { powder: id, sets: sets.into_iter().map(|set| set.id).collect() });
         }
-        let controllers = request.controllers.unwrap_or_else(|| CONTROLLERS.map(str::to_owned).to_vec());
+        let mut controllers = request.controllers.unwrap_or_else(|| CONTROLLERS.map(str::to_owned).to_vec());
+        if request.policy.is_some() && !controllers.iter().any(|name| name == "policy") {
+            controllers.insert(0, "policy".to_owned());
+        }
         let spec = EvaluationSpec {
             policy: policy.id,
             rivals: controllers.iter().filter_map(|name| rival(name)).collect(),

@@ -78,20 +78,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     common.print(&document, || text(&document))
 }
 
-/// Who weighs. A policy that is asked for by its id weighs, also where other controllers are named and `policy` is not.
-fn controllers(arguments: &Arguments) -> Option<Vec<String>> {
-    let mut named = arguments.controllers.clone()?;
-    if arguments.policy.is_some() && !named.iter().any(|name| name == "policy") {
-        named.insert(0, "policy".to_owned());
-    }
-    Some(named)
-}
-
 async fn evaluate(app: &App, common: &Common, arguments: &Arguments) -> Result<Evaluation, Failure> {
     let watch = Watch::new();
     let request = EvaluationRequest {
         policy: arguments.policy.clone(),
-        controllers: controllers(arguments),
+        controllers: arguments.controllers.clone(),
         powders: arguments.powders.clone(),
         targets_mg: Some(arguments.targets_mg.clone()),
         repeats: Some(arguments.repeats),
@@ -282,28 +273,5 @@ mod tests {
         assert!(!text.contains("Published, real robot"), "{text}");
         let row = text.lines().find(|line| line.contains("sodium_bicarbonate")).unwrap();
         assert_eq!(row.split_whitespace().nth(5), Some("-"));
-    }
-
-    #[test]
-    fn a_policy_that_is_asked_for_weighs_beside_the_rivals() {
-        #[derive(clap::Parser)]
-        struct Command {
-            #[command(flatten)]
-            arguments: Arguments,
-        }
-        let among = |flags: &str| {
-            let words = ["evaluate"].into_iter().chain(flags.split_whitespace());
-            controllers(&<Command as clap::Parser>::parse_from(words).arguments).map(|all| all.join(","))
-        };
-        let cases = [
-            ("", None),
-            ("--policy p-1", None),
-            ("--controllers pid,fuzzy", Some("pid,fuzzy")),
-            ("--policy p-1 --controllers pid,fuzzy", Some("policy,pid,fuzzy")),
-            ("--policy p-1 --controllers pid,policy", Some("pid,policy")),
-        ];
-        for (flags, expected) in cases {
-            assert_eq!(among(flags).as_deref(), expected, "{flags}");
-        }
     }
 }

@@ -1,18 +1,20 @@
 //! The causes that FLIP knows, and how strong each is in each run of a campaign.
 //!
-//! | mechanism | covariate | strength, up to its size | source |
-//! |---|---|---|---|
-//! | `humidity` | relative humidity h | h^m, m = 1, 2, 4, 8; logistic around 50 and 60 % | liquid bridges: Vandewalle et al., PRE 85 (2012) 031309 |
-//! | `deliquescence` | h | a step at 65, 75, 85 % | sodium chloride 75 %, sucrose 85 % |
-//! | `charge` | h | (45 % - h)^m below 45 %, m = 1, 2 | Vandewalle et al. 2012 |
-//! | `rest_time` | time at rest t | 1 - exp(-t / T), T = 5, 20, 60, 200 min; log(1 + t / T), T = 1, 10 min | Restagno, Bocquet, Charlaix, cond-mat/9908142 |
-//! | `humid_ageing` | h, t | h^m times a function of t as above | Restagno et al. |
-//! | `container_age` | days since opening a | a, sqrt a, 1 - exp(-a / 10 d) | |
-//! | `temperature` | T | T, exp(T / 10 K) | |
-//! | `vibration` | rms acceleration v | v, v^2, sqrt v | |
-//! | `funnel_height` | height H | log H | |
-//! | `order` | place in the session k | k, 1 - exp(-k / 2), 1 - exp(-k / 5) | |
-//! | `batch`, `method_bias`, `operator`, `base_friction` | batch, method, operator, plate | one number for each level | |
+//! | mechanism | covariate | strength, up to its size |
+//! |---|---|---|
+//! | `humidity` | relative humidity h | h^m, m = 1, 2, 4, 8; logistic around 50 and 60 % |
+//! | `deliquescence` | h | a step at 65, 75 or 85 %; sodium chloride takes up water from 75 %, sucrose from 85 % |
+//! | `charge` | h | (45 % - h)^m below 45 %, m = 1, 2 |
+//! | `rest_time` | time at rest t | 1 - exp(-t / T), T = 5, 20, 60, 200 min; log(1 + t / T), T = 1, 10 min |
+//! | `humid_ageing` | h, t | h^m, m = 1, 2, 4, times a function of t as above |
+//! | `container_age` | days since opening a | a, sqrt a, 1 - exp(-a / 10 d) |
+//! | `temperature` | T | T, exp(T / 10 K) |
+//! | `vibration` | rms acceleration v | v, v^2, sqrt v |
+//! | `funnel_height` | height H | log H |
+//! | `order` | place in the session k | k, 1 - exp(-k / 2), 1 - exp(-k / 5) |
+//! | `batch`, `method_bias`, `operator`, `base_friction` | batch, method, operator, plate | one number for each level |
+//!
+//! The forms are ours, a few of each kind that such a cause may have; no number in them was measured.
 
 use super::campaign::Campaign;
 use super::signature::Course;
@@ -38,24 +40,6 @@ pub enum Mechanism {
     MethodBias,
     Operator,
     BaseFriction,
-}
-
-/// Which way a cause moves the angle of repose, where physics says so.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Direction {
-    Up,
-    Down,
-    Either,
-}
-
-impl Direction {
-    pub fn sign(self) -> Option<f64> {
-        match self {
-            Self::Up => Some(1.0),
-            Self::Down => Some(-1.0),
-            Self::Either => None,
-        }
-    }
 }
 
 impl Mechanism {
@@ -115,16 +99,13 @@ impl Mechanism {
         }
     }
 
-    pub(super) fn direction(self) -> Direction {
+    /// Which way a cause moves the angle of repose, up (1) or down (-1), where physics says so.
+    pub(super) fn sign(self) -> Option<f64> {
         match self {
-            Self::Humidity
-            | Self::Deliquescence
-            | Self::Charge
-            | Self::RestTime
-            | Self::HumidAgeing
-            | Self::ContainerAge => Direction::Up,
-            Self::Vibration | Self::FunnelHeight => Direction::Down,
-            _ => Direction::Either,
+            Self::Humidity | Self::Deliquescence | Self::Charge => Some(1.0),
+            Self::RestTime | Self::HumidAgeing | Self::ContainerAge => Some(1.0),
+            Self::Vibration | Self::FunnelHeight => Some(-1.0),
+            _ => None,
         }
     }
 
@@ -156,7 +137,7 @@ impl Mechanism {
             Self::RestTime => of(&values, &REST),
             Self::HumidAgeing => {
                 let rest = campaign.numbers("rest_min")?;
-                let rests = of(&rest, &REST[1..]);
+                let rests = of(&rest, &REST);
                 let product = |humid: Vec<f64>| {
                     let times = move |rest: &Vec<f64>| humid.iter().zip(rest).map(|(h, t)| h * t).collect();
                     rests.iter().map(times).collect::<Vec<Vec<f64>>>()

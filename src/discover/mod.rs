@@ -2,8 +2,8 @@
 //!
 //! ```text
 //! campaign.rs    what was measured, run by run, and under which conditions
-//! signature.rs   what each cause of the catalogue would do to those very runs
-//! catalogue.rs   the causes
+//! catalogue.rs   the causes, and how strong each may have been in each run
+//! signature.rs   from strengths to what the angles would show, up to its size
 //! screen.rs      is anything wrong, and what explains it best
 //! ```
 //!
@@ -11,6 +11,8 @@
 //! is therefore not looked at; what is left is judged by the evidence of each cause's signature in noise that has repeats, days, and days
 //! that treat powders differently ([`mixed_model`](crate::stats::mixed_model)). The best of all causes is compared with the best that campaigns
 //! of the same design have when nothing is wrong, so that many causes cost nothing in false alarms.
+//!
+//! Signatures are not simulated yet: a strength is taken to move every powder's angle in proportion, with deviations between powders.
 
 pub mod campaign;
 mod catalogue;
@@ -22,4 +24,4 @@ mod tests;
 
 pub use campaign::{Campaign, Covariate, Run, Values};
 pub use catalogue::{Family, Mechanism};
-pub use screen::{Judged, Screening, Settings, Untestable, screen};
+pub use screen::{Cause, Judged, Screening, Settings, Untestable, screen};

@@ -9,11 +9,11 @@
 //! Simulated campaigns have this one's design, day for day and gap for gap, and nothing wrong: noise drawn from the noise models as probable as the
 //! data make them. They go through the whole search, so p holds however many causes there are.
 //!
-//! Source: max-T after Westfall, Young, Resampling-Based Multiple Testing (1993), chapter 2, with a parametric bootstrap in place of permutations;
-//! with repeats in days, exchangeable are days, of which there are few.
+//! The largest statistic of many against its own null is the usual correction for looking at many; with repeats in days, exchangeable are days,
+//! of which there are too few to permute, so the null is simulated.
 
 use super::campaign::{Campaign, Values};
-use super::catalogue::{Direction, Family, Mechanism};
+use super::catalogue::{Family, Mechanism};
 use super::signature::{Course, DEVIATIONS};
 use crate::domain::FieldError;
 use crate::domain::seed::derive;
@@ -102,7 +102,8 @@ impl Cause {
 struct Hypothesis {
     cause: Cause,
     courses: Vec<Course>,
-    direction: Direction,
+    /// Which way it moves the angle, if that is known.
+    sign: Option<f64>,
     prior: f64,
 }
 
@@ -164,7 +165,7 @@ fn hypotheses(campaign: &Campaign) -> (Vec<Hypothesis>, Vec<Untestable>) {
             Ok(courses) => judged.push(Hypothesis {
                 cause: Cause::Known(mechanism),
                 courses,
-                direction: mechanism.direction(),
+                sign: mechanism.sign(),
                 prior: mechanism.prior(),
             }),
             Err(reason) => untestable.push(Untestable { mechanism, reason }),
@@ -188,12 +189,7 @@ fn hypotheses(campaign: &Campaign) -> (Vec<Hypothesis>, Vec<Untestable>) {
         };
         if !courses.is_empty() {
             let prior = UNCATALOGUED_PRIOR[usize::from(!has_mechanism(name))];
-            judged.push(Hypothesis {
-                cause: Cause::Unknown(name.clone()),
-                courses,
-                direction: Direction::Either,
-                prior,
-            });
+            judged.push(Hypothesis { cause: Cause::Unknown(name.clone()), courses, sign: None, prior });
         }
     }
     (judged, untestable)
@@ -344,7 +340,7 @@ fn evidences(noise: &Whitening, hypotheses: &[Hypothesis], powder: &[usize], all
         let of_campaign = |k: usize| {
             let each = signatures.iter().zip(&seen).flat_map(|(signature, seen)| {
                 AMPLITUDES.map(|amplitude| {
-                    noise.log_evidence(signature, seen.column(k), squares[k], amplitude, hypothesis.direction.sign())
+                    noise.log_evidence(signature, seen.column(k), squares[k], amplitude, hypothesis.sign)
                 })
             });
             log_mean_exp(&each.collect::<Vec<f64>>())

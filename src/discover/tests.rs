@@ -1,4 +1,3 @@
-use super::screen::Cause;
 use super::*;
 use crate::stats::normal;
 use rand::{RngExt, SeedableRng};

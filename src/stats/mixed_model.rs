@@ -22,8 +22,8 @@
 //! One factor of V serves all features and all observations with the same noise, and one eigendecomposition of F*^T F* all amplitudes: then an
 //! evidence costs n k, which is what makes a null distribution over thousands of simulated campaigns affordable.
 //!
-//! Source: conjugate Gaussian linear model with flat prior on beta and the scale prior 1/s, e.g. Gelman et al., Bayesian Data Analysis (3rd ed.,
-//! 2013), sections 14.2 and 14.7; the integral was also done by quadrature (`tests/reference/mixed_model.py`).
+//! Source: derived here, by integrating beta, b and s out of the normal density in turn; checked against quadrature by a script that shares no
+//! algebra with this file (`tests/reference/mixed_model.py`).
 
 use nalgebra::{Cholesky, DMatrix, DVector, DVectorView, SymmetricEigen};
 use statrs::distribution::{ContinuousCDF, StudentsT};

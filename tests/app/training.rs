@@ -166,6 +166,34 @@ async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_policy_that_is_asked_for_weighs_beside_its_rivals() {
+    let (_folder, app) = open(functions()).await;
+    let policy = trained(&app, "sand").await;
+    for (asked, named, who) in [
+        (None, &["pid", "fuzzy"][..], &["pid", "fuzzy"][..]),
+        (Some(&policy), &["pid", "fuzzy"], &["policy", "pid", "fuzzy"]),
+        (Some(&policy), &["pid", "policy"], &["pid", "policy"]),
+    ] {
+        let request = EvaluationRequest {
+            policy: asked.cloned(),
+            powders: Some(vec!["sand".into()]),
+            controllers: Some(named.iter().map(|&name| name.to_owned()).collect()),
+            repeats: Some(1),
+            ..Default::default()
+        };
+        let (job, _) = app.start_evaluation(request).await.unwrap();
+        assert_eq!(ended(&app, &job.id).await.state, JobState::Succeeded);
+        let summary = app.evaluation(&job.id).await.unwrap().result.unwrap().summary;
+        assert_eq!(
+            summary.iter().map(|row| row.controller.as_str()).collect::<Vec<_>>(),
+            who,
+            "{asked:?} and {named:?}"
+        );
+    }
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn missing_prerequisites_are_conflicts_that_name_the_command() {
     let (_folder, app) = open(functions()).await;
     let conflict = |result: Result<_, Error>| match result {

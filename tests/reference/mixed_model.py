@@ -92,5 +92,5 @@ def case(n, k, sign):
 
 cases = [case(n, k, sign) for n, k in [(8, 1), (12, 2), (15, 3), (20, 4), (30, 6), (40, 2), (60, 6)] for sign in (0, 1, -1)]
 path = pathlib.Path(__file__).with_suffix(".json")
-path.write_text(json.dumps(cases, indent=1) + "\n")
+path.write_text("[\n" + ",\n".join(json.dumps(one) for one in cases) + "\n]\n")
 print(f"{len(cases)} cases in {path}")
