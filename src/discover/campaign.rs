@@ -2,29 +2,38 @@
 
 use crate::domain::FieldError;
 use crate::stats::summary::mean;
+use serde::{Deserialize, Serialize};
 
 /// Fewest runs that can say anything: with fewer there is no telling days from repeats.
 pub const RUNS_MIN: usize = 12;
 /// Share of runs that may lack a covariate before nothing is asked of it.
 const MISSING_MAX: f64 = 0.5;
 
-/// One angle of repose, or the mean of several.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// One angle of repose.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Run {
+    /// Row of the file that it came from, the header being row 1; the repeats behind a summary share theirs.
+    pub row: u32,
     /// Index into [`Campaign::powders`].
     pub powder: usize,
-    /// Day, by number; runs of one day share what a day does.
+    /// Day, by number in order of time; runs of one day share what a day does.
     pub session: usize,
-    /// Angle of repose, degrees.
-    pub repose_deg: f64,
-    /// Standard deviation of the repeats behind it, degrees, if it is a mean.
-    pub repose_sd_deg: Option<f64>,
-    /// Repeats behind it, at least 1.
-    pub repeats: u32,
+    /// Angle of repose, degrees; none where it is to be predicted.
+    pub repose_deg: Option<f64>,
+}
+
+/// Angles with this mean and SD: of a normal distribution the repeats behind a summary say nothing else, and nothing less.
+///
+/// `repeats` of 1 have no SD.
+pub fn repeats_of(mean_deg: f64, sd_deg: f64, repeats: u32) -> Vec<f64> {
+    let middle = f64::from(repeats.saturating_sub(1)) / 2.0;
+    let places: Vec<f64> = (0..repeats).map(|k| f64::from(k) - middle).collect();
+    let spread = (places.iter().map(|x| x * x).sum::<f64>() / (2.0 * middle).max(1.0)).sqrt();
+    places.iter().map(|place| mean_deg + if spread > 0.0 { sd_deg * place / spread } else { 0.0 }).collect()
 }
 
 /// Something that was recorded with each run; `None` where it was not.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Covariate {
     /// As the column is called: `relative_humidity_pct`.
     pub name: String,
@@ -33,16 +42,22 @@ pub struct Covariate {
 }
 
 /// Numbers or names.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Values {
     /// In the unit that the covariate's name ends in.
     Numbers(Vec<Option<f64>>),
-    /// Index of a level, as many as there are.
-    Levels(Vec<Option<usize>>),
+    /// Names.
+    Levels {
+        /// Every name, in alphabetical order.
+        names: Vec<String>,
+        /// Index of the name of each run.
+        of: Vec<Option<usize>>,
+    },
 }
 
 /// Runs of some powders under recorded conditions.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Campaign {
     /// Powder ids.
     pub powders: Vec<String>,
@@ -56,16 +71,19 @@ impl Campaign {
     /// The campaign, if it can say anything at all.
     ///
     /// # Errors
-    /// Fewer than [`RUNS_MIN`] runs beyond one for each powder; a covariate with another number of values than there are runs.
+    /// Fewer than [`RUNS_MIN`] measured runs beyond one for each powder; an angle that is no number; a covariate with another number of values
+    /// than there are runs.
     pub fn checked(self) -> Result<Self, FieldError> {
-        let spare = self.runs.len().saturating_sub(self.powders.len());
-        if spare < RUNS_MIN {
+        let measured = self.measured().len();
+        if measured.saturating_sub(self.powders.len()) < RUNS_MIN {
             let message = format!(
-                "{} runs of {} powders say nothing: each powder's mean takes one, and at least {RUNS_MIN} more are needed",
-                self.runs.len(),
+                "{measured} runs of {} powders say nothing: each powder's mean takes one, and at least {RUNS_MIN} more are needed",
                 self.powders.len()
             );
             return Err(FieldError::new("measurements", message));
+        }
+        if self.runs.iter().any(|run| run.repose_deg.is_some_and(|angle| !angle.is_finite())) {
+            return Err(FieldError::new("repose_deg", "must be a finite number in every run"));
         }
         let odd = self.covariates.iter().find(|covariate| covariate.len() != self.runs.len());
         match odd {
@@ -77,9 +95,29 @@ impl Campaign {
         }
     }
 
+    /// The runs that have an angle, by index.
+    pub fn measured(&self) -> Vec<usize> {
+        (0..self.runs.len()).filter(|&i| self.runs[i].repose_deg.is_some()).collect()
+    }
+
+    /// The same without the angles of these runs: what is to be predicted must not be seen.
+    pub fn without(&self, hidden: &[usize]) -> Self {
+        let mut rest = self.clone();
+        hidden.iter().for_each(|&i| rest.runs[i].repose_deg = None);
+        rest
+    }
+
     /// Powder of each run.
     pub fn powder_of(&self) -> Vec<usize> {
         self.runs.iter().map(|run| run.powder).collect()
+    }
+
+    /// How many sessions there are.
+    pub fn sessions(&self) -> usize {
+        let mut sessions = self.session_of();
+        sessions.sort_unstable();
+        sessions.dedup();
+        sessions.len()
     }
 
     /// Session of each run.
@@ -92,10 +130,11 @@ impl Campaign {
         let Some(Values::Numbers(values)) = self.values(name) else {
             return Err(format!("{name} was not recorded"));
         };
-        let known: Vec<f64> = values.iter().flatten().copied().collect();
-        let missing = values.len() - known.len();
-        if missing as f64 > MISSING_MAX * values.len() as f64 {
-            return Err(format!("{name} is missing in {missing} of {} runs", values.len()));
+        let measured = self.measured();
+        let known: Vec<f64> = measured.iter().filter_map(|&i| values[i]).collect();
+        let missing = measured.len() - known.len();
+        if missing as f64 > MISSING_MAX * measured.len() as f64 {
+            return Err(format!("{name} is missing in {missing} of {} runs", measured.len()));
         }
         if known.windows(2).all(|pair| pair[0] == pair[1]) {
             return Err(format!("{name} was the same in all runs"));
@@ -111,22 +150,23 @@ impl Campaign {
 
     /// Level of each run and how many levels there are; runs without are a level of their own.
     pub(super) fn levels(&self, name: &str) -> Result<(Vec<usize>, usize), String> {
-        let Some(Values::Levels(values)) = self.values(name) else {
+        let Some(Values::Levels { of: values, .. }) = self.values(name) else {
             return Err(format!("{name} was not recorded"));
         };
-        let missing = values.iter().filter(|value| value.is_none()).count();
-        if missing as f64 > MISSING_MAX * values.len() as f64 {
-            return Err(format!("{name} is missing in {missing} of {} runs", values.len()));
+        let measured = self.measured();
+        let missing = measured.iter().filter(|&&i| values[i].is_none()).count();
+        if missing as f64 > MISSING_MAX * measured.len() as f64 {
+            return Err(format!("{name} is missing in {missing} of {} runs", measured.len()));
         }
         let count = values.iter().flatten().max().map_or(0, |last| last + 1);
         let of: Vec<usize> = values.iter().map(|value| value.unwrap_or(count)).collect();
-        match of.windows(2).all(|pair| pair[0] == pair[1]) {
+        match measured.windows(2).all(|pair| of[pair[0]] == of[pair[1]]) {
             true => Err(format!("{name} was the same in all runs")),
-            false => Ok((of, count + usize::from(missing > 0))),
+            false => Ok((of, count + usize::from(values.iter().any(Option::is_none)))),
         }
     }
 
-    fn values(&self, name: &str) -> Option<&Values> {
+    pub(super) fn values(&self, name: &str) -> Option<&Values> {
         self.covariates.iter().find(|covariate| covariate.name == name).map(|covariate| &covariate.values)
     }
 }
@@ -135,7 +175,7 @@ impl Covariate {
     fn len(&self) -> usize {
         match &self.values {
             Values::Numbers(values) => values.len(),
-            Values::Levels(values) => values.len(),
+            Values::Levels { of, .. } => of.len(),
         }
     }
 }

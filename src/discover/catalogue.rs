@@ -23,7 +23,7 @@ use super::signature::Course;
 pub type Family = &'static str;
 
 /// A cause that the simulator can be extended by.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs)] // The module's table says what each is.
 pub enum Mechanism {
     Humidity,
@@ -122,11 +122,10 @@ impl Mechanism {
     /// # Errors
     /// Why this campaign cannot tell.
     pub(super) fn courses(self, campaign: &Campaign) -> Result<Vec<Course>, String> {
-        let powder = campaign.powder_of();
         let first = self.covariates()[0];
         if let Self::Batch | Self::MethodBias | Self::Operator | Self::BaseFriction = self {
             let (level, count) = campaign.levels(first)?;
-            let course = Course::of_levels(&level, count, &powder);
+            let course = Course::of_levels(&level, count, campaign);
             return course.map(|course| vec![course]).ok_or_else(|| format!("each powder has but one {first}"));
         }
         let values = campaign.numbers(first)?;
@@ -151,7 +150,7 @@ impl Mechanism {
             _ => of(&values, &[|k| k, |k| 1.0 - (-k / 2.0).exp(), |k| 1.0 - (-k / 5.0).exp()]),
         };
         let courses: Vec<Course> =
-            strengths.iter().filter_map(|strength| Course::of_strength(strength, &powder)).collect();
+            strengths.iter().filter_map(|strength| Course::of_strength(strength, campaign)).collect();
         match courses.is_empty() {
             true => Err(format!("{} has no range in which it could act", self.covariates().join(" and "))),
             false => Ok(courses),

@@ -16,12 +16,22 @@
 
 pub mod campaign;
 mod catalogue;
+mod hypothesis;
+mod investigate;
+mod noise;
+mod posterior;
+pub mod report;
 mod screen;
 mod signature;
 
 #[cfg(test)]
 mod tests;
 
+pub use campaign::repeats_of;
 pub use campaign::{Campaign, Covariate, Run, Values};
 pub use catalogue::{Family, Mechanism};
-pub use screen::{Cause, Judged, Screening, Settings, Untestable, screen};
+pub use hypothesis::{Cause, Responses, Untestable};
+pub use investigate::investigate;
+pub use posterior::Predicted;
+pub use report::Report;
+pub use screen::{Judged, Screening, Settings, screen};

@@ -1,5 +1,6 @@
 //! What a cause would do to the runs of a campaign, up to its size: one column common to all powders, and one for each powder's own deviation.
 
+use super::campaign::Campaign;
 use nalgebra::DMatrix;
 
 /// How much powders may differ in a cause, over what they share. A cause that acts on one powder alone is as likely as one that acts on all where this is 1.
@@ -9,60 +10,76 @@ const SMOOTH_MAX: usize = 5;
 /// Variance of a smooth function over that of the first, below which it is left out.
 const SMOOTH_MIN: f64 = 1e-3;
 
-/// Columns of a cause before powders: `[n, m]`, with mean 0 in each powder and, summed over columns, mean square 1.
+/// Columns of a cause before powders: `[runs, m]`. Over the measured runs they have mean 0 in each powder and, summed over columns, mean square
+/// 1; runs without an angle have values on the same scale.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Course(DMatrix<f64>);
 
 impl Course {
-    /// A cause whose strength is known in each run; `None` if it is the same in all runs of each powder.
-    pub fn of_strength(strength: &[f64], powder: &[usize]) -> Option<Self> {
-        Self::standardised(DMatrix::from_column_slice(strength.len(), 1, strength), powder)
+    /// A cause whose strength is known in each run; `None` if it is the same in all measured runs of each powder.
+    pub fn of_strength(strength: &[f64], campaign: &Campaign) -> Option<Self> {
+        Self::standardised(DMatrix::from_column_slice(strength.len(), 1, strength), campaign)
     }
 
     /// A cause that differs between levels, nobody knows how.
-    pub fn of_levels(level: &[usize], count: usize, powder: &[usize]) -> Option<Self> {
+    pub fn of_levels(level: &[usize], count: usize, campaign: &Campaign) -> Option<Self> {
         let indicator = DMatrix::from_fn(level.len(), count, |i, k| f64::from(u8::from(level[i] == k)));
-        Self::standardised(indicator, powder)
+        Self::standardised(indicator, campaign)
     }
 
     /// A smooth function of a covariate, nobody knows which: the principal functions of a Gaussian process with a Gaussian kernel whose length
-    /// scale is this share of the covariate's range.
-    pub fn smooth(values: &[f64], length_share: f64, powder: &[usize]) -> Option<Self> {
-        let (low, high) =
-            (values.iter().copied().fold(f64::MAX, f64::min), values.iter().copied().fold(f64::MIN, f64::max));
-        let length = length_share * (high - low).max(f64::MIN_POSITIVE);
-        let kernel = DMatrix::from_fn(values.len(), values.len(), |i, j| {
-            (-0.5 * ((values[i] - values[j]) / length).powi(2)).exp()
-        });
-        let principal = kernel.symmetric_eigen();
-        let mut order: Vec<usize> = (0..values.len()).collect();
+    /// scale is this share of the covariate's range, over the measured runs; elsewhere as Nystrom has it, through the kernel.
+    pub fn smooth(values: &[f64], length_share: f64, campaign: &Campaign) -> Option<Self> {
+        let measured = campaign.measured();
+        let of = |pick: fn(f64, f64) -> f64, from: f64| measured.iter().map(|&i| values[i]).fold(from, pick);
+        let length = length_share * (of(f64::max, f64::MIN) - of(f64::min, f64::MAX)).max(f64::MIN_POSITIVE);
+        let kernel = |a: f64, b: f64| (-0.5 * ((a - b) / length).powi(2)).exp();
+        let among =
+            DMatrix::from_fn(measured.len(), measured.len(), |i, j| kernel(values[measured[i]], values[measured[j]]));
+        let principal = among.symmetric_eigen();
+        let mut order: Vec<usize> = (0..measured.len()).collect();
         order.sort_by(|&a, &b| principal.eigenvalues[b].total_cmp(&principal.eigenvalues[a]));
         order.truncate(SMOOTH_MAX);
         let first = principal.eigenvalues[*order.first()?];
         order.retain(|&k| principal.eigenvalues[k] > SMOOTH_MIN * first);
-        let mut columns = principal.eigenvectors.select_columns(&order);
+        let to_measured = DMatrix::from_fn(values.len(), measured.len(), |i, j| kernel(values[i], values[measured[j]]));
+        let mut columns = to_measured * principal.eigenvectors.select_columns(&order);
         for (mut column, &k) in columns.column_iter_mut().zip(&order) {
-            column *= principal.eigenvalues[k].sqrt();
+            column /= principal.eigenvalues[k].sqrt();
         }
-        Self::standardised(columns, powder)
+        Self::standardised(columns, campaign)
     }
 
-    fn standardised(mut columns: DMatrix<f64>, powder: &[usize]) -> Option<Self> {
-        let before = columns.norm();
-        let powders = powder.iter().max().map_or(0, |last| last + 1);
+    /// The same with each powder's runs scaled by what a simulator says of that powder, of which 1 is the usual.
+    pub fn scaled(&self, response: &[f64], powder: &[usize]) -> Self {
+        let mut columns = self.0.clone();
+        for (i, mut row) in columns.row_iter_mut().enumerate() {
+            row *= response[powder[i]];
+        }
+        Self(columns)
+    }
+
+    fn standardised(mut columns: DMatrix<f64>, campaign: &Campaign) -> Option<Self> {
+        let measured = campaign.measured();
+        let (before, of_all) = (columns.norm(), campaign.powder_of());
         for mut column in columns.column_iter_mut() {
-            for of in 0..powders {
-                let rows: Vec<usize> = (0..powder.len()).filter(|&i| powder[i] == of).collect();
-                let mean = rows.iter().map(|&i| column[i]).sum::<f64>() / rows.len().max(1) as f64;
-                rows.iter().for_each(|&i| column[i] -= mean);
+            let overall = measured.iter().map(|&i| column[i]).sum::<f64>() / measured.len().max(1) as f64;
+            for powder in 0..campaign.powders.len() {
+                let rows: Vec<usize> = measured.iter().copied().filter(|&i| of_all[i] == powder).collect();
+                // A powder of which nothing was measured has no mean of its own.
+                let mean = match rows.is_empty() {
+                    true => overall,
+                    false => rows.iter().map(|&i| column[i]).sum::<f64>() / rows.len() as f64,
+                };
+                (0..of_all.len()).filter(|&i| of_all[i] == powder).for_each(|i| column[i] -= mean);
             }
         }
-        let norm = columns.norm();
+        let norm = measured.iter().map(|&i| columns.row(i).norm_squared()).sum::<f64>().sqrt();
         // Relative: a course that is constant in each powder leaves rounding behind.
-        (norm > 1e-9 * before).then(|| Self(columns * ((powder.len() as f64).sqrt() / norm)))
+        (norm > 1e-9 * before).then(|| Self(columns * ((measured.len() as f64).sqrt() / norm)))
     }
 
-    /// The course for all powders alike, and for each powder its own deviation, `deviation` times as large: `[n, m (1 + powders)]`, the common
+    /// The course for all powders alike, and for each powder its own deviation, `deviation` times as large: `[runs, m (1 + powders)]`, the common
     /// columns first.
     pub fn with_powders(&self, powder: &[usize], deviation: f64) -> DMatrix<f64> {
         let powders = powder.iter().max().map_or(0, |last| last + 1);

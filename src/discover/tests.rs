@@ -72,7 +72,7 @@ impl Laboratory {
                 let (centre, repeat_sd) = PUBLISHED_DEG[powder];
                 let noise = repeat_sd * self.normal() + days[session] + days_of_powders[5 * session + powder];
                 let moved = if sd > 0.0 { effect_deg * raw[i] / sd } else { 0.0 };
-                Run { powder, session, repose_deg: centre + noise + moved, repose_sd_deg: None, repeats: 1 }
+                Run { row: i as u32 + 2, powder, session, repose_deg: Some(centre + noise + moved) }
             })
             .collect();
         let numbers = |name: &str, values: &[f64]| Covariate {
@@ -87,7 +87,10 @@ impl Laboratory {
             numbers("order_in_session", &self.order),
             Covariate {
                 name: "operator".to_owned(),
-                values: Values::Levels(self.operator.iter().copied().map(Some).collect()),
+                values: Values::Levels {
+                    names: ["Ada", "Ben"].map(str::to_owned).to_vec(),
+                    of: self.operator.iter().copied().map(Some).collect(),
+                },
             },
         ];
         Campaign { powders: POWDERS.map(str::to_owned).to_vec(), runs, covariates }.checked().unwrap()
@@ -102,7 +105,8 @@ fn verdicts(count: u64, effect_deg: f64, effect: Effect) -> (usize, BTreeMap<Str
     let mut named = BTreeMap::new();
     let mut found = 0;
     for seed in 0..count {
-        let screening = screen(&Laboratory::new(seed).campaign(effect_deg, effect), &SETTINGS).unwrap();
+        let screening =
+            screen(&Laboratory::new(seed).campaign(effect_deg, effect), &Responses::new(), &SETTINGS).unwrap();
         let total: f64 = screening.judged.iter().map(|judged| judged.probability).sum();
         assert!((total - 1.0).abs() < 1e-9, "probabilities add up to {total}");
         if screening.p_value <= 0.05 {
@@ -150,7 +154,7 @@ fn what_was_not_recorded_cannot_be_blamed_and_the_reason_is_given() {
     let mut campaign = Laboratory::new(3).campaign(0.0, |_, _| 0.0);
     let Values::Numbers(rest) = &mut campaign.covariates[3].values else { panic!() };
     rest.iter_mut().take(150).for_each(|value| *value = None);
-    let screening = screen(&campaign, &SETTINGS).unwrap();
+    let screening = screen(&campaign, &Responses::new(), &SETTINGS).unwrap();
     let reason = |mechanism: Mechanism| {
         let found = screening.untestable.iter().find(|untestable| untestable.mechanism == mechanism);
         found.map(|untestable| untestable.reason.clone())
@@ -167,7 +171,7 @@ fn a_campaign_gives_the_same_bits_at_any_number_of_threads() {
     let campaign = Laboratory::new(4).campaign(1.0, |lab, i| lab.humidity[i]);
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| screen(&campaign, &SETTINGS).unwrap())
+        pool.install(|| screen(&campaign, &Responses::new(), &SETTINGS).unwrap())
     };
     assert_eq!(with(1), with(3));
 }
@@ -180,7 +184,10 @@ fn campaigns_that_say_nothing_are_refused() {
     let odd = Campaign { runs: campaign.runs[..100].to_vec(), ..campaign.clone() };
     assert_eq!(odd.checked().unwrap_err().field, "relative_humidity_pct");
     let mut flat = campaign.clone();
-    flat.runs.iter_mut().for_each(|run| run.repose_deg = 30.0);
-    assert_eq!(screen(&flat, &SETTINGS).unwrap_err().field, "repose_deg");
-    assert_eq!(screen(&campaign, &Settings { simulations: 10, ..SETTINGS }).unwrap_err().field, "simulations");
+    flat.runs.iter_mut().for_each(|run| run.repose_deg = Some(30.0));
+    assert_eq!(screen(&flat, &Responses::new(), &SETTINGS).unwrap_err().field, "repose_deg");
+    assert_eq!(
+        screen(&campaign, &Responses::new(), &Settings { simulations: 10, ..SETTINGS }).unwrap_err().field,
+        "simulations"
+    );
 }

@@ -25,7 +25,7 @@
 //! Source: derived here, by integrating beta, b and s out of the normal density in turn; checked against quadrature by a script that shares no
 //! algebra with this file (`tests/reference/mixed_model.py`).
 
-use nalgebra::{Cholesky, DMatrix, DVector, DVectorView, SymmetricEigen};
+use nalgebra::{Cholesky, DMatrix, DVector, DVectorView, Dyn, SymmetricEigen};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use statrs::function::gamma::ln_gamma;
 use std::f64::consts::{LN_2, PI};
@@ -70,8 +70,8 @@ pub struct Signature {
     /// `[n, k]`.
     directions: DMatrix<f64>,
     eigenvalues: DVector<f64>,
-    /// First row of U: what each direction adds to the first feature's coefficient.
-    first: DVector<f64>,
+    /// U, `[features, k]`: what each direction adds to each feature's coefficient.
+    rotation: DMatrix<f64>,
 }
 
 impl Whitening {
@@ -80,6 +80,18 @@ impl Whitening {
     /// # Errors
     /// [`MixedModelError`]
     pub fn new(weights: &[f64], groups: &[Group<'_>], fixed: &DMatrix<f64>) -> Result<Self, MixedModelError> {
+        Self::with_factor(weights, groups, fixed).map(|(new, _)| new)
+    }
+
+    /// The same and V's Cholesky factor, for whoever solves with it.
+    ///
+    /// # Errors
+    /// [`MixedModelError`]
+    pub fn with_factor(
+        weights: &[f64],
+        groups: &[Group<'_>],
+        fixed: &DMatrix<f64>,
+    ) -> Result<(Self, Cholesky<f64, Dyn>), MixedModelError> {
         let n = weights.len();
         let mut covariance = DMatrix::from_diagonal(&DVector::from_iterator(n, weights.iter().map(|w| w * w)));
         for group in groups {
@@ -91,7 +103,8 @@ impl Whitening {
                 }
             }
         }
-        let factor = Cholesky::new(covariance).ok_or(MixedModelError::Covariance)?.unpack();
+        let cholesky = Cholesky::new(covariance).ok_or(MixedModelError::Covariance)?;
+        let factor = cholesky.l();
         let log_factor: f64 = factor.diagonal().iter().map(|x| x.ln()).sum();
         let inverse = factor.solve_lower_triangular(&DMatrix::identity(n, n)).ok_or(MixedModelError::Covariance)?;
         if fixed.ncols() >= n {
@@ -112,7 +125,7 @@ impl Whitening {
         if !log_base.is_finite() {
             return Err(MixedModelError::Covariance);
         }
-        Ok(Self { project, log_base, freedom })
+        Ok((Self { project, log_base, freedom }, cholesky))
     }
 
     /// Features as this noise sees them; `None` if the fixed part explains all of them.
@@ -134,7 +147,7 @@ impl Whitening {
         Some(Signature {
             directions: self.project.tr_mul(&(seen * &rotation)),
             eigenvalues: gram.eigenvalues.select_rows(&kept),
-            first: rotation.row(0).transpose(),
+            rotation,
         })
     }
 
@@ -150,31 +163,45 @@ impl Whitening {
 
     /// Log evidence of noise and signature.
     ///
-    /// `seen` is [`Signature::seen`]'s column of the observation, `squares` its [`Self::squares`]. With a `sign` the first coefficient is
-    /// positive (or negative): its normal prior loses one half and the other doubles, so the evidence gains twice the posterior probability of
-    /// that sign, which is Student's t.
+    /// `seen` is [`Signature::seen`]'s column of the observation, `squares` its [`Self::squares`]. `signs` says of which features the coefficient
+    /// is positive (or negative): its normal prior loses one half and the other doubles, so the evidence gains twice the posterior probability
+    /// of that sign, which is Student's t. Of two features the two probabilities are taken for independent.
     pub fn log_evidence(
         &self,
         signature: &Signature,
         seen: DVectorView<'_, f64>,
         squares: f64,
         amplitude: f64,
-        sign: Option<f64>,
+        signs: &[(usize, f64)],
     ) -> f64 {
         let shrink = |eigenvalue: f64| 1.0 / (amplitude.powi(-2) + eigenvalue);
-        let (mut explained, mut log_volume, mut first, mut first_variance) = (0.0, 0.0, 0.0, 0.0);
+        let (mut explained, mut log_volume) = (0.0, 0.0);
         for (k, &eigenvalue) in signature.eigenvalues.iter().enumerate() {
-            let shrunk = shrink(eigenvalue);
-            explained += shrunk * seen[k] * seen[k];
+            explained += shrink(eigenvalue) * seen[k] * seen[k];
             log_volume += (amplitude * amplitude * eigenvalue).ln_1p();
-            first += signature.first[k] * shrunk * seen[k];
-            first_variance += signature.first[k].powi(2) * shrunk;
         }
         let left = squares - explained;
         let log_evidence = self.log_base - 0.5 * log_volume - self.freedom / 2.0 * left.ln();
-        let Some(sign) = sign else { return log_evidence };
-        let statistic = sign * first / (first_variance * left / self.freedom).sqrt();
-        log_evidence + (2.0 * student_below(statistic, self.freedom)).max(f64::MIN_POSITIVE).ln()
+        let log_sign = |&(feature, sign): &(usize, f64)| {
+            let (mut mean, mut variance) = (0.0, 0.0);
+            for (k, &eigenvalue) in signature.eigenvalues.iter().enumerate() {
+                let rotated = signature.rotation[(feature, k)];
+                mean += rotated * shrink(eigenvalue) * seen[k];
+                variance += rotated.powi(2) * shrink(eigenvalue);
+            }
+            // A feature that this noise does not see has either sign alike.
+            if variance == 0.0 {
+                return 0.0;
+            }
+            let statistic = sign * mean / (variance * left / self.freedom).sqrt();
+            (2.0 * student_below(statistic, self.freedom)).max(f64::MIN_POSITIVE).ln()
+        };
+        log_evidence + signs.iter().map(log_sign).sum::<f64>()
+    }
+
+    /// n - p: what is known of s.
+    pub fn freedom(&self) -> f64 {
+        self.freedom
     }
 }
 

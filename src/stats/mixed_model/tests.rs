@@ -41,8 +41,8 @@ fn evidence_equals_quadrature_by_an_independent_implementation() {
         assert!((noise.log_null(squares) - case.log_null).abs() < 1e-6, "case {number}");
         let signature = noise.signature(&features).unwrap();
         let seen = signature.seen(&observations);
-        let sign = (case.sign != 0.0).then_some(case.sign);
-        let found = noise.log_evidence(&signature, seen.column(0), squares, case.amplitude, sign);
+        let sign: Vec<(usize, f64)> = (case.sign != 0.0).then_some((0, case.sign)).into_iter().collect();
+        let found = noise.log_evidence(&signature, seen.column(0), squares, case.amplitude, &sign);
         assert!((found - case.log_evidence).abs() < 1e-6, "case {number}: {found}, quadrature {}", case.log_evidence);
     }
 }
@@ -95,7 +95,7 @@ fn shared_draws_are_not_taken_for_an_effect() {
         for (count, noise) in favoured.iter_mut().zip([&blind, &aware]) {
             let signature = noise.signature(&feature).unwrap();
             let squares = noise.squares(&y)[0];
-            let with = noise.log_evidence(&signature, signature.seen(&y).column(0), squares, 0.6, None);
+            let with = noise.log_evidence(&signature, signature.seen(&y).column(0), squares, 0.6, &[]);
             *count += usize::from(with > noise.log_null(squares) + 20f64.ln());
         }
     }

@@ -1,0 +1,130 @@
+//! What may explain a campaign: every mechanism of the catalogue, every recorded covariate by a smooth function, and a wander that nobody recorded.
+
+use super::campaign::{Campaign, Values};
+use super::catalogue::{Family, Mechanism};
+use super::signature::{Course, DEVIATIONS};
+use nalgebra::DMatrix;
+use std::collections::BTreeMap;
+
+/// Length scales of what is smooth in a covariate, shares of its range.
+const SMOOTH_LENGTHS: [f64; 2] = [0.35, 0.9];
+/// Odds before any data of a smooth function of a covariate, where a catalogued mechanism has that covariate and where none has.
+const UNCATALOGUED_PRIOR: [f64; 2] = [0.05, 0.3];
+/// Odds before any data of a wander over the sessions.
+const UNRECORDED_PRIOR: f64 = 0.1;
+/// Fewest sessions over which a wander can be told from days.
+const SESSIONS_MIN: usize = 6;
+
+/// What may explain a discrepancy.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Cause {
+    /// A mechanism of the catalogue.
+    Known(Mechanism),
+    /// A smooth function of this covariate.
+    Unknown(String),
+    /// Something that nobody recorded and that changes over the sessions.
+    Unrecorded,
+}
+
+impl Cause {
+    /// As reports have it, and the family within which causes look alike.
+    pub fn name(&self) -> (String, Option<Family>) {
+        match self {
+            Self::Known(mechanism) => (mechanism.name().0.to_owned(), Some(mechanism.name().1)),
+            Self::Unknown(covariate) => (format!("unknown: {covariate}"), None),
+            Self::Unrecorded => ("unrecorded".to_owned(), None),
+        }
+    }
+
+    /// The covariates that it acts through.
+    pub fn covariates(&self) -> Vec<&str> {
+        match self {
+            Self::Known(mechanism) => mechanism.covariates().to_vec(),
+            Self::Unknown(covariate) => vec![covariate],
+            Self::Unrecorded => Vec::new(),
+        }
+    }
+}
+
+/// What a simulator says of each powder: how far a mechanism moves its angle, over what it does to powders on average. Empty: all alike.
+pub type Responses = BTreeMap<Mechanism, Vec<f64>>;
+
+/// A mechanism of which this campaign cannot tell, and why.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Untestable {
+    /// Which.
+    pub mechanism: Mechanism,
+    /// Why, for a reader.
+    pub reason: String,
+}
+
+/// A cause to be judged: what it may do, and what is known of it before any data.
+pub(super) struct Hypothesis {
+    pub cause: Cause,
+    /// For each form and each amount of deviation between powders, over all runs: `[runs, k]`, what is common in the first columns.
+    pub features: Vec<DMatrix<f64>>,
+    /// Which way it moves the angle, if that is known.
+    pub sign: Option<f64>,
+    pub prior: f64,
+}
+
+impl Hypothesis {
+    /// Which coefficients have a known sign, where this hypothesis' features begin at column `first`.
+    pub fn signs(&self, first: usize) -> Vec<(usize, f64)> {
+        self.sign.map(|sign| (first, sign)).into_iter().collect()
+    }
+}
+
+/// What can be judged, and what cannot.
+pub(super) fn hypotheses(campaign: &Campaign, responses: &Responses) -> (Vec<Hypothesis>, Vec<Untestable>) {
+    let powder = campaign.powder_of();
+    let with_powders = |courses: Vec<Course>| -> Vec<DMatrix<f64>> {
+        courses.iter().flat_map(|course| DEVIATIONS.map(|deviation| course.with_powders(&powder, deviation))).collect()
+    };
+    let (mut judged, mut untestable) = (Vec::new(), Vec::new());
+    for mechanism in Mechanism::ALL {
+        match mechanism.courses(campaign) {
+            Ok(courses) => {
+                let courses = match responses.get(&mechanism) {
+                    Some(response) => courses.iter().map(|course| course.scaled(response, &powder)).collect(),
+                    None => courses,
+                };
+                let (cause, features) = (Cause::Known(mechanism), with_powders(courses));
+                judged.push(Hypothesis { cause, features, sign: mechanism.sign(), prior: mechanism.prior() });
+            }
+            Err(reason) => untestable.push(Untestable { mechanism, reason }),
+        }
+    }
+    for covariate in &campaign.covariates {
+        let name = &covariate.name;
+        let courses = match &covariate.values {
+            Values::Numbers(_) => campaign.numbers(name).map_or(Vec::new(), |values| smooth(&values, campaign)),
+            // A mechanism on levels is already one free number for each.
+            Values::Levels { .. } if has_mechanism(name) => Vec::new(),
+            Values::Levels { .. } => {
+                let levels = campaign.levels(name).ok();
+                levels.and_then(|(level, count)| Course::of_levels(&level, count, campaign)).into_iter().collect()
+            }
+        };
+        if !courses.is_empty() {
+            let prior = UNCATALOGUED_PRIOR[usize::from(!has_mechanism(name))];
+            let cause = Cause::Unknown(name.clone());
+            judged.push(Hypothesis { cause, features: with_powders(courses), sign: None, prior });
+        }
+    }
+    if campaign.sessions() >= SESSIONS_MIN {
+        let session: Vec<f64> = campaign.runs.iter().map(|run| run.session as f64).collect();
+        let features = with_powders(smooth(&session, campaign));
+        judged.push(Hypothesis { cause: Cause::Unrecorded, features, sign: None, prior: UNRECORDED_PRIOR });
+    }
+    (judged, untestable)
+}
+
+fn smooth(values: &[f64], campaign: &Campaign) -> Vec<Course> {
+    SMOOTH_LENGTHS.iter().filter_map(|&length| Course::smooth(values, length, campaign)).collect()
+}
+
+/// Whether the catalogue has a mechanism that acts through this covariate.
+pub(super) fn has_mechanism(covariate: &str) -> bool {
+    Mechanism::ALL.iter().any(|mechanism| mechanism.covariates().contains(&covariate))
+}

@@ -1,0 +1,343 @@
+//! What an investigation found, as its document has it.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// Version of the document; a reader refuses one that it does not know.
+pub const SCHEMA_VERSION: u32 = 1;
+
+/// What an investigation found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Report {
+    /// 1.
+    pub schema_version: u32,
+    /// What was found, in plain words.
+    pub sentence: String,
+    /// Whether anything is wrong, and whether it has a name.
+    pub verdict: Verdict,
+    /// Chance of evidence as strong for any cause if nothing is wrong.
+    pub p_value: f64,
+    /// Where measured angles depart from the simulator.
+    pub findings: Vec<Finding>,
+    /// Causes of the catalogue, most probable first.
+    pub causes: Vec<CauseReport>,
+    /// With verdict `ambiguous`: causes that this campaign cannot tell apart.
+    pub ambiguous_between: Vec<String>,
+    /// With verdict `unexplained`: what the departure depends on.
+    pub unexplained: Option<Unexplained>,
+    /// What would tell most.
+    pub suggested_experiment: Option<Experiment>,
+    /// The simulator that was judged, and the version that the findings make.
+    pub simulator_version: SimulatorVersions,
+    /// What the extension is worth on data that it was not fitted to; absent where nothing was extended.
+    pub gain: Option<Gain>,
+    /// What this design would have found.
+    pub minimum_detectable: Vec<Detectable>,
+    /// What cannot be seen with this data, sentence by sentence.
+    pub blind_spots: Vec<String>,
+    /// Every cause that was judged, most probable first.
+    pub evidence: Vec<Evidence>,
+    /// Causes of which this data cannot tell, and why.
+    pub untestable: Vec<UntestableReport>,
+    /// How often as much is found where nothing is wrong.
+    pub null_check: NullCheck,
+    /// Every row of the file, before and after.
+    pub rows: Vec<Row>,
+    /// The residuals' course over what was recorded, for the figures.
+    pub curves: Vec<Curve>,
+    /// Simulations that this took.
+    pub simulator_runs: u32,
+    /// Time that this took, s; 0 where nobody measured it.
+    pub wall_s: f64,
+}
+
+/// Whether anything is wrong, and whether it has a name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// Nothing shown.
+    NoDiscrepancy,
+    /// One or two causes of the catalogue.
+    Cause,
+    /// Real, and several causes would do it.
+    Ambiguous,
+    /// Real, and nothing in the catalogue does it.
+    Unexplained,
+}
+
+/// Which measured quantity departs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Channel {
+    /// Angle of repose.
+    Repose,
+    /// Flow through a hole.
+    FlowTime,
+    /// Balance readings of weighings.
+    Trace,
+    /// How far angles scatter.
+    Scatter,
+}
+
+/// A departure of measured angles from the simulator.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Finding {
+    /// What departs.
+    pub channel: Channel,
+    /// With what it changes; absent if nobody recorded it.
+    pub covariate: Option<String>,
+    /// Powders whose own 95 % interval leaves out zero.
+    pub powders: Vec<String>,
+    /// Change from the 5th to the 95th percentile of the covariate, on average over powders; of names, from the first to the last in the
+    /// alphabet, or between the two that differ most.
+    pub effect: f64,
+    /// 95 % interval.
+    pub ci95: [f64; 2],
+    /// `deg`.
+    pub unit: String,
+    /// From where to where.
+    pub span: String,
+    /// The same of each powder.
+    pub by_powder: Vec<PowderEffect>,
+}
+
+/// An effect on one powder.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct PowderEffect {
+    /// Powder id.
+    pub powder: String,
+    /// Degrees.
+    pub effect: f64,
+    /// 95 % interval.
+    pub ci95: [f64; 2],
+}
+
+/// A cause of the catalogue.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct CauseReport {
+    /// Name.
+    pub mechanism: String,
+    /// Causes that look alike.
+    pub family: String,
+    /// Probability that it is at work, if anything is.
+    pub inclusion_probability: f64,
+    /// 1: its pattern is there; 2: the simulator extended by it predicts better what it was not fitted to; 3: an intervention confirmed it.
+    pub confidence_level: u8,
+    /// What was fitted.
+    pub parameters: Vec<ParameterReport>,
+    /// Powders on which it shows.
+    pub powders: Vec<String>,
+}
+
+/// A fitted number.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ParameterReport {
+    /// Name.
+    pub name: String,
+    /// Value.
+    pub value: f64,
+    /// 95 % interval.
+    pub ci95: [f64; 2],
+    /// Unit.
+    pub unit: String,
+}
+
+/// A departure without a cause.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Unexplained {
+    /// What it depends on; absent if nothing that was recorded explains it.
+    pub covariate: Option<String>,
+    /// Its law, in words and numbers.
+    pub law: String,
+    /// Kind of law.
+    pub form_class: FormClass,
+}
+
+/// Kinds of law.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum FormClass {
+    /// a + b x.
+    Linear,
+    /// a + b x^m.
+    Power,
+    /// A step.
+    Threshold,
+    /// Towards a limit.
+    Saturating,
+    /// A wave.
+    Periodic,
+    /// Smooth, of no simpler form.
+    Smooth,
+}
+
+/// An experiment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Experiment {
+    /// What to do, in plain words.
+    pub what: String,
+    /// One entry for each run, in the order in which to do them: powder and settings by column name.
+    pub runs: Vec<std::collections::BTreeMap<String, String>>,
+    /// How long it takes.
+    pub minutes: f64,
+    /// Probability that the winner's inclusion probability will pass 0.8.
+    pub chance_of_resolution: f64,
+    /// Mean inclusion probability of the right cause after it.
+    pub expected_posterior: f64,
+}
+
+/// Versions of the simulator.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct SimulatorVersions {
+    /// That was judged.
+    pub base: String,
+    /// That the findings make; absent where nothing was accepted.
+    pub extended: Option<String>,
+    /// Whether simulations confirmed it.
+    pub verified: bool,
+}
+
+/// What an extension is worth.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Gain {
+    /// Days left out in turn: the number that decides.
+    pub held_out: HeldOut,
+    /// Powders left out in turn.
+    pub by_powder: Option<HeldOut>,
+    /// The highest and the lowest fifth of the covariate left out in turn.
+    pub by_range: Option<HeldOut>,
+    /// Mean log probability density of what was left out.
+    pub log_score: LogScore,
+    /// Share of what was left out within the 90 % interval.
+    pub coverage90: Coverage,
+    /// Error of weighings; absent where no policy was trained.
+    pub weighing_error_mg: Option<WeighingGain>,
+    /// Whether the extension won.
+    pub accepted: bool,
+}
+
+/// Errors on what was left out.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct HeldOut {
+    /// Root mean square error of the simulator as it was.
+    pub rmse_before: f64,
+    /// Of the extended one.
+    pub rmse_after: f64,
+    /// 95 % interval of the difference, before less after, over days.
+    pub ci95: [f64; 2],
+    /// `deg`.
+    pub unit: String,
+    /// Runs left out.
+    pub n: u32,
+}
+
+/// Log scores.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LogScore {
+    /// Nats a run.
+    pub before: f64,
+    /// Nats a run.
+    pub after: f64,
+    /// 95 % interval of the difference, after less before, over days.
+    pub ci95: [f64; 2],
+}
+
+/// Coverage of 90 % intervals.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Coverage {
+    /// Of the simulator as it was.
+    pub before: f64,
+    /// Of the extended one.
+    pub after: f64,
+}
+
+/// Mean absolute errors of weighings, mg.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct WeighingGain {
+    /// Policy of the simulator as it was.
+    pub before: f64,
+    /// Policy adapted on the extended one.
+    pub after: f64,
+    /// Adapted as long on an extension without effect.
+    pub sham: f64,
+    /// Adapted on the truth, where it is known.
+    pub oracle: Option<f64>,
+    /// 95 % interval of before less after.
+    pub ci95: [f64; 2],
+}
+
+/// What a design would find in four of five campaigns.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Detectable {
+    /// Cause.
+    pub mechanism: String,
+    /// Change from the 5th to the 95th percentile of its covariate, all powders alike, degrees.
+    pub effect_deg: f64,
+    /// 0.8.
+    pub power: f64,
+}
+
+/// How well a cause explains the data.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Evidence {
+    /// `unknown: <covariate>` is a smooth function of a covariate; `unrecorded` a wander over the sessions.
+    pub cause: String,
+    /// Family, if it is in the catalogue.
+    pub family: Option<String>,
+    /// Log10 of the evidence over that of noise alone.
+    pub log10_evidence: f64,
+    /// Probability that it is at work, if anything is.
+    pub inclusion_probability: f64,
+}
+
+/// A cause of which the data cannot tell.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct UntestableReport {
+    /// Name.
+    pub mechanism: String,
+    /// Why.
+    pub reason: String,
+}
+
+/// Campaigns of the same design with nothing wrong.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct NullCheck {
+    /// How many were simulated.
+    pub campaigns: u32,
+    /// The statistic here.
+    pub statistic: f64,
+    /// What one of twenty of them exceeds.
+    pub threshold95: f64,
+}
+
+/// A row of the file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Row {
+    /// Row of the file, the header being row 1.
+    pub row: u32,
+    /// Powder id.
+    pub powder: String,
+    /// Measured; absent in rows that were only predicted.
+    pub measured_deg: Option<f64>,
+    /// By the simulator as it was; absent for a powder without any angle.
+    pub before_deg: Option<f64>,
+    /// SD of one run around it.
+    pub before_sd_deg: f64,
+    /// By the extended simulator.
+    pub after_deg: Option<f64>,
+    /// SD of one run around it.
+    pub after_sd_deg: f64,
+}
+
+/// Residuals over a covariate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Curve {
+    /// Which.
+    pub covariate: String,
+    /// Names, where it is one of names: places are indices into them.
+    pub levels: Vec<String>,
+    /// Where each row was; absent where it was not recorded.
+    pub at: Vec<Option<f64>>,
+    /// The extended simulator's course over a grid: place, mean and half width of the 90 % band of one run, degrees from the powders' means.
+    pub course: Vec<[f64; 3]>,
+}
