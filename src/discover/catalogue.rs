@@ -121,36 +121,39 @@ impl Mechanism {
     ///
     /// # Errors
     /// Why this campaign cannot tell.
-    pub(super) fn courses(self, campaign: &Campaign) -> Result<Vec<Course>, String> {
+    pub(super) fn courses(self, campaign: &Campaign) -> Result<Vec<(String, Course)>, String> {
         let first = self.covariates()[0];
         if let Self::Batch | Self::MethodBias | Self::Operator | Self::BaseFriction = self {
             let (level, count) = campaign.levels(first)?;
             let course = Course::of_levels(&level, count, campaign);
-            return course.map(|course| vec![course]).ok_or_else(|| format!("each powder has but one {first}"));
+            let named = course.map(|course| vec![(format!("one number for each {first}"), course)]);
+            return named.ok_or_else(|| format!("each powder has but one {first}"));
         }
         let values = campaign.numbers(first)?;
-        let strengths: Vec<Vec<f64>> = match self {
+        let strengths: Vec<(String, Vec<f64>)> = match self {
             Self::Humidity => of(&values, &HUMIDITY),
             Self::Deliquescence => of(&values, &DELIQUESCENCE),
-            Self::Charge => of(&values, &[|h| (0.45 - h / 100.0).max(0.0), |h| (0.45 - h / 100.0).max(0.0).powi(2)]),
+            Self::Charge => of(&values, &CHARGE),
             Self::RestTime => of(&values, &REST),
             Self::HumidAgeing => {
                 let rest = campaign.numbers("rest_min")?;
                 let rests = of(&rest, &REST);
-                let product = |humid: Vec<f64>| {
-                    let times = move |rest: &Vec<f64>| humid.iter().zip(rest).map(|(h, t)| h * t).collect();
-                    rests.iter().map(times).collect::<Vec<Vec<f64>>>()
+                let product = |(humid, of_humidity): (String, Vec<f64>)| {
+                    let times = move |(aged, of_rest): &(String, Vec<f64>)| {
+                        (format!("{humid} times {aged}"), of_humidity.iter().zip(of_rest).map(|(h, t)| h * t).collect())
+                    };
+                    rests.iter().map(times).collect::<Vec<_>>()
                 };
                 of(&values, &HUMIDITY[..3]).into_iter().flat_map(product).collect()
             }
-            Self::ContainerAge => of(&values, &[|a| a, |a| a.max(0.0).sqrt(), |a| 1.0 - (-a / 10.0).exp()]),
-            Self::Temperature => of(&values, &[|t| t, |t| (t / 10.0).exp()]),
-            Self::Vibration => of(&values, &[|v| v, |v| v * v, |v| v.max(0.0).sqrt()]),
-            Self::FunnelHeight => of(&values, &[|height| height.max(1.0).ln()]),
-            _ => of(&values, &[|k| k, |k| 1.0 - (-k / 2.0).exp(), |k| 1.0 - (-k / 5.0).exp()]),
+            Self::ContainerAge => of(&values, &AGE),
+            Self::Temperature => of(&values, &[("T", |t| t), ("exp(T / 10 K)", |t| (t / 10.0).exp())]),
+            Self::Vibration => of(&values, &[("v", |v| v), ("v^2", |v| v * v), ("sqrt v", |v| v.max(0.0).sqrt())]),
+            Self::FunnelHeight => of(&values, &[("log H", |height| height.max(1.0).ln())]),
+            _ => of(&values, &ORDER),
         };
-        let courses: Vec<Course> =
-            strengths.iter().filter_map(|strength| Course::of_strength(strength, campaign)).collect();
+        let course = |(name, strength): (String, Vec<f64>)| Some((name, Course::of_strength(&strength, campaign)?));
+        let courses: Vec<(String, Course)> = strengths.into_iter().filter_map(course).collect();
         match courses.is_empty() {
             true => Err(format!("{} has no range in which it could act", self.covariates().join(" and "))),
             false => Ok(courses),
@@ -158,32 +161,46 @@ impl Mechanism {
     }
 }
 
-type Form = fn(f64) -> f64;
+/// A form's name, and the form.
+type Form = (&'static str, fn(f64) -> f64);
 
-/// Relative humidity in percent.
+/// Relative humidity in percent, h = 1 at 100 %.
 const HUMIDITY: [Form; 6] = [
-    |h| h / 100.0,
-    |h| (h / 100.0).powi(2),
-    |h| (h / 100.0).powi(4),
-    |h| (h / 100.0).powi(8),
-    |h| step(h, 50.0, 5.0),
-    |h| step(h, 60.0, 5.0),
+    ("h", |h| h / 100.0),
+    ("h^2", |h| (h / 100.0).powi(2)),
+    ("h^4", |h| (h / 100.0).powi(4)),
+    ("h^8", |h| (h / 100.0).powi(8)),
+    ("a rise around 50 %", |h| step(h, 50.0, 5.0)),
+    ("a rise around 60 %", |h| step(h, 60.0, 5.0)),
 ];
-const DELIQUESCENCE: [Form; 3] = [|h| step(h, 65.0, 1.0), |h| step(h, 75.0, 1.0), |h| step(h, 85.0, 1.0)];
+const DELIQUESCENCE: [Form; 3] = [
+    ("a step at 65 %", |h| step(h, 65.0, 1.0)),
+    ("a step at 75 %", |h| step(h, 75.0, 1.0)),
+    ("a step at 85 %", |h| step(h, 85.0, 1.0)),
+];
+const CHARGE: [Form; 2] = [
+    ("45 % - h below 45 %", |h| (0.45 - h / 100.0).max(0.0)),
+    ("(45 % - h)^2 below 45 %", |h| (0.45 - h / 100.0).max(0.0).powi(2)),
+];
 /// Minutes.
 const REST: [Form; 6] = [
-    |t| 1.0 - (-t / 5.0).exp(),
-    |t| 1.0 - (-t / 20.0).exp(),
-    |t| 1.0 - (-t / 60.0).exp(),
-    |t| 1.0 - (-t / 200.0).exp(),
-    |t| t.max(0.0).ln_1p(),
-    |t| (t.max(0.0) / 10.0).ln_1p(),
+    ("1 - exp(-t / 5 min)", |t| 1.0 - (-t / 5.0).exp()),
+    ("1 - exp(-t / 20 min)", |t| 1.0 - (-t / 20.0).exp()),
+    ("1 - exp(-t / 60 min)", |t| 1.0 - (-t / 60.0).exp()),
+    ("1 - exp(-t / 200 min)", |t| 1.0 - (-t / 200.0).exp()),
+    ("log(1 + t / 1 min)", |t| t.max(0.0).ln_1p()),
+    ("log(1 + t / 10 min)", |t| (t.max(0.0) / 10.0).ln_1p()),
 ];
+/// Days.
+const AGE: [Form; 3] =
+    [("a", |a| a), ("sqrt a", |a| a.max(0.0).sqrt()), ("1 - exp(-a / 10 d)", |a| 1.0 - (-a / 10.0).exp())];
+const ORDER: [Form; 3] =
+    [("k", |k| k), ("1 - exp(-k / 2)", |k| 1.0 - (-k / 2.0).exp()), ("1 - exp(-k / 5)", |k| 1.0 - (-k / 5.0).exp())];
 
 fn step(at: f64, middle: f64, width: f64) -> f64 {
     1.0 / (1.0 + ((middle - at) / width).exp())
 }
 
-fn of(values: &[f64], forms: &[Form]) -> Vec<Vec<f64>> {
-    forms.iter().map(|form| values.iter().map(|&value| form(value)).collect()).collect()
+fn of(values: &[f64], forms: &[Form]) -> Vec<(String, Vec<f64>)> {
+    forms.iter().map(|(name, form)| ((*name).to_owned(), values.iter().map(|&value| form(value)).collect())).collect()
 }

@@ -63,12 +63,22 @@ pub(super) struct Hypothesis {
     pub cause: Cause,
     /// For each form and each amount of deviation between powders, over all runs: `[runs, k]`, what is common in the first columns.
     pub features: Vec<DMatrix<f64>>,
+    /// What each of the features says the cause grows with.
+    pub laws: Vec<String>,
     /// Which way it moves the angle, if that is known.
     pub sign: Option<f64>,
     pub prior: f64,
 }
 
 impl Hypothesis {
+    /// A cause with these courses, every powder its own deviation.
+    pub fn of(cause: Cause, courses: &[(String, Course)], powder: &[usize]) -> Self {
+        let each = || courses.iter().flat_map(|it| DEVIATIONS.map(|deviation| (it, deviation)));
+        let features = each().map(|((_, course), deviation)| course.with_powders(powder, deviation)).collect();
+        let laws = each().map(|((law, _), _)| law.clone()).collect();
+        Self { cause, features, laws, sign: None, prior: 1.0 }
+    }
+
     /// Which coefficients have a known sign, where this hypothesis' features begin at column `first`.
     pub fn signs(&self, first: usize) -> Vec<(usize, f64)> {
         self.sign.map(|sign| (first, sign)).into_iter().collect()
@@ -78,19 +88,22 @@ impl Hypothesis {
 /// What can be judged, and what cannot.
 pub(super) fn hypotheses(campaign: &Campaign, responses: &Responses) -> (Vec<Hypothesis>, Vec<Untestable>) {
     let powder = campaign.powder_of();
-    let with_powders = |courses: Vec<Course>| -> Vec<DMatrix<f64>> {
-        courses.iter().flat_map(|course| DEVIATIONS.map(|deviation| course.with_powders(&powder, deviation))).collect()
+    let hypothesis = |cause: Cause, courses: Vec<(String, Course)>, sign: Option<f64>, prior: f64| Hypothesis {
+        sign,
+        prior,
+        ..Hypothesis::of(cause, &courses, &powder)
     };
     let (mut judged, mut untestable) = (Vec::new(), Vec::new());
     for mechanism in Mechanism::ALL {
         match mechanism.courses(campaign) {
             Ok(courses) => {
                 let courses = match responses.get(&mechanism) {
-                    Some(response) => courses.iter().map(|course| course.scaled(response, &powder)).collect(),
+                    Some(response) => {
+                        courses.into_iter().map(|(law, course)| (law, course.scaled(response, &powder))).collect()
+                    }
                     None => courses,
                 };
-                let (cause, features) = (Cause::Known(mechanism), with_powders(courses));
-                judged.push(Hypothesis { cause, features, sign: mechanism.sign(), prior: mechanism.prior() });
+                judged.push(hypothesis(Cause::Known(mechanism), courses, mechanism.sign(), mechanism.prior()));
             }
             Err(reason) => untestable.push(Untestable { mechanism, reason }),
         }
@@ -103,25 +116,25 @@ pub(super) fn hypotheses(campaign: &Campaign, responses: &Responses) -> (Vec<Hyp
             Values::Levels { .. } if has_mechanism(name) => Vec::new(),
             Values::Levels { .. } => {
                 let levels = campaign.levels(name).ok();
-                levels.and_then(|(level, count)| Course::of_levels(&level, count, campaign)).into_iter().collect()
+                let course = levels.and_then(|(level, count)| Course::of_levels(&level, count, campaign));
+                course.map(|course| (format!("one number for each {name}"), course)).into_iter().collect()
             }
         };
         if !courses.is_empty() {
             let prior = UNCATALOGUED_PRIOR[usize::from(!has_mechanism(name))];
-            let cause = Cause::Unknown(name.clone());
-            judged.push(Hypothesis { cause, features: with_powders(courses), sign: None, prior });
+            judged.push(hypothesis(Cause::Unknown(name.clone()), courses, None, prior));
         }
     }
     if campaign.sessions() >= SESSIONS_MIN {
         let session: Vec<f64> = campaign.runs.iter().map(|run| run.session as f64).collect();
-        let features = with_powders(smooth(&session, campaign));
-        judged.push(Hypothesis { cause: Cause::Unrecorded, features, sign: None, prior: UNRECORDED_PRIOR });
+        judged.push(hypothesis(Cause::Unrecorded, smooth(&session, campaign), None, UNRECORDED_PRIOR));
     }
     (judged, untestable)
 }
 
-fn smooth(values: &[f64], campaign: &Campaign) -> Vec<Course> {
-    SMOOTH_LENGTHS.iter().filter_map(|&length| Course::smooth(values, length, campaign)).collect()
+fn smooth(values: &[f64], campaign: &Campaign) -> Vec<(String, Course)> {
+    let course = |&length: &f64| Some(("a smooth course".to_owned(), Course::smooth(values, length, campaign)?));
+    SMOOTH_LENGTHS.iter().filter_map(course).collect()
 }
 
 /// Whether the catalogue has a mechanism that acts through this covariate.

@@ -1,12 +1,19 @@
 //! The whole of an investigation: from a campaign to a report.
 
 use super::campaign::Campaign;
+use super::detectable::detectable;
+use super::effects::{curves, findings};
+use super::experiment::{experiment, settling};
+use super::held_out::{Stopped, gain};
 use super::hypothesis::{Cause, Responses};
+use super::law::law;
 use super::posterior::Posterior;
 use super::report::{
-    CauseReport, Evidence, NullCheck, Report, Row, SCHEMA_VERSION, SimulatorVersions, UntestableReport, Verdict,
+    CauseReport, Curve, Evidence, Finding, FormClass, NullCheck, ParameterReport, Report, Row, SCHEMA_VERSION,
+    SimulatorVersions, Unexplained, UntestableReport, Verdict,
 };
 use super::screen::{Prepared, Screening, Settings, screen_prepared};
+use super::words;
 use crate::domain::FieldError;
 use crate::domain::job::Progress;
 use std::ops::ControlFlow;
@@ -15,6 +22,14 @@ use std::ops::ControlFlow;
 pub(super) const SIGNIFICANCE: f64 = 0.05;
 /// Inclusion probability from which a cause is claimed.
 pub(super) const CLAIM: f64 = 0.8;
+/// Inclusion probability from which a cause is claimed although another has nearly the same course.
+const CERTAIN: f64 = 0.95;
+/// Correlation of courses from which two causes look alike.
+const LOOK_ALIKE: f64 = 0.9;
+/// Correlation of covariates that a reader should know of.
+const MOVED_TOGETHER: f64 = 0.8;
+/// Inclusion probability from which one of several possible causes is named.
+const WORTH_TELLING: f64 = 0.1;
 
 /// Investigate a campaign.
 ///
@@ -35,17 +50,203 @@ pub fn investigate(
 ) -> Result<Option<Report>, FieldError> {
     let mut step =
         |fraction: f64, message: &str| on_progress(&Progress { fraction, message: message.to_owned() }).is_break();
+    let settings = settings.checked()?;
     if step(0.0, "judging every cause, here and where nothing is wrong") {
         return Ok(None);
     }
-    let settings = settings.checked()?;
     let prepared = Prepared::new(campaign, responses)?;
     let screening = screen_prepared(&prepared, campaign, &settings);
     let posterior = Posterior::new(&prepared);
+    let judgement = Judgement::of(&prepared, &posterior, screening.p_value);
     let mut report = blank(&screening, base);
-    report.rows = rows(campaign, &posterior);
-    report.causes = causes(&prepared, &posterior);
+    report.verdict = judgement.verdict;
+    report.evidence = evidence(&prepared, &screening, &posterior);
+    if step(0.3, "what this design would find") {
+        return Ok(None);
+    }
+    let explained = (report.verdict != Verdict::NoDiscrepancy).then_some(&posterior);
+    report.minimum_detectable = detectable(campaign, &prepared, &screening, explained, &settings);
+    report.blind_spots =
+        words::blind_spots(campaign.powders.len(), campaign.sessions() < campaign.runs.len(), &correlated(campaign));
+    if step(0.5, "how large the effect is") {
+        return Ok(None);
+    }
+    let is_found = report.verdict != Verdict::NoDiscrepancy;
+    report.rows = rows(campaign, &posterior, is_found);
+    report.curves = if is_found { curves(campaign, responses)? } else { flat(curves(campaign, responses)?) };
+    if is_found {
+        report.findings = findings(campaign, responses, &judgement.told)?;
+    }
+    report.causes = causes(&prepared, &posterior, &report.findings, &judgement.told);
+    report.ambiguous_between = judgement.ambiguous_between();
+    report.unexplained = judgement.unexplained().map(|covariate| match covariate {
+        Some(covariate) => law(campaign, &prepared, covariate),
+        None => {
+            Unexplained { covariate: None, law: "a wander over the sessions".to_owned(), form_class: FormClass::Smooth }
+        }
+    });
+    if step(0.6, "the experiment that would tell most") {
+        return Ok(None);
+    }
+    report.suggested_experiment = match (judgement.to_tell_apart(), judgement.ranked.first()) {
+        (Some(pair), _) => experiment(campaign, responses, pair, report.verdict != Verdict::Ambiguous, &settings)?,
+        (None, Some((likeliest, _))) if !is_found => settling(campaign, &prepared, likeliest, settings.seed),
+        _ => None,
+    };
+    if is_found {
+        let covariate = judgement.told.first().and_then(|cause| cause.covariates().first().copied());
+        let covariate = covariate.filter(|name| campaign.numbers(name).is_ok());
+        let fold = |done: f64| match step(0.7 + 0.3 * done, "leaving out days, powders and ranges, and searching again")
+        {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        };
+        report.gain = match gain(campaign, responses, covariate, &settings, fold) {
+            Ok(gain) => gain,
+            Err(Stopped::Asked) => return Ok(None),
+            Err(Stopped::Refused(error)) => return Err(error),
+        };
+        if report.gain.as_ref().is_some_and(|gain| gain.accepted) {
+            let claimed = report.causes.iter_mut().filter(|it| it.inclusion_probability >= CLAIM);
+            claimed.for_each(|it| it.confidence_level = 2);
+        }
+    }
+    let law =
+        judgement.told.first().filter(|_| report.verdict == Verdict::Cause).and_then(|cause| posterior.law(cause));
+    report.sentence = words::sentence(&report, law);
     Ok(Some(report))
+}
+
+/// What the posterior amounts to.
+struct Judgement {
+    verdict: Verdict,
+    /// The causes whose effects are told, most probable first.
+    told: Vec<Cause>,
+    /// All causes, most probable first, with their inclusion probability.
+    ranked: Vec<(Cause, f64)>,
+}
+
+impl Judgement {
+    fn of(prepared: &Prepared, posterior: &Posterior<'_>, p_value: f64) -> Self {
+        let mut ranked: Vec<(Cause, f64)> =
+            prepared.hypotheses.iter().map(|it| it.cause.clone()).zip(posterior.inclusion.iter().copied()).collect();
+        ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let claimed: Vec<Cause> = ranked.iter().filter(|it| it.1 >= CLAIM).map(|it| it.0.clone()).collect();
+        let top = ranked.first().map(|it| it.0.clone());
+        let has_look_alike = |cause: &Cause| {
+            let probability = ranked.iter().find(|it| it.0 == *cause).map_or(0.0, |it| it.1);
+            probability < CERTAIN && look_alike(prepared, posterior, cause).is_some()
+        };
+        let verdict = match &top {
+            _ if p_value > SIGNIFICANCE => Verdict::NoDiscrepancy,
+            Some(Cause::Known(_)) if !claimed.is_empty() && !claimed.iter().any(has_look_alike) => Verdict::Cause,
+            Some(Cause::Unknown(_) | Cause::Unrecorded) if !claimed.is_empty() => Verdict::Unexplained,
+            _ => Verdict::Ambiguous,
+        };
+        let told = match verdict {
+            Verdict::NoDiscrepancy => Vec::new(),
+            Verdict::Cause | Verdict::Unexplained => claimed,
+            Verdict::Ambiguous => {
+                let mut told: Vec<Cause> =
+                    ranked.iter().take_while(|it| it.1 >= WORTH_TELLING).map(|it| it.0.clone()).collect();
+                if told.len() < 2 {
+                    let first = top.iter().filter_map(|cause| look_alike(prepared, posterior, cause));
+                    let next = ranked.get(1).map(|it| it.0.clone());
+                    told = top.iter().cloned().chain(first.chain(next).next()).collect();
+                }
+                told.truncate(3);
+                told
+            }
+        };
+        Self { verdict, told, ranked }
+    }
+
+    fn ambiguous_between(&self) -> Vec<String> {
+        match self.verdict {
+            Verdict::Ambiguous => self.told.iter().map(|cause| cause.name().0).collect(),
+            _ => Vec::new(),
+        }
+    }
+
+    /// The covariate of an unexplained departure, if one was recorded.
+    fn unexplained(&self) -> Option<Option<&str>> {
+        match (self.verdict, self.told.first()) {
+            (Verdict::Unexplained, Some(Cause::Unknown(covariate))) => Some(Some(covariate)),
+            (Verdict::Unexplained, _) => Some(None),
+            _ => None,
+        }
+    }
+
+    /// What an experiment should tell apart: the two most probable causes that differ in a setting.
+    fn to_tell_apart(&self) -> Option<[&Cause; 2]> {
+        let (one, others) = match self.verdict {
+            Verdict::NoDiscrepancy => return None,
+            Verdict::Ambiguous => (self.told.first()?, &self.told[1..]),
+            _ => (self.told.first()?, &self.told[..0]),
+        };
+        let ranked = self.ranked.iter().map(|it| &it.0);
+        let other = others.iter().chain(ranked).find(|it| *it != one && !it.covariates().is_empty())?;
+        Some([one, other])
+    }
+}
+
+/// Another catalogued cause that this design could hardly tell from this one: their courses go together.
+fn look_alike(prepared: &Prepared, posterior: &Posterior<'_>, cause: &Cause) -> Option<Cause> {
+    let common = |cause: &Cause| {
+        let f = posterior.best_feature(cause)?;
+        let hypothesis = prepared.hypotheses.iter().find(|it| it.cause == *cause)?;
+        let column = hypothesis.features[f].column(0);
+        Some(prepared.measured.iter().map(|&i| column[i]).collect::<Vec<f64>>())
+    };
+    let own = common(cause)?;
+    let others = prepared.hypotheses.iter().filter(|it| it.cause != *cause && matches!(it.cause, Cause::Known(_)));
+    let alike = others.filter_map(|it| Some((it.cause.clone(), correlation(&own, &common(&it.cause)?).abs())));
+    alike.filter(|it| it.1 >= LOOK_ALIKE).max_by(|a, b| a.1.total_cmp(&b.1)).map(|it| it.0)
+}
+
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len() as f64;
+    let (mean_a, mean_b) = (mean(a), mean(b));
+    let sum = |of: &dyn Fn(f64, f64) -> f64| a.iter().zip(b).map(|(x, y)| of(x - mean_a, y - mean_b)).sum::<f64>();
+    let scale = (sum(&|x, _| x * x) * sum(&|_, y| y * y)).sqrt();
+    if scale > 0.0 { sum(&|x, y| x * y) / scale } else { 0.0 }
+}
+
+/// Pairs of recorded numbers that moved together.
+fn correlated(campaign: &Campaign) -> Vec<(String, String, f64)> {
+    let known: Vec<(&str, Vec<f64>)> = campaign
+        .covariates
+        .iter()
+        .filter_map(|it| Some((it.name.as_str(), campaign.numbers(&it.name).ok()?)))
+        .collect();
+    let pairs = (0..known.len()).flat_map(|a| (a + 1..known.len()).map(move |b| (a, b)));
+    let of = |(a, b): (usize, usize)| {
+        let r = correlation(&known[a].1, &known[b].1);
+        (r.abs() >= MOVED_TOGETHER).then(|| (known[a].0.to_owned(), known[b].0.to_owned(), r))
+    };
+    pairs.filter_map(of).collect()
+}
+
+/// Where nothing is found, the course is that of the simulator as it is.
+fn flat(mut curves: Vec<Curve>) -> Vec<Curve> {
+    curves.iter_mut().flat_map(|it| &mut it.course).for_each(|place| place[1] = 0.0);
+    curves
+}
+
+fn evidence(prepared: &Prepared, screening: &Screening, posterior: &Posterior<'_>) -> Vec<Evidence> {
+    let of = |judged: &super::Judged| {
+        let (cause, family) = judged.cause.name();
+        Evidence {
+            cause,
+            family: family.map(str::to_owned),
+            log10_evidence: judged.log_evidence / std::f64::consts::LN_10,
+            inclusion_probability: posterior.inclusion_of(&judged.cause),
+        }
+    };
+    let mut all: Vec<Evidence> = screening.judged.iter().map(of).collect();
+    debug_assert_eq!(all.len(), prepared.hypotheses.len());
+    all.sort_by(|a, b| b.inclusion_probability.total_cmp(&a.inclusion_probability));
+    all
 }
 
 fn blank(screening: &Screening, base: &str) -> Report {
@@ -81,14 +282,15 @@ fn blank(screening: &Screening, base: &str) -> Report {
     }
 }
 
-/// Every row of the file, before and after; repeats of a summary are one row.
-fn rows(campaign: &Campaign, posterior: &Posterior<'_>) -> Vec<Row> {
+/// Every row of the file, before and after; repeats of a summary are one row. Where nothing is found, after is before.
+fn rows(campaign: &Campaign, posterior: &Posterior<'_>, is_found: bool) -> Vec<Row> {
     let predicted = posterior.predict(campaign);
     let mut rows: Vec<Row> = Vec::new();
     for (run, [before, after]) in campaign.runs.iter().zip(predicted) {
         if rows.last().is_some_and(|last| last.row == run.row) {
             continue;
         }
+        let after = if is_found { after } else { before };
         let known = |mean: f64| mean.is_finite().then_some(mean);
         let repeats = campaign.runs.iter().filter(|other| other.row == run.row);
         let angles: Vec<f64> = repeats.filter_map(|run| run.repose_deg).collect();
@@ -105,24 +307,27 @@ fn rows(campaign: &Campaign, posterior: &Posterior<'_>) -> Vec<Row> {
     rows
 }
 
-fn causes(prepared: &Prepared, posterior: &Posterior<'_>) -> Vec<CauseReport> {
-    let mut causes: Vec<CauseReport> = prepared
-        .hypotheses
-        .iter()
-        .zip(&posterior.inclusion)
-        .filter_map(|(it, &inclusion_probability)| {
-            let Cause::Known(mechanism) = it.cause else { return None };
-            let (name, family) = mechanism.name();
-            Some(CauseReport {
-                mechanism: name.to_owned(),
-                family: family.to_owned(),
-                inclusion_probability,
-                confidence_level: 1,
-                parameters: Vec::new(),
-                powders: Vec::new(),
-            })
+fn causes(prepared: &Prepared, posterior: &Posterior<'_>, findings: &[Finding], told: &[Cause]) -> Vec<CauseReport> {
+    let report = |cause: &Cause| {
+        let Cause::Known(mechanism) = cause else { return None };
+        let (name, family) = mechanism.name();
+        let finding = told.iter().position(|it| it == cause).and_then(|at| findings.get(at));
+        let parameters = finding.map(|it| ParameterReport {
+            name: "effect_5_95".to_owned(),
+            value: it.effect,
+            ci95: it.ci95,
+            unit: it.unit.clone(),
+        });
+        Some(CauseReport {
+            mechanism: name.to_owned(),
+            family: family.to_owned(),
+            inclusion_probability: posterior.inclusion_of(cause),
+            confidence_level: 1,
+            parameters: parameters.into_iter().collect(),
+            powders: finding.map_or(Vec::new(), |it| it.powders.clone()),
         })
-        .collect();
+    };
+    let mut causes: Vec<CauseReport> = prepared.hypotheses.iter().filter_map(|it| report(&it.cause)).collect();
     causes.sort_by(|a, b| b.inclusion_probability.total_cmp(&a.inclusion_probability));
     causes
 }

@@ -1,10 +1,17 @@
 //! What the simulator gets wrong, by the angles of repose that a laboratory measured under recorded conditions.
 //!
 //! ```text
-//! campaign.rs    what was measured, run by run, and under which conditions
-//! catalogue.rs   the causes, and how strong each may have been in each run
-//! signature.rs   from strengths to what the angles would show, up to its size
-//! screen.rs      is anything wrong, and what explains it best
+//! campaign.rs     what was measured, run by run, and under which conditions
+//! catalogue.rs    the causes, and how strong each may have been in each run
+//! signature.rs    from strengths to what the angles would show, up to its size
+//! hypothesis.rs   the causes, the covariates without a cause, and what nobody recorded
+//! noise.rs        what angles do when nothing is wrong
+//! screen.rs       is anything wrong, and what explains it best
+//! posterior.rs    one cause or two, and what that says of each run
+//! effects.rs      how large, on which powders        law.rs         the law of what no cause explains
+//! held_out.rs     what it is worth on other days     detectable.rs  what this design would have found
+//! experiment.rs   what to measure next               scenario.rs    runs that nobody made
+//! investigate.rs  all of it                          report.rs, words.rs   the document, and its sentences
 //! ```
 //!
 //! The calibrated simulator predicts one angle for a powder, whatever the day. Anything that a new calibration would absorb, a powder's own mean,
@@ -12,17 +19,25 @@
 //! that treat powders differently ([`mixed_model`](crate::stats::mixed_model)). The best of all causes is compared with the best that campaigns
 //! of the same design have when nothing is wrong, so that many causes cost nothing in false alarms.
 //!
-//! Signatures are not simulated yet: a strength is taken to move every powder's angle in proportion, with deviations between powders.
+//! Whether something is wrong is a matter of that comparison alone. What it is, is a matter of the posterior over models with one cause or two;
+//! what is claimed has 0.8 of it, and no look-alike. What it is worth is a matter of days that were left out of the whole search.
 
 pub mod campaign;
 mod catalogue;
+mod detectable;
+mod effects;
+mod experiment;
+mod held_out;
 mod hypothesis;
 mod investigate;
+mod law;
 mod noise;
 mod posterior;
 pub mod report;
+mod scenario;
 mod screen;
 mod signature;
+mod words;
 
 #[cfg(test)]
 mod tests;

@@ -145,6 +145,43 @@ impl<'a> Posterior<'a> {
             .collect()
     }
 
+    /// What a cause adds to each run where it is at work, without noise and powders' means, degrees.
+    pub fn shifts_by(&self, cause: &Cause) -> Vec<f64> {
+        let h = self.prepared.hypotheses.iter().position(|it| it.cause == *cause);
+        let solved = self.solved(|it| it.parts.iter().any(|part| Some(part.0) == h));
+        let row = |row: usize| solved.iter().map(|it| it.weight * it.shift(row)).sum::<f64>();
+        (0..self.prepared.powder.len()).map(row).collect()
+    }
+
+    /// Probability of a cause to be at work, if anything is.
+    pub fn inclusion_of(&self, cause: &Cause) -> f64 {
+        let h = self.prepared.hypotheses.iter().position(|it| it.cause == *cause);
+        h.map_or(0.0, |h| self.inclusion[h])
+    }
+
+    /// Measured angles less their powder's centre.
+    pub fn observed(&self) -> &[f64] {
+        &self.prepared.observed
+    }
+
+    /// What a cause most probably grows with.
+    pub fn law(&self, cause: &Cause) -> Option<&'a str> {
+        let f = self.best_feature(cause)?;
+        self.prepared.hypotheses.iter().find(|it| it.cause == *cause).map(|it| it.laws[f].as_str())
+    }
+
+    /// The features of a cause that hold most of its probability.
+    pub fn best_feature(&self, cause: &Cause) -> Option<usize> {
+        let h = self.prepared.hypotheses.iter().position(|it| it.cause == *cause)?;
+        let mut weights = vec![0.0; self.prepared.hypotheses[h].features.len()];
+        for component in &self.components {
+            for part in component.parts.iter().filter(|part| part.0 == h) {
+                weights[part.1] += component.log_weight.exp();
+            }
+        }
+        (0..weights.len()).max_by(|&a, &b| weights[a].total_cmp(&weights[b]))
+    }
+
     /// By how much a cause moves the angle from one run to another, as an average over pairs of runs; `None` where no component has it.
     pub fn effect(&self, cause: &Cause, pairs: &[(usize, usize)]) -> Option<Mixture> {
         let h = self.prepared.hypotheses.iter().position(|it| it.cause == *cause)?;

@@ -109,6 +109,16 @@ impl Prepared {
         Ok(Self { powder, measured, weights, centres, observed, means, noises, hypotheses, untestable })
     }
 
+    /// SD of a repeat, degrees: root mean square over runs, by the noise that explains these angles best.
+    pub fn repeat_sd_deg(&self, angles: &[f64]) -> f64 {
+        let y = DMatrix::from_column_slice(angles.len(), 1, angles);
+        let of = |noise: &Noise| {
+            let squares = noise.model.squares(&y)[0];
+            (noise.model.log_null(squares), (squares / noise.model.freedom()).sqrt())
+        };
+        self.noises.iter().map(of).max_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |best| best.1)
+    }
+
     /// Features of a hypothesis as a noise sees them.
     pub fn signatures(&self, noise: &Whitening, hypothesis: &Hypothesis) -> Vec<Option<Signature>> {
         let of = |features: &DMatrix<f64>| noise.signature(&features.select_rows(&self.measured));

@@ -21,6 +21,15 @@ impl Course {
         Self::standardised(DMatrix::from_column_slice(strength.len(), 1, strength), campaign)
     }
 
+    /// A wave of this period, nobody knows from where.
+    pub fn wave(values: &[f64], period: f64, campaign: &Campaign) -> Option<Self> {
+        let columns = DMatrix::from_fn(values.len(), 2, |i, k| {
+            let (sin, cos) = (std::f64::consts::TAU * values[i] / period).sin_cos();
+            if k == 0 { sin } else { cos }
+        });
+        Self::standardised(columns, campaign)
+    }
+
     /// A cause that differs between levels, nobody knows how.
     pub fn of_levels(level: &[usize], count: usize, campaign: &Campaign) -> Option<Self> {
         let indicator = DMatrix::from_fn(level.len(), count, |i, k| f64::from(u8::from(level[i] == k)));

@@ -191,3 +191,85 @@ fn campaigns_that_say_nothing_are_refused() {
         "simulations"
     );
 }
+
+#[test]
+fn a_summary_stands_for_its_repeats() {
+    for repeats in [2, 5, 30] {
+        let angles = repeats_of(31.4, 1.42, repeats);
+        let mean = angles.iter().sum::<f64>() / f64::from(repeats);
+        let squares: f64 = angles.iter().map(|angle| (angle - mean).powi(2)).sum();
+        assert!((mean - 31.4).abs() < 1e-9 && ((squares / f64::from(repeats - 1)).sqrt() - 1.42).abs() < 1e-9);
+    }
+    assert_eq!(repeats_of(31.4, 0.0, 1), [31.4]);
+}
+
+fn investigated(campaign: &Campaign) -> Report {
+    let never = |_: &crate::domain::job::Progress| std::ops::ControlFlow::Continue(());
+    investigate(campaign, &Responses::new(), "base", &SETTINGS, never).unwrap().unwrap()
+}
+
+#[test]
+fn a_humid_laboratory_is_told_so_and_days_left_out_are_predicted_better() {
+    let effect = |lab: &Laboratory, i: usize| ((lab.humidity[i] - 30.0) / 40.0).clamp(0.0, 1.0).powf(1.7);
+    let campaign = Laboratory::new(7).campaign(1.5, effect);
+    let report = investigated(&campaign);
+    assert_eq!(report.verdict, report::Verdict::Cause, "{}", report.sentence);
+    let cause = &report.causes[0];
+    assert_eq!((cause.mechanism.as_str(), cause.family.as_str(), cause.confidence_level), ("humidity", "moisture", 2));
+    let [low, high] = report.findings[0].ci95;
+    // SD of 1.5 deg; the 5th to the 95th percentile of such a course is some 3.2 SD.
+    assert!(low < 4.8 && high > 4.8 && low > 2.0, "{low} to {high}");
+    let gain = report.gain.unwrap();
+    assert!(gain.accepted && gain.held_out.rmse_after < gain.held_out.rmse_before - 0.2, "{gain:?}");
+    assert!((0.8..=0.97).contains(&gain.coverage90.after), "{gain:?}");
+    assert!(report.sentence.starts_with("Humidity makes all powders pile steeper"), "{}", report.sentence);
+    let asked = report.suggested_experiment.unwrap();
+    assert!(asked.runs.iter().all(|run| run.contains_key("relative_humidity_pct")), "{}", asked.what);
+}
+
+#[test]
+fn where_nothing_is_wrong_the_report_says_what_it_would_have_found() {
+    let report = investigated(&Laboratory::new(7).campaign(0.0, |_, _| 0.0));
+    assert_eq!(report.verdict, report::Verdict::NoDiscrepancy);
+    assert!(report.findings.is_empty() && report.gain.is_none());
+    assert!(report.rows.iter().all(|row| row.after_deg == row.before_deg));
+    let rest = report.minimum_detectable.iter().find(|it| it.mechanism == "rest_time").unwrap();
+    // A two-sided test of 200 runs with SD 2 at 5 % has power 0.8 at 0.4 deg (SD of the course), which is 1.1 deg between the percentiles of
+    // what is nearly two groups; looking at many causes costs the rest.
+    assert!((1.0..2.5).contains(&rest.effect_deg), "{rest:?}");
+    assert!(report.suggested_experiment.is_some());
+}
+
+#[test]
+fn what_moved_together_is_not_told_apart_until_the_experiment_is_made() {
+    // The container ages as the season grows humid.
+    let mut lab = Laboratory::new(11);
+    let age: Vec<f64> = lab.session.iter().map(|&day| day as f64).collect();
+    lab.humidity = age.iter().zip(&lab.rest).map(|(age, rest)| 30.0 + 2.0 * age + 0.002 * rest).collect();
+    let mut campaign = lab.campaign(1.3, |lab, i| ((lab.humidity[i] - 30.0) / 40.0).powf(1.5));
+    campaign.covariates.push(Covariate {
+        name: "container_age_d".to_owned(),
+        values: Values::Numbers(age.iter().copied().map(Some).collect()),
+    });
+    let report = investigated(&campaign);
+    assert_eq!(report.verdict, report::Verdict::Ambiguous, "{}", report.sentence);
+    assert!(report.ambiguous_between.contains(&"container_age".to_owned()), "{:?}", report.ambiguous_between);
+    assert!(report.blind_spots.iter().any(|spot| spot.contains("moved together")), "{:?}", report.blind_spots);
+    let asked = report.suggested_experiment.unwrap();
+    let settings: std::collections::BTreeSet<_> =
+        asked.runs.iter().map(|run| (&run["relative_humidity_pct"], &run["container_age_d"])).collect();
+    assert!(settings.len() > 1 && asked.chance_of_resolution > 0.5, "{}", asked.what);
+}
+
+#[test]
+fn probabilities_of_two_causes_are_of_two_causes() {
+    let effect =
+        |lab: &Laboratory, i: usize| 1.2 * lab.operator[i] as f64 + 1.4 * (lab.rest[i] / (lab.rest[i] + 30.0)).sqrt();
+    let campaign = Laboratory::new(5).campaign(1.4, effect);
+    let report = investigated(&campaign);
+    let claimed: Vec<&str> =
+        report.causes.iter().filter(|it| it.inclusion_probability >= 0.8).map(|it| it.mechanism.as_str()).collect();
+    assert_eq!(report.verdict, report::Verdict::Cause);
+    assert!(claimed.contains(&"operator") && claimed.contains(&"rest_time"), "{claimed:?}");
+    assert_eq!(report.findings.len(), claimed.len());
+}

@@ -1,0 +1,67 @@
+//! What this design would find: the effect of each cause that four of five campaigns like this one would show.
+
+use super::campaign::Campaign;
+use super::hypothesis::Cause;
+use super::noise;
+use super::posterior::Posterior;
+use super::report::Detectable;
+use super::scenario::quantile;
+use super::screen::{Prepared, Screening, Settings};
+use nalgebra::DMatrix;
+
+/// Share of campaigns that show it.
+const POWER: f64 = 0.8;
+/// Simulated campaigns.
+const CAMPAIGNS: u32 = 60;
+/// Bounds of a cause's root mean square over the SD of a repeat, and halvings between them.
+const BOUNDS: [f64; 2] = [0.02, 4.0];
+const HALVINGS: u32 = 7;
+
+/// For each mechanism of which the campaign can tell. What even the upper bound does not show is left out. What was found is no noise, and is taken
+/// off first.
+pub(super) fn detectable(
+    campaign: &Campaign,
+    prepared: &Prepared,
+    screening: &Screening,
+    found: Option<&Posterior<'_>>,
+    settings: &Settings,
+) -> Vec<Detectable> {
+    let Prepared { weights, noises, hypotheses, measured, .. } = prepared;
+    let shifts = found.map(Posterior::shifts);
+    let left: Vec<f64> = measured
+        .iter()
+        .zip(&prepared.observed)
+        .map(|(&i, angle)| angle - shifts.as_ref().map_or(0.0, |shifts| shifts[i]))
+        .collect();
+    let drawn = noise::with_simulated(campaign, weights, noises, &left, settings.seed ^ 1, CAMPAIGNS);
+    let drawn = drawn.columns(1, CAMPAIGNS as usize).into_owned();
+    let threshold = quantile(&screening.null, 0.95).unwrap_or(0.0);
+    let repeat_deg = prepared.repeat_sd_deg(&left);
+    let of = |hypothesis: &super::hypothesis::Hypothesis| {
+        let Cause::Known(mechanism) = hypothesis.cause else { return None };
+        let features = hypothesis.features[0].select_rows(measured);
+        // Of names, the first.
+        let course = features.column(0).into_owned();
+        let sign = hypothesis.sign.unwrap_or(1.0);
+        let shows = |size: f64| {
+            let moved = DMatrix::from_fn(drawn.nrows(), drawn.ncols(), |i, k| drawn[(i, k)] + sign * size * course[i]);
+            let odds = &prepared.log_odds(&[hypothesis], &moved)[0];
+            let found = odds.iter().filter(|&&odds| odds + hypothesis.prior.ln() > threshold).count();
+            found as f64 >= POWER * f64::from(CAMPAIGNS)
+        };
+        let [mut low, mut high] = BOUNDS;
+        if !shows(high) {
+            return None;
+        }
+        for _ in 0..HALVINGS {
+            let middle = (low * high).sqrt();
+            if shows(middle) { high = middle } else { low = middle }
+        }
+        let mut sorted: Vec<f64> = course.iter().copied().collect();
+        sorted.sort_by(f64::total_cmp);
+        let range = quantile(&sorted, 0.95)? - quantile(&sorted, 0.05)?;
+        let effect_deg = high * repeat_deg * range;
+        Some(Detectable { mechanism: mechanism.name().0.to_owned(), effect_deg, power: POWER })
+    };
+    hypotheses.iter().filter_map(of).collect()
+}

@@ -1,0 +1,270 @@
+//! The one experiment that best tells two causes apart.
+//!
+//! Runs at low and high settings of what either acts through, all in one session and in random order, so that the day is the same for all. Each
+//! candidate is played: an angle is drawn for each run under one of the two causes (as probable as it is now), both are judged again with
+//! these runs, and it counts how often the right one then holds [`CLAIM`] of the probability that both have.
+
+use super::campaign::{Campaign, Values};
+use super::hypothesis::{Cause, Responses};
+use super::investigate::CLAIM;
+use super::posterior::Posterior;
+use super::report::Experiment;
+use super::scenario::{Conditions, Setting, extended, levels, percentile};
+use super::screen::{Prepared, Settings};
+use crate::domain::FieldError;
+use crate::domain::seed::derive;
+use crate::stats::normal;
+use nalgebra::DMatrix;
+use rand::seq::SliceRandom;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use std::collections::BTreeMap;
+
+/// Plays of each candidate.
+const PLAYS: usize = 60;
+/// Runs of a candidate.
+const RUNS: [usize; 3] = [12, 24, 40];
+/// Powders that take part: those that respond most.
+const POWDERS: usize = 3;
+/// Difference that matters to a chemist, degrees.
+const SETTLED_DEG: f64 = 1.0;
+/// Chance of an answer that is enough.
+const ENOUGH: f64 = 0.9;
+/// SD of what a day does to all its runs, over that of a repeat; it is the same for both causes.
+const DAY: f64 = 0.3;
+/// Minutes of a run: filling, pouring, reading, cleaning.
+const RUN_MIN: f64 = 4.0;
+
+/// What to measure to tell the first cause from the second; `None` where no setting differs. `is_claimed`: the first is to be confirmed, so what
+/// it acts through is varied in any case.
+pub(super) fn experiment(
+    campaign: &Campaign,
+    responses: &Responses,
+    [one, other]: [&Cause; 2],
+    is_claimed: bool,
+    settings: &Settings,
+) -> Result<Option<Experiment>, FieldError> {
+    let now = Prepared::new(campaign, responses)?;
+    let posterior = Posterior::new(&now);
+    let powders = responding(campaign, &posterior);
+    let covariates: Vec<String> = {
+        let mut names: Vec<&str> = one.covariates();
+        names.extend(other.covariates());
+        names.dedup();
+        names.into_iter().map(str::to_owned).collect()
+    };
+    let ends: Vec<(String, [Setting; 2])> =
+        covariates.iter().filter_map(|name| Some((name.clone(), ends(campaign, name)?))).collect();
+    let mut best: Option<(f64, Experiment)> = None;
+    // All settings of one covariate alone, then all of them against each other.
+    let mut designs: Vec<Vec<&(String, [Setting; 2])>> = ends.iter().map(|end| vec![end]).collect();
+    if ends.len() > 1 {
+        designs.push(ends.iter().collect());
+    }
+    if is_claimed {
+        let acts = |name: &str| one.covariates().contains(&name);
+        designs.retain(|design| design.iter().any(|(name, _)| acts(name)));
+    }
+    for design in designs {
+        for count in RUNS {
+            let runs = runs(campaign, &design, &ends, &powders, count, settings.seed);
+            let [chance, expected] = play(campaign, responses, &posterior, [one, other], &runs, settings.seed)?;
+            let minutes = minutes(&runs);
+            // The cheapest that is likely to answer, else the likeliest.
+            let score = if chance >= ENOUGH { 2.0 - minutes / 1e5 } else { chance - minutes / 1e6 };
+            if best.as_ref().is_none_or(|(best, _)| score > *best) {
+                let what = words(campaign, &design, &ends, &powders, runs.len());
+                let runs = runs.iter().map(|run| written(campaign, run)).collect();
+                let it = Experiment { what, runs, minutes, chance_of_resolution: chance, expected_posterior: expected };
+                best = Some((score, it));
+            }
+        }
+    }
+    Ok(best.map(|(_, experiment)| experiment))
+}
+
+/// Runs that would show a difference of this many degrees between low and high of what a cause acts through, in four of five cases at 5 %:
+/// `N = (2 (1.96 + 0.84) s / difference)^2` of two groups of N / 2 with SD s.
+pub(super) fn settling(campaign: &Campaign, prepared: &Prepared, cause: &Cause, seed: u64) -> Option<Experiment> {
+    let ends: Vec<(String, [Setting; 2])> =
+        cause.covariates().into_iter().filter_map(|name| Some((name.to_owned(), ends(campaign, name)?))).collect();
+    let design: Vec<&(String, [Setting; 2])> = ends.iter().collect();
+    if design.is_empty() {
+        return None;
+    }
+    let powders: Vec<usize> = (0..campaign.powders.len()).collect();
+    let needed =
+        (2.0 * (1.96 + 0.84) * prepared.repeat_sd_deg(&prepared.observed) / SETTLED_DEG).powi(2).ceil() as usize;
+    let cells = powders.len() << design.len();
+    let count = needed.div_ceil(cells) * cells;
+    let runs = runs(campaign, &design, &ends, &powders, count, seed);
+    let what = words(campaign, &design, &ends, &powders, runs.len());
+    let what = format!("{what}, to show a difference of {SETTLED_DEG} deg");
+    let minutes = minutes(&runs);
+    let runs = runs.iter().map(|run| written(campaign, run)).collect();
+    Some(Experiment { what, runs, minutes, chance_of_resolution: 0.8, expected_posterior: CLAIM })
+}
+
+/// The powders that the found effect moves most.
+fn responding(campaign: &Campaign, posterior: &Posterior<'_>) -> Vec<usize> {
+    let shifts = posterior.shifts();
+    let moved = |powder: usize| {
+        let of = campaign.measured().into_iter().filter(|&i| campaign.runs[i].powder == powder);
+        of.map(|i| shifts[i].powi(2)).sum::<f64>()
+    };
+    let mut order: Vec<usize> = (0..campaign.powders.len()).collect();
+    order.sort_by(|&a, &b| moved(b).total_cmp(&moved(a)));
+    order.truncate(POWDERS);
+    order
+}
+
+/// Low and high: the ends of what was seen, or the first two names.
+fn ends(campaign: &Campaign, covariate: &str) -> Option<[Setting; 2]> {
+    match campaign.values(covariate)? {
+        Values::Levels { names, .. } => (names.len() > 1).then_some([Setting::Level(0), Setting::Level(1)]),
+        Values::Numbers(_) => {
+            let at = |share: f64| percentile(campaign, covariate, share).map(Setting::Number);
+            Some([at(0.02)?, at(0.98)?])
+        }
+    }
+}
+
+type Planned = (usize, Conditions);
+
+/// Every combination of the design's settings on each powder, as often as `count` allows, in random order; what the design does not vary is held
+/// at its low end.
+fn runs(
+    campaign: &Campaign,
+    design: &[&(String, [Setting; 2])],
+    all: &[(String, [Setting; 2])],
+    powders: &[usize],
+    count: usize,
+    seed: u64,
+) -> Vec<Planned> {
+    let cells = 1usize << design.len();
+    let repeats = (count / (cells * powders.len())).max(1);
+    let held: Conditions = all.iter().map(|(name, ends)| (name.clone(), ends[0])).collect();
+    let mut runs = Vec::new();
+    for _ in 0..repeats {
+        for &powder in powders {
+            for cell in 0..cells {
+                let mut conditions = held.clone();
+                for (k, (name, ends)) in design.iter().enumerate() {
+                    conditions.insert(name.clone(), ends[cell >> k & 1]);
+                }
+                runs.push((powder, conditions));
+            }
+        }
+    }
+    runs.shuffle(&mut Pcg64::seed_from_u64(derive(seed, &[0x4558_5045])));
+    if campaign.values("order_in_session").is_some() {
+        for (k, (_, conditions)) in runs.iter_mut().enumerate() {
+            conditions.entry("order_in_session".to_owned()).or_insert(Setting::Number(k as f64 + 1.0));
+        }
+    }
+    runs
+}
+
+/// How often the right cause holds the probability, and how much it holds on average.
+fn play(
+    campaign: &Campaign,
+    responses: &Responses,
+    posterior: &Posterior<'_>,
+    causes: [&Cause; 2],
+    runs: &[Planned],
+    seed: u64,
+) -> Result<[f64; 2], FieldError> {
+    let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0) + 1;
+    let asked: Vec<_> = runs.iter().map(|(powder, conditions)| (*powder, conditions.clone(), None)).collect();
+    let (unseen, first) = extended(campaign, session, &asked);
+    let before = Prepared::new(&unseen, responses)?;
+    let predicted = Posterior::new(&before);
+    let mut rng = Pcg64::seed_from_u64(derive(seed, &[0x504c_4159]));
+    let mut normal = || normal::quantile(rng.random::<f64>().clamp(1e-12, 1.0 - 1e-12));
+    let repeat_deg = before.repeat_sd_deg(&before.observed);
+    let day_deg = DAY * repeat_deg;
+    // Shifts of the new runs under either cause alone.
+    let shifts = causes.map(|cause| predicted.shifts_by(cause));
+    let drawn: Vec<Vec<f64>> = (0..PLAYS)
+        .map(|k| {
+            let day = day_deg * normal();
+            let new = first..first + runs.len();
+            new.map(|i| shifts[k % 2][i] + day + repeat_deg * before.weights[i] * normal()).collect()
+        })
+        .collect();
+    let seen: Vec<_> = asked
+        .iter()
+        .zip(&drawn[0])
+        .map(|((powder, conditions, _), shift)| (*powder, conditions.clone(), Some(before.centres[*powder] + shift)))
+        .collect();
+    let (with_runs, _) = extended(campaign, session, &seen);
+    let after = Prepared::new(&with_runs, responses)?;
+    let old = posterior.observed();
+    let all = DMatrix::from_fn(old.len() + runs.len(), PLAYS, |i, k| match i.checked_sub(old.len()) {
+        None => old[i],
+        Some(new) => drawn[k][new],
+    });
+    let of = |cause: &Cause| after.hypotheses.iter().find(|it| it.cause == *cause);
+    let [Some(one), Some(other)] = causes.map(of) else { return Ok([0.0, 0.5]) };
+    let odds = after.log_odds(&[one, other], &all);
+    let prior = [one.prior.ln(), other.prior.ln()];
+    // Weighted as probable as each cause is now.
+    let now = causes.map(|cause| posterior.inclusion_of(cause).max(0.05));
+    let (mut resolved, mut expected, mut total) = (0.0, 0.0, 0.0);
+    for (k, (of_one, of_other)) in odds[0].iter().zip(&odds[1]).enumerate() {
+        let lead = of_one + prior[0] - of_other - prior[1];
+        let share = 1.0 / (1.0 + (if k % 2 == 0 { -lead } else { lead }).exp());
+        let weight = now[k % 2];
+        total += weight;
+        expected += weight * share;
+        resolved += weight * f64::from(u8::from(share >= CLAIM));
+    }
+    Ok([resolved / total, expected / total])
+}
+
+/// Minutes at the bench: the runs, the rests one after another, and half an hour for each humidity that a chamber has to reach.
+fn minutes(runs: &[Planned]) -> f64 {
+    let of = |name: &'static str| runs.iter().filter_map(move |(_, conditions)| conditions.get(name));
+    let number = |setting: &Setting| if let Setting::Number(value) = setting { *value } else { 0.0 };
+    // Heaps rest side by side: the longest rest counts.
+    let rest = of("rest_min").map(number).fold(0.0, f64::max);
+    let mut humidities: Vec<u64> = of("relative_humidity_pct").map(|it| number(it).to_bits()).collect();
+    humidities.sort_unstable();
+    humidities.dedup();
+    let chamber = 30.0 * humidities.len().saturating_sub(1) as f64;
+    RUN_MIN * runs.len() as f64 + rest + chamber
+}
+
+fn shown(campaign: &Campaign, covariate: &str, setting: Setting) -> String {
+    match setting {
+        Setting::Number(value) => super::effects::rounded(value),
+        Setting::Level(level) => levels(campaign, covariate).map_or(String::new(), |names| names[level].clone()),
+    }
+}
+
+fn written(campaign: &Campaign, (powder, conditions): &Planned) -> BTreeMap<String, String> {
+    let settings = conditions.iter().map(|(name, setting)| (name.clone(), shown(campaign, name, *setting)));
+    std::iter::once(("powder".to_owned(), campaign.powders[*powder].clone())).chain(settings).collect()
+}
+
+fn words(
+    campaign: &Campaign,
+    design: &[&(String, [Setting; 2])],
+    all: &[(String, [Setting; 2])],
+    powders: &[usize],
+    count: usize,
+) -> String {
+    let at = |(name, ends): &(String, [Setting; 2])| {
+        let (quantity, unit) = super::effects::quantity(name);
+        format!("{quantity} {} and {}{unit}", shown(campaign, name, ends[0]), shown(campaign, name, ends[1]))
+    };
+    let varied = design.iter().map(|it| at(it)).collect::<Vec<_>>().join(" by ");
+    let held = all.iter().filter(|it| !design.iter().any(|varied| varied.0 == it.0)).map(|(name, ends)| {
+        let (quantity, unit) = super::effects::quantity(name);
+        format!("{quantity} at {}{unit}", shown(campaign, name, ends[0]))
+    });
+    let held = held.collect::<Vec<_>>().join(", ");
+    let names = powders.iter().map(|&powder| campaign.powders[powder].replace('_', " ")).collect::<Vec<_>>().join(", ");
+    let held = if held.is_empty() { String::new() } else { format!(", holding {held}") };
+    format!("{count} runs of {names} in one session and in the order given: {varied}{held}")
+}
