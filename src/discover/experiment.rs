@@ -55,7 +55,6 @@ pub(super) fn experiment(
     };
     let ends: Vec<(String, [Setting; 2])> =
         covariates.iter().filter_map(|name| Some((name.clone(), ends(campaign, name)?))).collect();
-    let mut best: Option<(f64, Experiment)> = None;
     // All settings of one covariate alone, then all of them against each other.
     let mut designs: Vec<Vec<&(String, [Setting; 2])>> = ends.iter().map(|end| vec![end]).collect();
     if ends.len() > 1 {
@@ -65,19 +64,33 @@ pub(super) fn experiment(
         let acts = |name: &str| one.covariates().contains(&name);
         designs.retain(|design| design.iter().any(|(name, _)| acts(name)));
     }
-    for design in designs {
-        for count in RUNS {
-            let runs = runs(campaign, &design, &ends, &powders, count, settings.seed);
-            let [chance, expected] = play(campaign, responses, &posterior, [one, other], &runs, settings.seed)?;
-            let minutes = minutes(&runs);
-            // The cheapest that is likely to answer, else the likeliest.
-            let score = if chance >= ENOUGH { 2.0 - minutes / 1e5 } else { chance - minutes / 1e6 };
-            if best.as_ref().is_none_or(|(best, _)| score > *best) {
-                let what = words(campaign, &design, &ends, &powders, runs.len());
-                let runs = runs.iter().map(|run| written(campaign, run)).collect();
-                let it = Experiment { what, runs, minutes, chance_of_resolution: chance, expected_posterior: expected };
-                best = Some((score, it));
-            }
+    let candidates: Vec<_> = designs
+        .iter()
+        .flat_map(|design| RUNS.map(|count| (design, runs(campaign, design, &ends, &powders, count, settings.seed))))
+        .collect();
+    // What either cause would do to the runs of every candidate.
+    let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0) + 1;
+    let asked: Vec<_> = candidates.iter().flat_map(|(_, runs)| runs).map(|(p, c)| (*p, c.clone(), None)).collect();
+    let (unseen, mut first) = extended(campaign, session, &asked);
+    let prepared = Prepared::new(&unseen, responses)?;
+    let predicted = Posterior::new(&prepared);
+    let shifts = [one, other].map(|cause| predicted.shifts_by(cause));
+    let now = [one, other].map(|cause| predicted.inclusion_of(cause).max(0.05));
+    let mut best: Option<(f64, Experiment)> = None;
+    for (design, runs) in &candidates {
+        let rows = first..first + runs.len();
+        first = rows.end;
+        let shifts = [&shifts[0][rows.clone()], &shifts[1][rows]];
+        let game = Game { campaign, responses, prepared: &prepared, causes: [one, other], now, session };
+        let [chance, expected] = game.play(runs, shifts, settings.seed)?;
+        let minutes = minutes(runs);
+        // The cheapest that is likely to answer, else the likeliest.
+        let score = if chance >= ENOUGH { 2.0 - minutes / 1e5 } else { chance - minutes / 1e6 };
+        if best.as_ref().is_none_or(|(best, _)| score > *best) {
+            let what = words(campaign, design, &ends, &powders, runs.len());
+            let runs = runs.iter().map(|run| written(campaign, run)).collect();
+            let it = Experiment { what, runs, minutes, chance_of_resolution: chance, expected_posterior: expected };
+            best = Some((score, it));
         }
     }
     Ok(best.map(|(_, experiment)| experiment))
@@ -165,61 +178,54 @@ fn runs(
     runs
 }
 
-/// How often the right cause holds the probability, and how much it holds on average.
-fn play(
-    campaign: &Campaign,
-    responses: &Responses,
-    posterior: &Posterior<'_>,
-    causes: [&Cause; 2],
-    runs: &[Planned],
-    seed: u64,
-) -> Result<[f64; 2], FieldError> {
-    let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0) + 1;
-    let asked: Vec<_> = runs.iter().map(|(powder, conditions)| (*powder, conditions.clone(), None)).collect();
-    let (unseen, first) = extended(campaign, session, &asked);
-    let before = Prepared::new(&unseen, responses)?;
-    let predicted = Posterior::new(&before);
-    let mut rng = Pcg64::seed_from_u64(derive(seed, &[0x504c_4159]));
-    let mut normal = || normal::quantile(rng.random::<f64>().clamp(1e-12, 1.0 - 1e-12));
-    let repeat_deg = before.repeat_sd_deg(&before.observed);
-    let day_deg = DAY * repeat_deg;
-    // Shifts of the new runs under either cause alone.
-    let shifts = causes.map(|cause| predicted.shifts_by(cause));
-    let drawn: Vec<Vec<f64>> = (0..PLAYS)
-        .map(|k| {
-            let day = day_deg * normal();
-            let new = first..first + runs.len();
-            new.map(|i| shifts[k % 2][i] + day + repeat_deg * before.weights[i] * normal()).collect()
-        })
-        .collect();
-    let seen: Vec<_> = asked
-        .iter()
-        .zip(&drawn[0])
-        .map(|((powder, conditions, _), shift)| (*powder, conditions.clone(), Some(before.centres[*powder] + shift)))
-        .collect();
-    let (with_runs, _) = extended(campaign, session, &seen);
-    let after = Prepared::new(&with_runs, responses)?;
-    let old = posterior.observed();
-    let all = DMatrix::from_fn(old.len() + runs.len(), PLAYS, |i, k| match i.checked_sub(old.len()) {
-        None => old[i],
-        Some(new) => drawn[k][new],
-    });
-    let of = |cause: &Cause| after.hypotheses.iter().find(|it| it.cause == *cause);
-    let [Some(one), Some(other)] = causes.map(of) else { return Ok([0.0, 0.5]) };
-    let odds = after.log_odds(&[one, other], &all);
-    let prior = [one.prior.ln(), other.prior.ln()];
-    // Weighted as probable as each cause is now.
-    let now = causes.map(|cause| posterior.inclusion_of(cause).max(0.05));
-    let (mut resolved, mut expected, mut total) = (0.0, 0.0, 0.0);
-    for (k, (of_one, of_other)) in odds[0].iter().zip(&odds[1]).enumerate() {
-        let lead = of_one + prior[0] - of_other - prior[1];
-        let share = 1.0 / (1.0 + (if k % 2 == 0 { -lead } else { lead }).exp());
-        let weight = now[k % 2];
-        total += weight;
-        expected += weight * share;
-        resolved += weight * f64::from(u8::from(share >= CLAIM));
+/// What a candidate is played with.
+struct Game<'a> {
+    campaign: &'a Campaign,
+    responses: &'a Responses,
+    prepared: &'a Prepared,
+    causes: [&'a Cause; 2],
+    /// How probable each is now.
+    now: [f64; 2],
+    session: usize,
+}
+
+impl Game<'_> {
+    /// How often the right cause holds the probability, and how much it holds on average. `shifts`: what either adds to each run.
+    fn play(&self, runs: &[Planned], shifts: [&[f64]; 2], seed: u64) -> Result<[f64; 2], FieldError> {
+        let old = &self.prepared.observed;
+        let mut rng = Pcg64::seed_from_u64(derive(seed, &[0x504c_4159]));
+        let mut normal = || normal::quantile(rng.random::<f64>().clamp(1e-12, 1.0 - 1e-12));
+        let repeat_deg = self.prepared.repeat_sd_deg(old);
+        let mut draw = |k: usize| -> Vec<f64> {
+            let day = DAY * repeat_deg * normal();
+            shifts[k % 2].iter().map(|shift| shift + day + repeat_deg * normal()).collect()
+        };
+        let drawn: Vec<Vec<f64>> = (0..PLAYS).map(&mut draw).collect();
+        let measured: Vec<_> = runs
+            .iter()
+            .zip(&drawn[0])
+            .map(|((powder, at), shift)| (*powder, at.clone(), Some(self.prepared.centres[*powder] + shift)))
+            .collect();
+        let (with_runs, _) = extended(self.campaign, self.session, &measured);
+        let after = Prepared::new(&with_runs, self.responses)?;
+        let all = DMatrix::from_fn(old.len() + runs.len(), PLAYS, |i, k| match i.checked_sub(old.len()) {
+            None => old[i],
+            Some(new) => drawn[k][new],
+        });
+        let of = |cause: &Cause| after.hypotheses.iter().find(|it| it.cause == *cause);
+        let [Some(one), Some(other)] = self.causes.map(of) else { return Ok([0.0, 0.5]) };
+        let odds = after.log_odds(&[one, other], &all);
+        let (mut resolved, mut expected, mut total) = (0.0, 0.0, 0.0);
+        for (k, (of_one, of_other)) in odds[0].iter().zip(&odds[1]).enumerate() {
+            let lead = of_one + one.prior.ln() - of_other - other.prior.ln();
+            let share = 1.0 / (1.0 + (if k % 2 == 0 { -lead } else { lead }).exp());
+            let weight = self.now[k % 2];
+            total += weight;
+            expected += weight * share;
+            resolved += weight * f64::from(u8::from(share >= CLAIM));
+        }
+        Ok([resolved / total, expected / total])
     }
-    Ok([resolved / total, expected / total])
 }
 
 /// Minutes at the bench: the runs, the rests one after another, and half an hour for each humidity that a chamber has to reach.

@@ -32,6 +32,7 @@ mod hypothesis;
 mod investigate;
 mod law;
 mod noise;
+pub mod numerics;
 mod posterior;
 pub mod report;
 mod scenario;

@@ -159,11 +159,6 @@ impl<'a> Posterior<'a> {
         h.map_or(0.0, |h| self.inclusion[h])
     }
 
-    /// Measured angles less their powder's centre.
-    pub fn observed(&self) -> &[f64] {
-        &self.prepared.observed
-    }
-
     /// What a cause most probably grows with.
     pub fn law(&self, cause: &Cause) -> Option<&'a str> {
         let f = self.best_feature(cause)?;

@@ -1,12 +1,15 @@
 //! What a cause would do to the runs of a campaign, up to its size: one column common to all powders, and one for each powder's own deviation.
 
 use super::campaign::Campaign;
+use super::scenario::quantile;
 use nalgebra::DMatrix;
 
 /// How much powders may differ in a cause, over what they share. A cause that acts on one powder alone is as likely as one that acts on all where this is 1.
 pub const DEVIATIONS: [f64; 2] = [0.3, 1.0];
 /// Most smooth functions of an uncatalogued covariate.
 const SMOOTH_MAX: usize = 5;
+/// Places of a covariate at which smooth functions are made.
+const KNOTS: usize = 40;
 /// Variance of a smooth function over that of the first, below which it is left out.
 const SMOOTH_MIN: f64 = 1e-3;
 
@@ -37,22 +40,26 @@ impl Course {
     }
 
     /// A smooth function of a covariate, nobody knows which: the principal functions of a Gaussian process with a Gaussian kernel whose length
-    /// scale is this share of the covariate's range, over the measured runs; elsewhere as Nystrom has it, through the kernel.
+    /// scale is this share of the covariate's range, at up to [`KNOTS`] quantiles of the measured runs; elsewhere as Nystrom has it, through the
+    /// kernel.
     pub fn smooth(values: &[f64], length_share: f64, campaign: &Campaign) -> Option<Self> {
-        let measured = campaign.measured();
-        let of = |pick: fn(f64, f64) -> f64, from: f64| measured.iter().map(|&i| values[i]).fold(from, pick);
-        let length = length_share * (of(f64::max, f64::MIN) - of(f64::min, f64::MAX)).max(f64::MIN_POSITIVE);
+        let mut known: Vec<f64> = campaign.measured().iter().map(|&i| values[i]).collect();
+        known.sort_by(f64::total_cmp);
+        let (low, high) = (*known.first()?, *known.last()?);
+        let mut knots: Vec<f64> =
+            (0..KNOTS).filter_map(|k| quantile(&known, (k as f64 + 0.5) / KNOTS as f64)).collect();
+        knots.dedup();
+        let length = length_share * (high - low).max(f64::MIN_POSITIVE);
         let kernel = |a: f64, b: f64| (-0.5 * ((a - b) / length).powi(2)).exp();
-        let among =
-            DMatrix::from_fn(measured.len(), measured.len(), |i, j| kernel(values[measured[i]], values[measured[j]]));
+        let among = DMatrix::from_fn(knots.len(), knots.len(), |i, j| kernel(knots[i], knots[j]));
         let principal = among.symmetric_eigen();
-        let mut order: Vec<usize> = (0..measured.len()).collect();
+        let mut order: Vec<usize> = (0..knots.len()).collect();
         order.sort_by(|&a, &b| principal.eigenvalues[b].total_cmp(&principal.eigenvalues[a]));
         order.truncate(SMOOTH_MAX);
         let first = principal.eigenvalues[*order.first()?];
         order.retain(|&k| principal.eigenvalues[k] > SMOOTH_MIN * first);
-        let to_measured = DMatrix::from_fn(values.len(), measured.len(), |i, j| kernel(values[i], values[measured[j]]));
-        let mut columns = to_measured * principal.eigenvectors.select_columns(&order);
+        let to_knots = DMatrix::from_fn(values.len(), knots.len(), |i, j| kernel(values[i], knots[j]));
+        let mut columns = to_knots * principal.eigenvectors.select_columns(&order);
         for (mut column, &k) in columns.column_iter_mut().zip(&order) {
             column /= principal.eigenvalues[k].sqrt();
         }
