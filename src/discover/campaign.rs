@@ -107,6 +107,35 @@ impl Campaign {
         rest
     }
 
+    /// The same with another's runs behind, without their angles: rows to predict. What the other recorded and this one did not is left out; names
+    /// that this one never saw are as if not recorded.
+    pub fn joined(&self, other: &Self) -> Self {
+        let mut all = self.clone();
+        let session = all.runs.iter().map(|run| run.session + 1).max().unwrap_or(0);
+        let known = |powder: &String| self.powders.iter().position(|it| it == powder);
+        all.powders.extend(other.powders.iter().filter(|powder| known(powder).is_none()).cloned());
+        let place = |powder: usize| all.powders.iter().position(|it| *it == other.powders[powder]).unwrap_or(0);
+        let moved =
+            |run: &Run| Run { powder: place(run.powder), session: session + run.session, repose_deg: None, ..*run };
+        let runs: Vec<Run> = other.runs.iter().map(moved).collect();
+        all.runs.extend(runs);
+        for Covariate { name, values } in &mut all.covariates {
+            match (values, other.values(name)) {
+                (Values::Numbers(of), Some(Values::Numbers(more))) => of.extend(more),
+                (Values::Levels { names, of }, Some(Values::Levels { names: theirs, of: more })) => {
+                    let level = |level: &Option<usize>| {
+                        let name = &theirs[(*level)?];
+                        names.iter().position(|it| it == name)
+                    };
+                    of.extend(more.iter().map(level));
+                }
+                (Values::Numbers(of), _) => of.resize(of.len() + other.runs.len(), None),
+                (Values::Levels { of, .. }, _) => of.resize(of.len() + other.runs.len(), None),
+            }
+        }
+        all
+    }
+
     /// Powder of each run.
     pub fn powder_of(&self) -> Vec<usize> {
         self.runs.iter().map(|run| run.powder).collect()

@@ -1,6 +1,6 @@
 //! The whole of an investigation: from a campaign to a report.
 
-use super::campaign::Campaign;
+use super::campaign::{Campaign, Run};
 use super::detectable::detectable;
 use super::effects::{curves, findings};
 use super::experiment::{experiment, settling};
@@ -16,6 +16,7 @@ use super::screen::{Prepared, Screening, Settings, screen_prepared};
 use super::words;
 use crate::domain::FieldError;
 use crate::domain::job::Progress;
+use crate::stats::summary::mean;
 use std::ops::ControlFlow;
 
 /// Chance of a false alarm that is accepted.
@@ -115,6 +116,16 @@ pub fn investigate(
         judgement.told.first().filter(|_| report.verdict == Verdict::Cause).and_then(|cause| posterior.law(cause));
     report.sentence = words::sentence(&report, law);
     Ok(Some(report))
+}
+
+/// What runs read that were not measured, by the simulator as it was and as a campaign extends it: one row for each run without an angle.
+///
+/// # Errors
+/// A campaign whose runs say nothing of their noise.
+pub fn predict(campaign: &Campaign, responses: &Responses) -> Result<Vec<Row>, FieldError> {
+    let prepared = Prepared::new(campaign, responses)?;
+    let rows = rows(campaign, &Posterior::new(&prepared), true);
+    Ok(rows.into_iter().filter(|row| row.measured_deg.is_none()).collect())
 }
 
 /// What the posterior amounts to.
@@ -285,26 +296,24 @@ fn blank(screening: &Screening, base: &str) -> Report {
 /// Every row of the file, before and after; repeats of a summary are one row. Where nothing is found, after is before.
 fn rows(campaign: &Campaign, posterior: &Posterior<'_>, is_found: bool) -> Vec<Row> {
     let predicted = posterior.predict(campaign);
-    let mut rows: Vec<Row> = Vec::new();
-    for (run, [before, after]) in campaign.runs.iter().zip(predicted) {
-        if rows.last().is_some_and(|last| last.row == run.row) {
-            continue;
-        }
+    let known = |mean: f64| mean.is_finite().then_some(mean);
+    let mut next = 0;
+    let row = |repeats: &[Run]| {
+        let [before, after] = predicted[next];
+        next += repeats.len();
         let after = if is_found { after } else { before };
-        let known = |mean: f64| mean.is_finite().then_some(mean);
-        let repeats = campaign.runs.iter().filter(|other| other.row == run.row);
-        let angles: Vec<f64> = repeats.filter_map(|run| run.repose_deg).collect();
-        rows.push(Row {
-            row: run.row,
-            powder: campaign.powders[run.powder].clone(),
-            measured_deg: crate::stats::summary::mean(&angles),
+        Row {
+            row: repeats[0].row,
+            powder: campaign.powders[repeats[0].powder].clone(),
+            measured_deg: mean(&repeats.iter().filter_map(|run| run.repose_deg).collect::<Vec<_>>()),
             before_deg: known(before.mean_deg),
             before_sd_deg: before.sd_deg,
             after_deg: known(after.mean_deg),
             after_sd_deg: after.sd_deg,
-        });
-    }
-    rows
+        }
+    };
+    let same = |a: &Run, b: &Run| a.row == b.row && a.repose_deg.is_some() == b.repose_deg.is_some();
+    campaign.runs.chunk_by(same).map(row).collect()
 }
 
 fn causes(prepared: &Prepared, posterior: &Posterior<'_>, findings: &[Finding], told: &[Cause]) -> Vec<CauseReport> {

@@ -47,7 +47,7 @@ pub use campaign::repeats_of;
 pub use campaign::{Campaign, Covariate, Run, Values};
 pub use catalogue::{Family, Mechanism};
 pub use hypothesis::{Cause, Responses, Untestable};
-pub use investigate::investigate;
+pub use investigate::{investigate, predict};
 pub use posterior::Predicted;
 pub use report::Report;
 pub use screen::{Judged, Screening, Settings, screen};

@@ -273,3 +273,29 @@ fn probabilities_of_two_causes_are_of_two_causes() {
     assert!(claimed.contains(&"operator") && claimed.contains(&"rest_time"), "{claimed:?}");
     assert_eq!(report.findings.len(), claimed.len());
 }
+
+#[test]
+fn new_days_are_predicted_by_what_the_old_ones_showed() {
+    let effect = |lab: &Laboratory, i: usize| ((lab.humidity[i] - 30.0) / 40.0).clamp(0.0, 1.0).powf(1.7);
+    let old = Laboratory::new(7).campaign(1.5, effect);
+    let mut new = Laboratory::new(8).campaign(1.5, effect);
+    // Another order of powders, and one that nobody has measured.
+    new.powders = ["sugar", "sand", "salt", "semolina", "lactose"].map(str::to_owned).to_vec();
+    let joined = old.joined(&new);
+    assert_eq!((joined.runs.len(), joined.powders.len(), joined.measured().len()), (400, 6, 200));
+    assert_eq!(joined.runs[200].session, 20);
+    let rows = predict(&joined, &Responses::new()).unwrap();
+    assert_eq!(rows.len(), 200);
+    let before: std::collections::BTreeSet<String> =
+        rows.iter().filter(|row| row.powder == "sugar").map(|row| format!("{:?}", row.before_deg)).collect();
+    assert_eq!(before.len(), 1, "the simulator as it was knows one angle of a powder");
+    let humid = |row: &&report::Row| {
+        new.runs.iter().zip(0..).any(|(run, i)| {
+            let Values::Numbers(h) = &new.covariates[0].values else { panic!() };
+            run.row == row.row && h[i].unwrap() > 60.0
+        })
+    };
+    let humid: Vec<_> = rows.iter().filter(humid).filter(|row| row.powder == "sand").collect();
+    assert!(!humid.is_empty() && humid.iter().all(|row| row.after_deg > row.before_deg));
+    assert!(rows.iter().filter(|row| row.powder == "lactose").all(|row| row.before_deg.is_none()));
+}
