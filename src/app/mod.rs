@@ -4,6 +4,7 @@ mod calibrations;
 mod check;
 mod comparison;
 mod counts;
+mod csv_file;
 mod error;
 mod evaluations;
 mod events;
