@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-const COMMANDS: [&str; 15] = [
+const COMMANDS: [&str; 16] = [
     "serve",
     "demo",
     "repose",
@@ -18,6 +18,7 @@ const COMMANDS: [&str; 15] = [
     "measurements",
     "train",
     "evaluate",
+    "discover",
     "policy",
     "weigh",
     "jobs",
@@ -125,7 +126,7 @@ fn validate_prints_what_it_measured_and_knows_its_checks_by_name() {
 #[test]
 fn bad_input_exits_2_and_names_the_field() {
     let folder = tempfile::tempdir().unwrap();
-    let cases: [(&[&str], &str); 29] = [
+    let cases: [(&[&str], &str); 32] = [
         (&["repose", "--friction", "1.31"], "friction: must be a number from 0 to 1.3"),
         (&["repose", "--cohesion", "NaN"], "cohesion: must be a number from 0 to 1.2"),
         (&["repose", "--particle-diameter-mm", "-1"], "particle_diameter_mm"),
@@ -154,6 +155,9 @@ fn bad_input_exits_2_and_names_the_field() {
         (&["serve", "--listen", "0.0.0.0:0"], "listen: 0.0.0.0:0"),
         (&["policy", "show", "--policy", "p-0"], "policy: there is no policy"),
         (&["policy", "infer", "--file", "gone.safetensors", "--stdin"], "file: gone.safetensors"),
+        (&["discover", "--measurements", "nowhere.csv", "--out", "found"], "measurements: nowhere.csv cannot be read"),
+        (&["discover", "--measurements", "m.csv"], "--out"),
+        (&["discover", "--measurements", "m.csv", "--traces", "t.csv", "--out", "found"], "traces: are not read yet"),
         (&["evaluate", "--extension", "rotation"], "extension: must be a name, an equals sign and a number"),
     ];
     for (arguments, named) in cases {
@@ -211,6 +215,101 @@ fn measurements_come_from_a_file_and_go_back_into_one() {
     assert_eq!(export(&other), exported);
     let all = document(&flip(&data, &["measurements", "export", "--json"]));
     assert_eq!((all["measurements"].as_array().unwrap().len(), all["observations"].as_array().unwrap().len()), (11, 1));
+}
+
+/// Twelve days, two runs each of three powders, all the steeper the damper the day.
+fn campaign() -> String {
+    let mut text = String::from("powder,repose_deg,session,relative_humidity_pct\n");
+    for run in 0..72_u32 {
+        let (day, powder) = (run / 6, (run % 3) as usize);
+        let humidity = 30 + (day * 17) % 40;
+        let noise = f64::from((run * 7919) % 100) / 50.0 - 1.0;
+        let angle = [36.0, 31.0, 29.0][powder] + 0.125 * f64::from(humidity) + noise;
+        text += &format!("{},{angle:.2},{day},{humidity}\n", ["salt", "sugar", "flour_7"][powder]);
+    }
+    text
+}
+
+#[test]
+fn discover_writes_the_same_files_on_any_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("m.csv");
+    std::fs::write(&file, campaign()).unwrap();
+    let with = |threads: &str| {
+        let (data, out) =
+            (folder.path().join(format!("data{threads}")), folder.path().join(format!("a/found{threads}")));
+        let (file, out_name) = (file.to_str().unwrap(), out.to_str().unwrap());
+        let arguments = ["discover", "--measurements", file, "--simulations", "99", "--out", out_name, "--json"];
+        let output = command(&data, &arguments).env("RAYON_NUM_THREADS", threads).output().unwrap();
+        expect_status(&output, 0);
+        let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
+        let mut report = document(&output);
+        assert_eq!(report, serde_json::from_str::<Value>(&read("report.json")).unwrap(), "the document is the file");
+        assert!(report["wall_s"].as_f64().unwrap() > 0.0);
+        report.as_object_mut().unwrap().remove("wall_s");
+        let names = std::fs::read_dir(&out).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        assert_eq!(
+            names.collect::<std::collections::BTreeSet<_>>(),
+            ["predict.csv", "report.json"].map(str::to_owned).into()
+        );
+        (serde_json::to_string(&report).unwrap(), read("predict.csv"))
+    };
+    let (report, predicted) = with("1");
+    assert_eq!((&report, &predicted), (&with("3").0, &with("3").1));
+    let report: Value = serde_json::from_str(&report).unwrap();
+    assert!(report["p_value"].as_f64().unwrap() <= 0.02 && report["verdict"].is_string(), "{report}");
+    assert_eq!(report["causes"][0]["family"], "moisture");
+    assert_eq!(predicted.lines().next(), Some("row,powder,before_deg,before_sd_deg,after_deg,after_sd_deg"));
+    assert_eq!(predicted.lines().count(), 73);
+    assert!(predicted.lines().nth(3).unwrap().starts_with("4,flour_7,3"), "{predicted}");
+}
+
+#[test]
+fn discover_prints_a_text_and_refuses_a_bad_file_before_anything_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, out) = (folder.path().join("m.csv"), folder.path().join("found"));
+    let (data, arguments) = (
+        folder.path().join("data"),
+        [
+            "discover",
+            "--measurements",
+            file.to_str().unwrap(),
+            "--simulations",
+            "99",
+            "--budget-runs",
+            "0",
+            "--out",
+            out.to_str().unwrap(),
+        ],
+    );
+    let latin = [campaign().as_bytes(), b"salt,36,12,40\nsucr\xe9,36,12,40\n"].concat();
+    let steep = campaign().replacen("sugar,3", "sugar,93", 1);
+    let few: String = campaign().lines().take(15).map(|line| format!("{line}\n")).collect();
+    for (bytes, named) in [
+        (steep.as_bytes(), "row[3].repose_deg: must be a number from 5 to 85 deg"),
+        (&latin, "row[75]: is not UTF-8 text"),
+        (few.as_bytes(), "measurements: 14 runs of 3 powders say nothing"),
+    ] {
+        std::fs::write(&file, bytes).unwrap();
+        let output = flip(&data, &arguments);
+        expect_status(&output, 2);
+        assert!(stderr(&output).contains(named), "{named}: {}", stderr(&output));
+    }
+    assert!(!out.exists());
+    assert_eq!(document(&flip(&data, &["jobs", "--json"]))["items"], json!([]));
+
+    std::fs::write(&file, campaign()).unwrap();
+    let output = flip(&data, &arguments);
+    expect_status(&output, 0);
+    let text = String::from_utf8(output.stdout).unwrap();
+    for said in ["verdict ", "p = 0.01", "moisture", "rest_min was not recorded", "report.json and predict.csv are in"]
+    {
+        assert!(text.contains(said), "{said} is missing in {text}");
+    }
+    assert_eq!(
+        document(&flip(&data, &["jobs", "--kind", "investigation", "--json"]))["items"].as_array().unwrap().len(),
+        1
+    );
 }
 
 #[test]

@@ -20,8 +20,8 @@ pub enum Error {
     /// The request is right but not now: something is missing, in use, or already there.
     #[error("{message}")]
     Conflict {
-        /// Stable name: `powder_exists`, `measurement_missing`, `calibration_missing`, `calibration_unfinished`, `job_finished`,
-        /// `weighing_finished`.
+        /// Stable name: `powder_exists`, `measurement_missing`, `calibration_missing`, `calibration_unfinished`,
+        /// `investigation_unfinished`, `job_finished`, `weighing_finished`.
         code: &'static str,
         /// What is in the way and which command or endpoint helps.
         message: String,

@@ -4,6 +4,7 @@
 //! gathered into one measurement in the place of the first of them. What [`write`] writes, [`read`] reads.
 
 use super::check::Check;
+use super::csv_file::{Cells, CsvFile, REFUSALS_MAX, Refused, at};
 use super::{Error, Result};
 use crate::domain::FieldError;
 use crate::domain::observable::{Observable, Observation, SD_MIN};
@@ -11,11 +12,6 @@ use crate::domain::powder::{Flowability, HeapReadings, Method, mean_and_sd, powd
 use crate::store::observations::PowderObservation;
 use crate::store::powders::Measurement;
 use std::collections::HashMap;
-
-/// Most rows of a file.
-const ROWS_MAX: usize = 20_000;
-/// Refusals after which reading stops: a wrong delimiter makes every row wrong.
-const REFUSALS_MAX: usize = 50;
 
 /// Every column, in the order of an export.
 const COLUMNS: [&str; 22] = [
@@ -105,96 +101,44 @@ struct Group {
     summary: Option<Value>,
 }
 
-/// A refusal of a cell.
-fn at(row: usize, column: &str, message: impl Into<String>) -> FieldError {
-    FieldError::new(format!("row[{row}].{column}"), message)
-}
-
 /// Everything that a file says, in the order of its rows.
 ///
 /// # Errors
 /// Every wrong cell by row and column, up to 50; an unknown, missing or repeated column by name.
 pub(super) fn read(text: &str) -> Result<Vec<Entry>> {
-    let mut reader = csv::ReaderBuilder::new().from_reader(text.as_bytes());
-    let header = reader.headers().map_err(|error| unreadable(1, &error))?.clone();
-    let columns = columns(&header)?;
-    let mut refusals = Vec::new();
     let mut groups = Groups::default();
-    let mut rows = 0;
-    for (k, record) in reader.records().enumerate() {
-        let row = k + 2;
-        let record = record.map_err(|error| unreadable(row, &error))?;
-        if record.iter().all(|cell| cell.trim().is_empty()) {
-            continue;
-        }
-        rows += 1;
-        if rows > ROWS_MAX {
-            let advice = format!("is one too many: a file may hold {ROWS_MAX} rows; split it");
-            return Err(FieldError::new(format!("row[{row}]"), advice).into());
-        }
-        let filled = columns.iter().copied().zip(record.iter()).filter(|(_, cell)| !cell.trim().is_empty());
-        if let Err(wrong) = (Row { row, cells: filled.collect() }).read(&mut groups) {
-            refusals.extend(wrong);
-        }
-        if refusals.len() >= REFUSALS_MAX {
-            break;
-        }
-    }
-    if rows == 0 {
-        return Err(FieldError::new("row[2]", "is missing: the file has no row below its header").into());
-    }
+    let file = CsvFile::open(text, check_header)?;
+    let mut refusals = file.rows(|cells| Row { row: cells.row, cells }.read(&mut groups))?;
     let entries: Vec<_> =
         groups.list.into_iter().filter_map(|group| group.entry().map_err(|e| refusals.push(e)).ok()).collect();
     refusals.truncate(REFUSALS_MAX);
     if refusals.is_empty() { Ok(entries) } else { Err(Error::Invalid(refusals)) }
 }
 
-fn unreadable(row: usize, error: &csv::Error) -> Error {
-    let field = if row == 1 { "header".to_owned() } else { format!("row[{row}]") };
-    let message = match error.kind() {
-        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
-            format!("has {len} cells where the header has {expected_len}: quote cells that hold a comma")
-        }
-        _ => "is not UTF-8 text: save the file as CSV UTF-8".to_owned(),
-    };
-    FieldError::new(field, message).into()
-}
-
-fn columns(header: &csv::StringRecord) -> Result<Vec<&'static str>> {
-    let mut check = Check::default();
-    let mut found = Vec::new();
-    for name in header.iter().map(str::trim) {
-        match COLUMNS.iter().find(|column| **column == name) {
-            Some(column) if found.contains(column) => check.refuse(name, "stands twice in the header"),
-            Some(column) => found.push(*column),
-            None => check.refuse(name, format!("is no column that is known here; these are: {}", COLUMNS.join(", "))),
-        }
+fn check_header(header: &[String], check: &mut Check) {
+    for name in header.iter().filter(|name| !COLUMNS.contains(&name.as_str())) {
+        check.refuse(name, format!("is no column that is known here; these are: {}", COLUMNS.join(", ")));
     }
-    if !found.contains(&"powder") {
+    if !header.iter().any(|name| name == "powder") {
         check.refuse("powder", "is missing in the header: the column with the powder's id");
     }
-    check.done()?;
-    Ok(found)
 }
 
-/// The filled cells of a row.
+/// One row.
 struct Row<'a> {
     row: usize,
-    cells: HashMap<&'static str, &'a str>,
+    cells: &'a Cells<'a>,
 }
-
-type Refused<T> = std::result::Result<T, Vec<FieldError>>;
 
 impl Row<'_> {
     fn read(&self, groups: &mut Groups) -> Refused<()> {
         let row = self.row;
         let mut check = Check::default();
-        let text = |column| self.cells.get(column).map_or("", |cell| cell.trim());
-        let powder = match text("powder") {
+        let powder = match self.cells.text("powder") {
             "" => check.keep(Err(at(row, "powder", "is missing"))),
             id => check.keep(powder_id(&format!("row[{row}].powder"), id)),
         };
-        let method = match text("method") {
+        let method = match self.cells.text("method") {
             "" | "automated" => Method::Automated,
             "manual" => Method::Manual,
             other => {
@@ -202,13 +146,10 @@ impl Row<'_> {
                 Method::Automated
             }
         };
-        let source = self.cells.get("source").copied().unwrap_or_default();
+        let source = self.cells.written("source");
         check.source(&format!("row[{row}].source"), source);
-        let n = self.cells.get("n").and_then(|cell| {
-            let count = cell.trim().parse::<u32>();
-            check.keep(count.map_err(|_| at(row, "n", format!("must be a whole number of repeats, got `{cell}`"))))
-        });
-        let given: Vec<&Quantity> = QUANTITIES.iter().filter(|q| self.cells.contains_key(q.value)).collect();
+        let n = check.keep(self.cells.repeats("n")).flatten();
+        let given: Vec<&Quantity> = QUANTITIES.iter().filter(|q| self.cells.holds(q.value)).collect();
         self.check_columns(&given, &mut check);
         let mut found = Vec::new();
         for quantity in &given {
@@ -229,13 +170,13 @@ impl Row<'_> {
         if given.is_empty() {
             check.refuse(&format!("row[{row}]"), format!("holds no measured value: fill one of {values}"));
         }
-        if self.cells.contains_key(ANGLE.value) && self.cells.contains_key(HEAP.value) {
+        if self.cells.holds(ANGLE.value) && self.cells.holds(HEAP.value) {
             check.refuse(
                 &format!("row[{row}].height_mm"),
                 "stands beside `repose_deg`, which is the same angle: leave one empty",
             );
         }
-        for column in COLUMNS.iter().filter(|column| self.cells.contains_key(*column)) {
+        for column in COLUMNS.iter().filter(|column| self.cells.holds(column)) {
             let uses = |q: &&Quantity| {
                 q.value == *column || q.sd == *column || q.settings.contains(column) || q.option == *column
             };
@@ -256,8 +197,8 @@ impl Row<'_> {
         method: Method,
         n: Option<u32>,
     ) -> std::result::Result<(&'static str, Subject, Measured), FieldError> {
-        let (row, value) = (self.row, self.number(quantity.value)?);
-        let is_summary = self.cells.contains_key("n");
+        let (row, value) = (self.row, self.cells.number(quantity.value)?);
+        let is_summary = self.cells.holds("n");
         let sd = match (is_summary, quantity.sd) {
             (true, "") => {
                 return Err(at(
@@ -266,8 +207,8 @@ impl Row<'_> {
                     format!("does not go with {}, which is one heap: leave it empty", quantity.value),
                 ));
             }
-            (true, column) => self.number(column)?,
-            (false, column) if self.cells.contains_key(column) => {
+            (true, column) => self.cells.number(column)?,
+            (false, column) if self.cells.holds(column) => {
                 return Err(at(
                     row,
                     column,
@@ -284,10 +225,10 @@ impl Row<'_> {
                 if is_summary { Measured::Summary(Value::Angle(method, angle)) } else { Measured::Repeat(value) };
             return Ok((quantity.value, Subject::Angle(method), measured));
         }
-        let setting = |k: usize| self.number(quantity.settings[k]);
+        let setting = |k: usize| self.cells.number(quantity.settings[k]);
         if quantity.value == HEAP.value {
             let funnel_height_mm =
-                self.cells.contains_key(quantity.option).then(|| self.number(quantity.option)).transpose()?;
+                self.cells.holds(quantity.option).then(|| self.cells.number(quantity.option)).transpose()?;
             let heap = HeapReadings { heights_mm: &[value], base_diameters_mm: &[setting(0)?], funnel_height_mm };
             let angles = heap.angles_deg().map_err(|error| self.renamed(quantity, error))?;
             return Ok((quantity.value, Subject::Angle(method), Measured::Repeat(angles[0])));
@@ -305,12 +246,6 @@ impl Row<'_> {
         let measured =
             if is_summary { Measured::Summary(Value::Observed(observation)) } else { Measured::Repeat(value) };
         Ok((quantity.value, Subject::Observed(observable), measured))
-    }
-
-    fn number(&self, column: &str) -> std::result::Result<f64, FieldError> {
-        let cell = self.cells.get(column).ok_or_else(|| at(self.row, column, "is missing"))?.trim();
-        let number = cell.parse::<f64>().ok().filter(|number| number.is_finite());
-        number.ok_or_else(|| at(self.row, column, format!("must be a number with a decimal point, got `{cell}`")))
     }
 
     /// A refusal in terms of the file: the domain's field is one of its columns.

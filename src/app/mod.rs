@@ -1,13 +1,16 @@
 //! What FLIP can do, in plain Rust. REST, gRPC, the command line and the demonstration all call this.
 
 mod calibrations;
+mod campaign_csv;
 mod check;
 mod comparison;
 mod counts;
+mod csv_file;
 mod error;
 mod evaluations;
 mod events;
 mod inference;
+mod investigations;
 mod jobs;
 mod measurement_csv;
 mod measurements;
@@ -17,6 +20,7 @@ mod tokens;
 mod trainings;
 mod weighings;
 
+pub use crate::discover::report::{Report, Verdict};
 pub use crate::domain::FieldError;
 pub use crate::domain::job::{JobKind, JobState, Progress};
 pub use crate::domain::observable::Observable;
@@ -48,6 +52,7 @@ pub use error::{Error, Result};
 pub use evaluations::{Evaluation, EvaluationRequest};
 pub use events::Topic;
 pub use inference::{Driver, Driving, Proposal};
+pub use investigations::{Investigation, InvestigationRequest, predictions_csv};
 pub use measurements::{Imported, Measured, NewMeasurement, NewObservation};
 pub use powders::{NewPowder, PowderDetail};
 pub use trainings::{Training, TrainingLevel, TrainingRequest};

@@ -30,6 +30,7 @@ enum KindFlag {
     Calibration,
     Training,
     Evaluation,
+    Investigation,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -72,6 +73,7 @@ impl From<KindFlag> for JobKind {
             KindFlag::Calibration => Self::Calibration,
             KindFlag::Training => Self::Training,
             KindFlag::Evaluation => Self::Evaluation,
+            KindFlag::Investigation => Self::Investigation,
         }
     }
 }

@@ -41,7 +41,7 @@ enum Action {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.action {
         Action::Import { file, create } => {
-            let csv = read(file)?;
+            let csv = read("file", file)?;
             let imported = with_writer(common, async |app| Ok(app.import_measurements(&csv, *create).await?))?;
             common.print(&imported, || text(&imported))
         }
@@ -52,11 +52,17 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     }
 }
 
-fn read(file: &Path) -> Result<String, Failure> {
-    let unreadable = |error| FieldError::new("file", format!("{} cannot be read: {error}", file.display()));
+/// The text of the file that `field` names.
+pub(super) fn read(field: &str, file: &Path) -> Result<String, Failure> {
+    let unreadable = |error| FieldError::new(field, format!("{} cannot be read: {error}", file.display()));
     let bytes = std::fs::read(file).map_err(unreadable)?;
-    let text = String::from_utf8(bytes);
-    Ok(text.map_err(|_| FieldError::new("file", format!("{} is not UTF-8 text", file.display())))?)
+    let not_text = |error: std::string::FromUtf8Error| {
+        let before = &error.as_bytes()[..error.utf8_error().valid_up_to()];
+        let row = 1 + before.iter().filter(|byte| **byte == b'\n').count();
+        let advice = format!("is not UTF-8 text: save {} as CSV UTF-8", file.display());
+        FieldError::new(format!("row[{row}]"), advice)
+    };
+    Ok(String::from_utf8(bytes).map_err(not_text)?)
 }
 
 fn text(imported: &Imported) -> String {

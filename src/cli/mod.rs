@@ -9,6 +9,7 @@ mod bench;
 mod calibrate;
 mod compare;
 mod demo;
+mod discover;
 mod evaluate;
 mod failure;
 mod health;
@@ -84,11 +85,13 @@ enum Command {
     Evaluate(evaluate::Arguments),
     /// List and export policies, and ask one for its next action.
     Policy(policy::Arguments),
+    /// Ask measured angles of repose what the simulator gets wrong, and why.
+    Discover(discover::Arguments),
     /// Weigh one dose on the simulated bench.
     Weigh(weigh::Arguments),
     /// Time the simulator, also beside other simulators.
     Bench(bench::Arguments),
-    /// List calibrations, trainings and evaluations, also while a server runs.
+    /// List calibrations, trainings, evaluations and investigations, also while a server runs.
     Jobs(jobs::Arguments),
     /// Make API tokens.
     Token(token::Arguments),
@@ -130,6 +133,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Train(arguments) => train::run(common, arguments),
         Command::Evaluate(arguments) => evaluate::run(common, arguments),
         Command::Policy(arguments) => policy::run(common, arguments),
+        Command::Discover(arguments) => discover::run(common, arguments),
         Command::Weigh(arguments) => weigh::run(common, arguments),
         Command::Bench(arguments) => bench::run(common, arguments),
         Command::Jobs(arguments) => jobs::run(common, arguments),

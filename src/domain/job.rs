@@ -12,6 +12,8 @@ pub enum JobKind {
     Training,
     /// A policy's errors on the simulated bench.
     Evaluation,
+    /// Measured angles to what the simulator gets wrong.
+    Investigation,
 }
 
 /// Where a job stands.

@@ -1,7 +1,7 @@
-//! Who computes at the same time: trainings beside everything, calibrations and evaluations one after another.
+//! Who computes at the same time: trainings beside everything, all else one after another.
 //!
-//! The steps of a training follow one another, so one leaves cores idle. A calibration or an evaluation fills every core by itself, and a
-//! calibration leaves an emulator that the next one needs.
+//! The steps of a training follow one another, so one leaves cores idle. A calibration, an evaluation or an investigation fills every core by
+//! itself, and a calibration leaves an emulator that the next one needs.
 
 use crate::domain::job::JobKind;
 use std::sync::Arc;
@@ -30,7 +30,7 @@ impl Lanes {
     pub fn take(&self, kind: JobKind) -> Option<Place> {
         let lane = match kind {
             JobKind::Training => &self.trainings,
-            JobKind::Calibration | JobKind::Evaluation => &self.turns,
+            JobKind::Calibration | JobKind::Evaluation | JobKind::Investigation => &self.turns,
         };
         lane.clone().try_acquire_owned().ok()
     }
@@ -52,6 +52,7 @@ mod tests {
         let lanes = Lanes::new();
         let calibration = lanes.take(JobKind::Calibration).unwrap();
         assert!(lanes.take(JobKind::Evaluation).is_none());
+        assert!(lanes.take(JobKind::Investigation).is_none());
         let trainings: Vec<Place> = std::iter::from_fn(|| lanes.take(JobKind::Training)).collect();
         assert_eq!(trainings.len() as u32, lanes.trainings_max);
         drop(calibration);

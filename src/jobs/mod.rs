@@ -7,7 +7,7 @@
 //!  worker.rs   take a lane (lanes.rs) and claim the row: fence + lease; without either nothing is done, and it is delivered again
 //!     |        lease.rs renews the lease from a thread of its own
 //!     v
-//!  a compute thread: train.rs, several at once | calibrate.rs, evaluate.rs, one at a time
+//!  a compute thread: train.rs, several at once | calibrate.rs, evaluate.rs, investigate.rs, one at a time
 //!              load inputs, call the pure function, save what it finds; every write carries the fence
 //! ```
 //!
@@ -18,6 +18,7 @@ pub mod calibrate;
 mod conditions;
 mod context;
 pub mod evaluate;
+mod investigate;
 mod lanes;
 mod lease;
 pub mod observe;
@@ -30,7 +31,9 @@ mod worker;
 
 pub use conditions::Conditions;
 pub use context::JobError;
-pub use spec::{CalibrationSpec, EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR, TrainingSpec};
+pub use spec::{
+    CalibrationSpec, EvaluationPowder, EvaluationSpec, InvestigationSpec, JobSpec, SIMULATOR, TrainingSpec,
+};
 
 use crate::domain::observable::Observable;
 use crate::domain::parameters::ParameterSet;

@@ -2,6 +2,7 @@
 
 use super::conditions::Conditions;
 use crate::calibrate;
+use crate::discover::{self, Campaign};
 use crate::domain::job::JobKind;
 use crate::domain::observable::Observation;
 use crate::domain::powder::Flowability;
@@ -25,6 +26,8 @@ pub enum JobSpec {
     Training(TrainingSpec),
     /// A policy's errors.
     Evaluation(EvaluationSpec),
+    /// What the simulator gets wrong.
+    Investigation(InvestigationSpec),
 }
 
 /// A calibration to carry out.
@@ -97,6 +100,17 @@ pub struct EvaluationPowder {
     pub sets: Vec<String>,
 }
 
+/// An investigation to carry out.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct InvestigationSpec {
+    /// What was measured, and what was recorded beside it.
+    pub campaign: Campaign,
+    /// How it is judged.
+    pub settings: discover::Settings,
+    /// Version of the simulator: [`SIMULATOR`].
+    pub simulator: String,
+}
+
 impl JobSpec {
     /// What kind of job it makes.
     pub fn kind(&self) -> JobKind {
@@ -104,6 +118,7 @@ impl JobSpec {
             Self::Calibration(_) => JobKind::Calibration,
             Self::Training(_) => JobKind::Training,
             Self::Evaluation(_) => JobKind::Evaluation,
+            Self::Investigation(_) => JobKind::Investigation,
         }
     }
 

@@ -5,6 +5,7 @@ mod comparison;
 mod document;
 mod grpc;
 mod harness;
+mod investigations;
 mod measurements;
 mod protocol;
 mod refusals;

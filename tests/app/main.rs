@@ -2,6 +2,7 @@
 
 mod calibration;
 mod harness;
+mod investigation;
 mod ledger;
 mod registry;
 mod training;

@@ -34,7 +34,7 @@ macro_rules! same_names {
 
 same_names! {
     Method = Method { Automated Manual }
-    JobKind = JobKind { Calibration Training Evaluation }
+    JobKind = JobKind { Calibration Training Evaluation Investigation }
     JobState = JobState { Queued Running Succeeded Failed Cancelled }
     Outcome = Outcome { Within Under Over Stopped Aborted Unknown }
     WeighingState = WeighingState { Planned Armed Dosing Done Aborted Unknown }
@@ -42,6 +42,7 @@ same_names! {
     app::TrialPhase = TrialPhase { Search Verification }
     app::Order = Order { Curriculum Random Reverse DomainRandomisation }
     app::Preset = Preset { Flip Paper }
+    app::Verdict = Verdict { NoDiscrepancy Cause Ambiguous Unexplained }
 }
 
 /// Messages made from our structs: first the fields that move over as they are, then those that need a word.
@@ -191,6 +192,14 @@ same_fields! {
     } {
         ci95_lower_mg: s.ci95[0],
         ci95_upper_mg: s.ci95[1],
+    }
+    i: app::Investigation => Investigation {
+        powders runs sessions covariates simulations seed simulator p_value sentence
+    } {
+        job: Some(i.job.into()),
+        verdict: i.verdict.map(|verdict| proto::Verdict::from(verdict).into()),
+        // Numbers, text and lists: nothing in it is refused by JSON.
+        report_json: i.report.and_then(|report| serde_json::to_string(&report).ok()),
     }
     w: app::Weighing => Weighing {
         id powder target_mg tolerance_lower_mg tolerance_upper_mg policy parameter_set seed

@@ -3,6 +3,7 @@
 mod calibrations;
 mod convert;
 mod evaluations;
+mod investigations;
 mod jobs;
 mod policies;
 mod powders;
@@ -22,6 +23,7 @@ use futures::StreamExt;
 use futures::stream::BoxStream;
 use proto::calibrations_server::CalibrationsServer;
 use proto::evaluations_server::EvaluationsServer;
+use proto::investigations_server::InvestigationsServer;
 use proto::jobs_server::JobsServer;
 use proto::policies_server::PoliciesServer;
 use proto::powders_server::PowdersServer;
@@ -41,13 +43,14 @@ pub mod proto {
 const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/flip.v1.bin"));
 
 /// Names that the health service knows; the empty one is the whole service.
-const SERVICES: [&str; 8] = [
+const SERVICES: [&str; 9] = [
     "",
     "flip.v1.Powders",
     "flip.v1.Calibrations",
     "flip.v1.Trainings",
     "flip.v1.Policies",
     "flip.v1.Evaluations",
+    "flip.v1.Investigations",
     "flip.v1.Weighings",
     "flip.v1.Jobs",
 ];
@@ -84,6 +87,7 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         .add_service(limited!(TrainingsServer))
         .add_service(limited!(PoliciesServer))
         .add_service(limited!(EvaluationsServer))
+        .add_service(limited!(InvestigationsServer))
         .add_service(limited!(WeighingsServer))
         .add_service(limited!(JobsServer))
         .into_axum_router()

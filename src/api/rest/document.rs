@@ -25,6 +25,7 @@ const TOKEN: &str = "token";
         (name = "trainings", description = "From parameter sets to a policy"),
         (name = "policies", description = "Trained policies and their files"),
         (name = "evaluations", description = "A policy's errors on the simulated bench"),
+        (name = "investigations", description = "What the simulator gets wrong, and why"),
         (name = "weighings", description = "Doses of powder"),
         (name = "jobs", description = "Long computations: watch, cancel"),
         (name = "events", description = "Everything that happens, live"),

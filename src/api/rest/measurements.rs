@@ -1,15 +1,15 @@
 //! What was measured of powders: `/v1/powders/{id}/measurements`, `/v1/powders/{id}/observations`, and both as CSV.
 
-use super::created;
 use super::extract::{Csv, Input, Path, Query};
 use super::list::{ListParams, respond};
+use super::{created, csv_file};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::App;
-use crate::app::{Imported, Measured, Measurement, NewMeasurement, NewObservation, Page, PowderObservation};
+use crate::app::{Imported, Measurement, NewMeasurement, NewObservation, Page, PowderObservation};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
-use axum::http::{StatusCode, header};
+use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 
@@ -106,7 +106,7 @@ pub async fn import_measurements(
 #[utoipa::path(get, path = "/v1/measurements.csv", tag = "powders",
     responses((status = 200, description = "A summary a row", body = String, content_type = "text/csv")))]
 pub async fn export_measurements(_: Viewer, State(app): State<App>) -> Result<Response, Problem> {
-    Ok(file("measurements", &app.measured(None).await?))
+    Ok(csv_file("measurements", app.measured(None).await?.csv()))
 }
 
 /// Download everything that was measured of a powder, as a CSV file that the import reads.
@@ -118,13 +118,5 @@ pub async fn export_powder_measurements(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Response, Problem> {
-    Ok(file(&format!("{id}-measurements"), &app.measured(Some(&id)).await?))
-}
-
-fn file(name: &str, measured: &Measured) -> Response {
-    let headers = [
-        (header::CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()),
-        (header::CONTENT_DISPOSITION, format!("attachment; filename=\"{name}.csv\"")),
-    ];
-    (headers, measured.csv()).into_response()
+    Ok(csv_file(&format!("{id}-measurements"), app.measured(Some(&id)).await?.csv()))
 }

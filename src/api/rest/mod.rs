@@ -5,6 +5,7 @@ mod document;
 mod evaluations;
 mod events;
 pub mod extract;
+mod investigations;
 mod jobs;
 mod list;
 mod measurements;
@@ -52,6 +53,9 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(policies::download_policy_weights))
         .routes(routes!(evaluations::list_evaluations, evaluations::start_evaluation))
         .routes(routes!(evaluations::get_evaluation))
+        .routes(routes!(investigations::list_investigations, investigations::start_investigation))
+        .routes(routes!(investigations::get_investigation))
+        .routes(routes!(investigations::download_predictions))
         .routes(routes!(weighings::list_weighings, weighings::start_weighing))
         .routes(routes!(weighings::get_weighing))
         .routes(routes!(weighings::get_trace))
@@ -80,6 +84,15 @@ pub fn router(app: App) -> Router {
         .route("/openapi.json", get(describe))
         .method_not_allowed_fallback(async || Problem::method_not_allowed())
         .layer(DefaultBodyLimit::max(extract::BODY_BYTES_MAX))
+}
+
+/// A file to keep, `NAME.csv`.
+fn csv_file(name: &str, text: String) -> Response {
+    let headers = [
+        (header::CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()),
+        (header::CONTENT_DISPOSITION, format!("attachment; filename=\"{name}.csv\"")),
+    ];
+    (headers, text).into_response()
 }
 
 /// 202 for work that was taken on, with where to look for it.

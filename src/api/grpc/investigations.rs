@@ -1,0 +1,34 @@
+//! `flip.v1.Investigations`.
+
+use super::convert::{all, page};
+use super::proto::*;
+use super::{Service, read, write};
+use crate::app::InvestigationRequest;
+use tonic::{Request, Response, Status};
+
+#[tonic::async_trait]
+impl investigations_server::Investigations for Service {
+    async fn start_investigation(
+        &self,
+        request: Request<StartInvestigationRequest>,
+    ) -> Result<Response<StartJobResponse>, Status> {
+        let StartInvestigationRequest { measurements_csv, simulations, seed } = write(request)?;
+        let request = InvestigationRequest { measurements_csv, simulations, seed };
+        Ok(Response::new(self.app.start_investigation(request).await?.into()))
+    }
+
+    async fn list_investigations(
+        &self,
+        request: Request<ListInvestigationsRequest>,
+    ) -> Result<Response<ListInvestigationsResponse>, Status> {
+        let found = self.app.investigations(page(read(request)?.page)).await?;
+        Ok(Response::new(ListInvestigationsResponse { items: all(found.items), next: found.next }))
+    }
+
+    async fn get_investigation(
+        &self,
+        request: Request<GetInvestigationRequest>,
+    ) -> Result<Response<Investigation>, Status> {
+        Ok(Response::new(self.app.investigation(&read(request)?.id).await?.into()))
+    }
+}

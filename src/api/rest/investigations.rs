@@ -1,0 +1,65 @@
+//! `/v1/investigations`: what measured angles say that the calibrated simulator does not.
+
+use super::extract::{Input, Path, Query};
+use super::list::{ListParams, respond};
+use super::{csv_file, started};
+use crate::api::auth::{Operator, Viewer};
+use crate::api::problem::Problem;
+use crate::app::App;
+use crate::app::{Investigation, InvestigationRequest, Job, Page};
+use axum::Json;
+use axum::extract::{OriginalUri, State};
+use axum::response::Response;
+
+/// List investigations, newest first, without their reports.
+#[utoipa::path(get, path = "/v1/investigations", tag = "investigations", params(ListParams),
+    responses((status = 200, description = "A page of investigations", body = Page<Investigation>)))]
+pub async fn list_investigations(
+    _: Viewer,
+    State(app): State<App>,
+    OriginalUri(uri): OriginalUri,
+    Query(params): Query<ListParams>,
+) -> Result<Response, Problem> {
+    Ok(respond(&uri, app.investigations(params.into()).await?))
+}
+
+/// Queue an investigation of a campaign, or of everything that is stored.
+#[utoipa::path(post, path = "/v1/investigations", tag = "investigations", request_body = InvestigationRequest,
+    responses((status = 202, description = "Queued; the investigation has the id of its job", body = Job,
+        headers(("Location" = String, description = "Where the investigation is"))),
+        (status = 200, description = "Asked for before: the job that does it", body = Job)))]
+pub async fn start_investigation(
+    _: Operator,
+    State(app): State<App>,
+    Input(request): Input<InvestigationRequest>,
+) -> Result<Response, Problem> {
+    Ok(started("investigations", app.start_investigation(request).await?))
+}
+
+/// One investigation, with its report once it has succeeded.
+#[utoipa::path(get, path = "/v1/investigations/{id}", tag = "investigations",
+    params(("id" = String, Path, description = "Id of the investigation, which is the id of its job")),
+    responses((status = 200, description = "The investigation", body = Investigation)))]
+pub async fn get_investigation(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Json<Investigation>, Problem> {
+    Ok(Json(app.investigation(&id).await?))
+}
+
+/// Download the angle of every row of the file, by the simulator as it was and by the extended one.
+///
+/// Columns: `row`, the header being row 1; `powder`; `before_deg`, `before_sd_deg`; `after_deg`, `after_sd_deg`. The SD is that of one run.
+#[utoipa::path(get, path = "/v1/investigations/{id}/predict.csv", tag = "investigations",
+    params(("id" = String, Path, description = "Id of the investigation")),
+    responses((status = 200, description = "A row for each row", body = String, content_type = "text/csv"),
+        (status = 409, description = "It has no report, or none yet", body = Problem,
+            content_type = "application/problem+json")))]
+pub async fn download_predictions(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
+    Ok(csv_file("predict", app.predictions(&id).await?))
+}

@@ -1,0 +1,131 @@
+//! `flip discover`: what measured angles say that the simulator does not.
+
+use super::Common;
+use super::failure::Failure;
+use super::measurements::read;
+use super::session::with_app;
+use super::table::table;
+use super::watch::Watch;
+use crate::app::{App, InvestigationRequest, Report, predictions_csv};
+use crate::domain::FieldError;
+use serde::Serialize;
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Causes that the text lists; the document has all.
+const CAUSES_SHOWN: usize = 5;
+
+/// Arguments of `flip discover`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    /// Angles of repose as a CSV file, one run a row, with what was recorded beside each.
+    ///
+    /// Columns: powder and repose_deg, with repose_sd_deg and n a summary of n runs; of what was recorded, session (the day),
+    /// order_in_session, method (camera, manual), operator, batch, plate, relative_humidity_pct, temperature_c, rest_min, container_age_d,
+    /// funnel_height_mm, base_diameter_mm, poured_mass_g, flow_time_s, vibration_rms_m_s2, ioniser_on, and any other column. An empty cell is
+    /// a missing value.
+    #[arg(long, value_name = "FILE")]
+    measurements: PathBuf,
+    /// Balance readings of weighings as a CSV file: not read yet, so it is refused.
+    #[arg(long, value_name = "FILE")]
+    traces: Option<PathBuf>,
+    /// Most new heaps to simulate. None are so far, whatever the number: causes are judged and named by the measurements.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    budget_runs: u32,
+    /// Campaigns in which nothing is wrong to compare with, 99 to 9999.
+    #[arg(long, value_name = "N", default_value_t = 499, allow_negative_numbers = true)]
+    simulations: u32,
+    /// Folder for report.json and predict.csv; made when absent.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+/// Investigate, write the files and print the report. Whatever the verdict, that is a success.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    if arguments.traces.is_some() {
+        return Err(FieldError::new("traces", "are not read yet: leave `--traces` out").into());
+    }
+    let csv = read("measurements", &arguments.measurements)?;
+    let request = InvestigationRequest {
+        measurements_csv: Some(csv),
+        simulations: Some(arguments.simulations),
+        seed: Some(common.seed),
+    };
+    let report = with_app(common, async |app| investigate(app, request, &arguments.out).await)?;
+    let json = serde_json::to_string_pretty(&report)? + "\n";
+    write_all(&arguments.out, &[("report.json", &json), ("predict.csv", &predictions_csv(&report))])?;
+    common.print(&report, || text(&report, &arguments.out))
+}
+
+async fn investigate(app: &App, request: InvestigationRequest, out: &Path) -> Result<Report, Failure> {
+    let (job, _) = app.start_investigation(request).await?;
+    // Before the work, which would be lost on a folder that cannot be.
+    let refused = |error| FieldError::new("out", format!("{} cannot be made: {error}", out.display()));
+    fs::create_dir_all(out).map_err(refused)?;
+    Watch::new().job(app, &job.id, "discover").await?;
+    let report = app.investigation(&job.id).await?.report;
+    Ok(report.ok_or_else(|| anyhow::anyhow!("investigation {} has no report", job.id))?)
+}
+
+/// Write files so that each is whole whenever it is there: all are written under other names first.
+fn write_all(folder: &Path, files: &[(&str, &str)]) -> Result<(), Failure> {
+    let part = |name: &str| folder.join(format!("{name}.part"));
+    for (name, text) in files {
+        let mut file = File::create(part(name))?;
+        file.write_all(text.as_bytes())?;
+        file.sync_all()?;
+    }
+    for (name, _) in files {
+        fs::rename(part(name), folder.join(name))?;
+    }
+    Ok(())
+}
+
+fn text(report: &Report, out: &Path) -> String {
+    let decision = format!(
+        "verdict {}, p = {:.3} among {} campaigns of this design in which nothing is wrong",
+        word(&report.verdict),
+        report.p_value,
+        report.null_check.campaigns
+    );
+    let causes = report.causes.iter().take(CAUSES_SHOWN).map(|cause| {
+        let probability = format!("{:.2}", cause.inclusion_probability);
+        vec![cause.mechanism.clone(), cause.family.clone(), probability, list(&cause.powders)]
+    });
+    let findings = report.findings.iter().map(|finding| {
+        let [lower, upper] = finding.ci95;
+        vec![
+            word(&finding.channel),
+            finding.covariate.clone().unwrap_or_else(|| "not recorded".to_owned()),
+            format!("{:+.2} {}", finding.effect, finding.unit),
+            format!("{lower:+.2} to {upper:+.2}"),
+            finding.span.clone(),
+            list(&finding.powders),
+        ]
+    });
+    let untestable = report.untestable.iter().map(|it| vec![it.mechanism.clone(), it.reason.clone()]);
+    let parts = [
+        report.sentence.clone(),
+        decision,
+        section(&["cause", "family", "probability", "powders"], causes.collect()),
+        section(&["departs", "with", "effect", "95 % interval", "from - to", "powders"], findings.collect()),
+        section(&["cannot be told", "because"], untestable.collect()),
+        format!("report.json and predict.csv are in {}", out.display()),
+    ];
+    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n\n")
+}
+
+/// A table; nothing where it has no rows.
+fn section(header: &[&str], rows: Vec<Vec<String>>) -> String {
+    if rows.is_empty() { String::new() } else { table(header, &rows) }
+}
+
+fn list(powders: &[String]) -> String {
+    if powders.is_empty() { "-".to_owned() } else { powders.join(", ") }
+}
+
+/// The name that the document has for it.
+fn word(value: &impl Serialize) -> String {
+    serde_json::to_value(value).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
+}

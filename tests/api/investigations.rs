@@ -1,0 +1,194 @@
+//! Investigations: a campaign goes in, a report comes out, over both transports.
+
+use crate::harness::{Service, fields, problem};
+use flip::api::grpc::proto;
+use flip::api::grpc::proto::investigations_client::InvestigationsClient;
+use flip::app::Role;
+use reqwest::Response;
+use serde_json::{Value, json};
+use std::time::Duration;
+use tonic::{Code, Request};
+
+const PATH: &str = "/v1/investigations";
+
+async fn post(service: &Service, body: &Value) -> Response {
+    let request = service.request("POST", PATH).bearer_auth(service.token(Role::Operator).await);
+    request.json(body).send().await.unwrap()
+}
+
+async fn get(service: &Service, path: &str) -> Value {
+    service.get(path).await.json().await.unwrap()
+}
+
+async fn as_operator<T>(service: &Service, message: T) -> Request<T> {
+    let mut request = Request::new(message);
+    let token = format!("Bearer {}", service.token(Role::Operator).await);
+    request.metadata_mut().insert("authorization", token.parse().unwrap());
+    request
+}
+
+/// Twelve days of their own humidity, three runs each of salt and sugar, which pile steeper in damp air: 5 deg from 30 to 70 %, repeats of 1 deg.
+fn humid_campaign() -> String {
+    let mut text = String::from("powder,repose_deg,session,relative_humidity_pct,operator,remark\n");
+    let mut state = 1_u64;
+    let mut uniform = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 11) as f64 / (1_u64 << 53) as f64
+    };
+    for day in 1..=12 {
+        let humidity = 30.0 + 40.0 * uniform();
+        for run in 0..6 {
+            let (powder, centre) = if run % 2 == 0 { ("salt", 36.0) } else { ("sugar", 31.0) };
+            let noise = 2.0 * (uniform() + uniform() + uniform() - 1.5);
+            let angle = centre + 0.125 * (humidity - 50.0) + noise;
+            let operator = if uniform() < 0.5 { "Ada" } else { "Ben" };
+            text += &format!("{powder},{angle:.2},{day},{humidity:.1},{operator},{day}/{run}\n");
+        }
+    }
+    text
+}
+
+/// The investigation once its job has ended well.
+async fn finished(service: &Service, id: &str) -> Value {
+    for _ in 0..1200 {
+        let found = get(service, &format!("{PATH}/{id}")).await;
+        match found["job"]["state"].as_str().unwrap() {
+            "succeeded" => return found,
+            "queued" | "running" => tokio::time::sleep(Duration::from_millis(50)).await,
+            state => panic!("{state}: {found}"),
+        }
+    }
+    panic!("investigation {id} is not done in a minute")
+}
+
+#[tokio::test]
+async fn a_campaign_is_judged_and_the_same_campaign_is_the_same_job() {
+    let service = Service::start().await;
+    let body = json!({ "measurements_csv": humid_campaign(), "simulations": 99 });
+    let started = post(&service, &body).await;
+    assert_eq!(started.status(), 202);
+    let location = started.headers()["location"].to_str().unwrap().to_owned();
+    let job: Value = started.json().await.unwrap();
+    let id = job["id"].as_str().unwrap();
+    assert_eq!((job["kind"].as_str(), location.as_str()), (Some("investigation"), &*format!("{PATH}/{id}")));
+
+    let found = finished(&service, id).await;
+    assert_eq!(
+        (&found["powders"], &found["runs"], &found["sessions"]),
+        (&json!(["salt", "sugar"]), &json!(72), &json!(12))
+    );
+    assert_eq!(found["covariates"], json!(["relative_humidity_pct", "operator"]), "a remark to each run says nothing");
+    let report = &found["report"];
+    assert!(found["p_value"].as_f64().unwrap() <= 0.02, "{}", found["p_value"]);
+    for name in ["verdict", "p_value", "sentence"] {
+        assert_eq!(found[name], report[name], "{name}");
+    }
+    assert_eq!((&report["schema_version"], &report["null_check"]["campaigns"]), (&json!(1), &json!(99)));
+    assert_eq!(report["simulator_version"]["base"], found["simulator"]);
+    assert_eq!(report["causes"][0]["family"], "moisture", "{}", report["causes"]);
+    assert!(report["wall_s"].as_f64().unwrap() > 0.0);
+
+    let predicted = service.get(&format!("{PATH}/{id}/predict.csv")).await;
+    assert_eq!(predicted.headers()["content-type"], "text/csv; charset=utf-8");
+    let predicted = predicted.text().await.unwrap();
+    let lines: Vec<&str> = predicted.lines().collect();
+    assert_eq!((lines.len(), lines[0]), (73, "row,powder,before_deg,before_sd_deg,after_deg,after_sd_deg"));
+    assert!(lines[1].starts_with("2,salt,3") && lines[72].starts_with("73,sugar,3"), "{predicted}");
+
+    let again = post(&service, &body).await;
+    assert_eq!(again.status(), 200);
+    assert_eq!(again.json::<Value>().await.unwrap()["id"], job["id"]);
+    let other = post(&service, &json!({ "measurements_csv": humid_campaign(), "simulations": 99, "seed": 2 })).await;
+    assert_eq!(other.status(), 202, "of another seed");
+    finished(&service, other.json::<Value>().await.unwrap()["id"].as_str().unwrap()).await;
+    let list = get(&service, PATH).await;
+    let items = list["items"].as_array().unwrap();
+    let seeds: Vec<_> = items.iter().map(|item| (&item["seed"], &item["report"])).collect();
+    assert_eq!(seeds, [(&json!(2), &Value::Null), (&json!(1), &Value::Null)], "newest first, without their reports");
+    assert_eq!(items[1]["verdict"], found["verdict"]);
+    assert_eq!(get(&service, "/v1/jobs?kind=investigation").await["items"].as_array().unwrap().len(), 2);
+}
+
+#[tokio::test]
+async fn what_is_stored_is_a_campaign_too() {
+    let service = Service::start().await;
+    let started = post(&service, &json!({ "simulations": 99 })).await;
+    assert_eq!(started.status(), 202);
+    let job: Value = started.json().await.unwrap();
+    let found = finished(&service, job["id"].as_str().unwrap()).await;
+    // The published means, five repeats each, by camera and by hand.
+    assert_eq!(
+        (&found["runs"], &found["sessions"], &found["covariates"]),
+        (&json!(50), &json!(10), &json!(["method"]))
+    );
+    assert_eq!(found["report"]["rows"].as_array().unwrap().len(), 10);
+}
+
+#[tokio::test]
+async fn a_bad_campaign_is_refused_by_row_and_column_and_stores_nothing() {
+    let service = Service::start().await;
+    let humid = humid_campaign();
+    let few: String = humid.lines().take(13).map(|line| format!("{line}\n")).collect();
+    for (body, named) in [
+        (json!({ "measurements_csv": "powder,angle\nsalt,36\n" }), &["repose_deg"] as &[&str]),
+        (json!({ "measurements_csv": humid.replacen("salt,3", "salt,x3", 1) }), &["row[2].repose_deg"]),
+        (json!({ "measurements_csv": humid.replacen("salt,3", "salt,93", 1) }), &["row[2].repose_deg"]),
+        (json!({ "measurements_csv": humid.replacen(",Ada,", ",Ada,,", 1) }), &["row["]),
+        (json!({ "measurements_csv": few }), &["measurements"]),
+        (json!({ "measurements_csv": humid, "simulations": 98 }), &["simulations"]),
+        (json!({ "measurements_csv": 7 }), &["measurements_csv"]),
+        (json!({ "seed": -1 }), &["seed"]),
+        (json!({ "traces_csv": "" }), &["traces_csv"]),
+    ] {
+        let problem = problem(post(&service, &body).await, 400).await;
+        let fields = fields(&problem);
+        let right =
+            fields.len() == named.len() && fields.iter().zip(named).all(|(field, name)| field.starts_with(name));
+        assert!(right, "{named:?}: {problem}");
+    }
+    problem(service.request("POST", PATH).json(&json!({})).send().await.unwrap(), 401).await;
+    problem(service.get(&format!("{PATH}/none")).await, 404).await;
+    problem(service.get(&format!("{PATH}/none/predict.csv")).await, 404).await;
+    assert_eq!(get(&service, PATH).await["items"], json!([]));
+    assert_eq!(get(&service, "/v1/jobs").await["items"], json!([]));
+}
+
+#[tokio::test]
+async fn an_investigation_is_the_same_over_grpc() {
+    let service = Service::start().await;
+    let mut client = InvestigationsClient::connect(service.url("")).await.unwrap();
+    let csv = humid_campaign();
+    let request =
+        proto::StartInvestigationRequest { measurements_csv: Some(csv.clone()), simulations: Some(99), seed: None };
+    let started = client.start_investigation(as_operator(&service, request).await).await.unwrap().into_inner();
+    let job = started.job.unwrap();
+    assert_eq!((started.created, job.kind()), (true, proto::JobKind::Investigation));
+    let again = post(&service, &json!({ "measurements_csv": csv, "simulations": 99, "seed": 1 })).await;
+    assert_eq!(again.status(), 200, "the same over REST is the same job");
+
+    let rest = finished(&service, &job.id).await;
+    let get = proto::GetInvestigationRequest { id: job.id.clone() };
+    let found = client.get_investigation(get).await.unwrap().into_inner();
+    let report: Value = serde_json::from_str(found.report_json()).unwrap();
+    assert_eq!(report, rest["report"]);
+    let name = found.verdict().as_str_name().to_lowercase();
+    assert_eq!(name.strip_prefix("verdict_"), rest["verdict"].as_str());
+    let of_grpc = json!({
+        "powders": found.powders, "runs": found.runs, "sessions": found.sessions, "covariates": found.covariates,
+        "simulations": found.simulations, "seed": found.seed, "simulator": found.simulator, "p_value": found.p_value,
+        "sentence": found.sentence,
+    });
+    for (name, value) in of_grpc.as_object().unwrap() {
+        assert_eq!(value, &rest[name], "{name}");
+    }
+    let list = client.list_investigations(proto::ListInvestigationsRequest { page: None }).await.unwrap().into_inner();
+    assert_eq!(list.items.iter().map(|item| (item.seed, item.report_json.is_some())).collect::<Vec<_>>(), [(1, false)]);
+
+    let bad =
+        proto::StartInvestigationRequest { measurements_csv: Some("powder\nsalt\n".into()), ..Default::default() };
+    let status = client.start_investigation(as_operator(&service, bad).await).await.unwrap_err();
+    assert_eq!(status.code(), Code::InvalidArgument);
+    assert!(status.message().contains("repose_deg"), "{status}");
+    let none = client.get_investigation(proto::GetInvestigationRequest { id: "none".into() }).await.unwrap_err();
+    assert_eq!(none.code(), Code::NotFound);
+}
