@@ -4,12 +4,13 @@
 # make bench-learner   the learner's speed beside Stable-Baselines3's, which it installs (python3, PyPI)
 # make calibration-report   the published method and ours on the five powders, twenty minutes on two cores
 # make training-report   trains ours and the four published orders, and weighs with all; hours, stop it and call it again (EPISODES=4000)
+# make discovery-report   effects hidden in data, hundreds of them, and the table of what was found; hours, stop it and call it again (NULLS=70 EFFECTS=10)
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test setup web chromium bench bench-peers bench-learner calibration-report training-report lint
+.PHONY: run test setup web chromium bench bench-peers bench-learner calibration-report training-report discovery-report lint
 
 ARGS ?=
 LOGS := target/test
@@ -72,6 +73,9 @@ calibration-report: setup
 
 # Jobs that its data folder has finished are found and one that was stopped goes on from its checkpoint, so it can be made in pieces.
 EPISODES ?= 200
+discovery-report: setup
+	cargo test --release --locked --test discovery report -- --ignored --nocapture
+
 training-report: setup
 	cargo build --release --locked
 	data="$${DATA:-$(CURDIR)/target/training-report}"

@@ -12,6 +12,7 @@ use super::report::{
     CauseReport, Curve, Evidence, Finding, FormClass, NullCheck, ParameterReport, Report, Row, SCHEMA_VERSION,
     SimulatorVersions, Unexplained, UntestableReport, Verdict,
 };
+use super::response::amplitude;
 use super::screen::{Prepared, Screening, Settings, screen_prepared};
 use super::words;
 use crate::domain::FieldError;
@@ -316,23 +317,35 @@ fn rows(campaign: &Campaign, posterior: &Posterior<'_>, is_found: bool) -> Vec<R
     campaign.runs.chunk_by(same).map(row).collect()
 }
 
+/// The effect, and the amplitude of the simulator's mechanism that has it.
+fn parameters(mechanism: super::Mechanism, finding: &Finding) -> Vec<ParameterReport> {
+    let effect = ParameterReport {
+        name: "effect_5_95".to_owned(),
+        value: finding.effect,
+        ci95: finding.ci95,
+        unit: finding.unit.clone(),
+    };
+    let of = |effect_deg: f64| amplitude(mechanism, effect_deg);
+    let amplitude = of(finding.effect).map(|(name, value, unit)| {
+        let mut ci95 = finding.ci95.map(|end| of(end).map_or(value, |it| it.1));
+        ci95.sort_by(f64::total_cmp);
+        ParameterReport { name: name.to_owned(), value, ci95, unit: unit.to_owned() }
+    });
+    std::iter::once(effect).chain(amplitude).collect()
+}
+
 fn causes(prepared: &Prepared, posterior: &Posterior<'_>, findings: &[Finding], told: &[Cause]) -> Vec<CauseReport> {
     let report = |cause: &Cause| {
         let Cause::Known(mechanism) = cause else { return None };
         let (name, family) = mechanism.name();
         let finding = told.iter().position(|it| it == cause).and_then(|at| findings.get(at));
-        let parameters = finding.map(|it| ParameterReport {
-            name: "effect_5_95".to_owned(),
-            value: it.effect,
-            ci95: it.ci95,
-            unit: it.unit.clone(),
-        });
+        let parameters = finding.map_or(Vec::new(), |it| parameters(*mechanism, it));
         Some(CauseReport {
             mechanism: name.to_owned(),
             family: family.to_owned(),
             inclusion_probability: posterior.inclusion_of(cause),
             confidence_level: 1,
-            parameters: parameters.into_iter().collect(),
+            parameters,
             powders: finding.map_or(Vec::new(), |it| it.powders.clone()),
         })
     };

@@ -3,6 +3,7 @@
 //! ```text
 //! campaign.rs     what was measured, run by run, and under which conditions
 //! catalogue.rs    the causes, and how strong each may have been in each run
+//! response.rs     what the simulator says of each cause
 //! signature.rs    from strengths to what the angles would show, up to its size
 //! hypothesis.rs   the causes, the covariates without a cause, and what nobody recorded
 //! noise.rs        what angles do when nothing is wrong
@@ -35,6 +36,7 @@ mod noise;
 pub mod numerics;
 mod posterior;
 pub mod report;
+mod response;
 mod scenario;
 mod screen;
 mod signature;
@@ -50,4 +52,5 @@ pub use hypothesis::{Cause, Responses, Untestable};
 pub use investigate::{investigate, predict};
 pub use posterior::Predicted;
 pub use report::Report;
+pub use response::responses;
 pub use screen::{Judged, Screening, Settings, screen};

@@ -47,8 +47,6 @@ pub(super) struct Posterior<'a> {
     components: Vec<Component>,
     /// Probability of each hypothesis to be at work, if anything is.
     pub inclusion: Vec<f64>,
-    /// Probability that two causes are at work, if any is.
-    pub two: f64,
 }
 
 /// Mean and SD of what a row reads.
@@ -107,8 +105,7 @@ impl<'a> Posterior<'a> {
         let any = sum(&|it| !it.parts.is_empty()).max(f64::MIN_POSITIVE);
         let inclusion =
             (0..hypotheses.len()).map(|h| sum(&|it| it.parts.iter().any(|part| part.0 == h)) / any).collect();
-        let two = sum(&|it| it.parts.len() == 2) / any;
-        Self { prepared, components, inclusion, two }
+        Self { prepared, components, inclusion }
     }
 
     /// What each run reads by the powders' means alone, and by everything that may be at work; NaN for a powder without any angle.

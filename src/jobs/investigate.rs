@@ -5,14 +5,14 @@
 use super::calibrate::unless;
 use super::context::{JobContext, JobError};
 use super::spec::InvestigationSpec;
-use crate::discover::{Responses, investigate};
+use crate::discover::{investigate, responses};
 use std::time::Instant;
 
 pub(super) fn perform(context: &JobContext, spec: &InvestigationSpec) -> Result<(), JobError> {
     let InvestigationSpec { campaign, settings, simulator } = spec;
     let began = Instant::now();
     let mut unsaved = None;
-    let report = investigate(campaign, &Responses::new(), simulator, settings, |progress| {
+    let report = investigate(campaign, &responses(campaign), simulator, settings, |progress| {
         unless(context.report(progress), &mut unsaved, context)
     });
     if let Some(error) = unsaved {
