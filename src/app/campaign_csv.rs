@@ -71,7 +71,10 @@ pub(super) fn read(text: &str, required: &[&str]) -> Result<Campaign> {
     let covariates = file.columns.iter().filter(|name| !OWN.contains(&name.as_str()) && !name.is_empty());
     let covariates: Vec<String> = covariates.cloned().collect();
     let mut lines = Vec::new();
-    let mut refusals = file.rows(|cells| Ok(lines.push(line(cells, &covariates, required)?)))?;
+    let mut refusals = file.rows(|cells| {
+        lines.push(line(cells, &covariates, required)?);
+        Ok(())
+    })?;
     refusals.truncate(REFUSALS_MAX);
     if !refusals.is_empty() {
         return Err(Error::Invalid(refusals));

@@ -188,7 +188,11 @@ mod tests {
         let rows = |text: &str| {
             let mut found = Vec::new();
             let file = CsvFile::open(text, |_, _| {}).unwrap();
-            file.rows(|cells| Ok(found.push((cells.row, cells.text("a").to_owned())))).map(|_| found)
+            let read = file.rows(|cells| {
+                found.push((cells.row, cells.text("a").to_owned()));
+                Ok(())
+            });
+            read.map(|_| found)
         };
         for (text, expected) in [
             ("a\nx\ny\n", [(2, "x"), (3, "y")]),

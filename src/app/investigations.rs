@@ -87,13 +87,14 @@ impl App {
     /// One investigation.
     pub async fn investigation(&self, id: &str) -> Result<Investigation> {
         let row = self.store().job(id).await?.filter(|row| row.job.kind == JobKind::Investigation);
-        investigation(row.ok_or_else(|| Error::not_found("investigation", id))?)
+        let row = row.ok_or_else(|| Error::not_found("investigation", id))?;
+        let report = row.result.as_deref().map(stored).transpose()?;
+        Ok(Investigation { report, ..without_report(row)? })
     }
 
     /// Investigations, newest first, without their reports.
     pub async fn investigations(&self, page: PageQuery) -> Result<Page<Investigation>> {
-        let without = |row| investigation(row).map(|whole| Investigation { report: None, ..whole });
-        self.jobs_as(JobKind::Investigation, page, without).await
+        self.jobs_as(JobKind::Investigation, page, without_report).await
     }
 
     /// Every row of the file of an investigation as CSV, as [`predictions_csv`] writes it.
@@ -135,11 +136,19 @@ fn as_runs(measurements: &[Measurement]) -> String {
     text
 }
 
-fn investigation(row: JobRow) -> Result<Investigation> {
+/// The part of a report that lists have.
+#[derive(Deserialize)]
+struct Glance {
+    verdict: Verdict,
+    p_value: f64,
+    sentence: String,
+}
+
+fn without_report(row: JobRow) -> Result<Investigation> {
     let JobSpec::Investigation(spec) = stored(&row.spec)? else {
         return Err(corrupt("an investigation's specification"));
     };
-    let report: Option<Report> = row.result.as_deref().map(stored).transpose()?;
+    let found: Option<Glance> = row.result.as_deref().map(stored).transpose()?;
     let InvestigationSpec { campaign, settings, simulator } = spec;
     Ok(Investigation {
         job: row.job,
@@ -150,9 +159,9 @@ fn investigation(row: JobRow) -> Result<Investigation> {
         simulations: settings.simulations,
         seed: settings.seed,
         simulator,
-        verdict: report.as_ref().map(|report| report.verdict),
-        p_value: report.as_ref().map(|report| report.p_value),
-        sentence: report.as_ref().map(|report| report.sentence.clone()),
-        report,
+        verdict: found.as_ref().map(|found| found.verdict),
+        p_value: found.as_ref().map(|found| found.p_value),
+        sentence: found.map(|found| found.sentence),
+        report: None,
     })
 }

@@ -10,8 +10,7 @@ use serde::de::DeserializeOwned;
 impl App {
     /// Jobs, newest first; of one kind or state when named.
     pub async fn jobs(&self, kind: Option<JobKind>, state: Option<JobState>, page: PageQuery) -> Result<Page<Job>> {
-        let rows = self.store().jobs(kind, state, page.window(LIST_LIMIT_MAX)?).await?;
-        Ok(Page { items: rows.items.into_iter().map(|row| row.job).collect(), next: rows.next })
+        Ok(self.store().jobs(kind, state, page.window(LIST_LIMIT_MAX)?).await?)
     }
 
     /// One job.
@@ -37,7 +36,7 @@ impl App {
         page: PageQuery,
         item: impl Fn(JobRow) -> Result<T>,
     ) -> Result<Page<T>> {
-        let rows = self.store().jobs(Some(kind), None, page.window(LIST_LIMIT_MAX)?).await?;
+        let rows = self.store().whole_jobs(kind, page.window(LIST_LIMIT_MAX)?).await?;
         let items: Result<Vec<T>> = rows.items.into_iter().map(item).collect();
         Ok(Page { items: items?, next: rows.next })
     }

@@ -8,6 +8,7 @@ use super::table::table;
 use super::watch::Watch;
 use crate::app::{App, InvestigationRequest, Report, predictions_csv};
 use crate::domain::FieldError;
+use anyhow::Context;
 use serde::Serialize;
 use std::fs::{self, File};
 use std::io::Write;
@@ -71,15 +72,14 @@ async fn investigate(app: &App, request: InvestigationRequest, out: &Path) -> Re
 /// Write files so that each is whole whenever it is there: all are written under other names first.
 fn write_all(folder: &Path, files: &[(&str, &str)]) -> Result<(), Failure> {
     let part = |name: &str| folder.join(format!("{name}.part"));
-    for (name, text) in files {
+    let write = |(name, text): &(&str, &str)| {
         let mut file = File::create(part(name))?;
         file.write_all(text.as_bytes())?;
-        file.sync_all()?;
-    }
-    for (name, _) in files {
-        fs::rename(part(name), folder.join(name))?;
-    }
-    Ok(())
+        file.sync_all()
+    };
+    let written = files.iter().try_for_each(write);
+    let whole = written.and_then(|()| files.iter().try_for_each(|(name, _)| fs::rename(part(name), folder.join(name))));
+    Ok(whole.with_context(|| format!("cannot write into {}", folder.display()))?)
 }
 
 fn text(report: &Report, out: &Path) -> String {

@@ -76,7 +76,8 @@ impl Artifacts {
 impl Store {
     /// Remove a file that a row named until now, unless another row does.
     pub(super) async fn forget_artifact(&self, sha256: &str) -> Result<()> {
-        let sql = "SELECT EXISTS (SELECT 1 FROM job WHERE checkpoint = ?1 OR result ->> '$.posterior' = ?1 \
+        let sql = "SELECT EXISTS (SELECT 1 FROM job WHERE checkpoint = ?1 \
+             UNION SELECT 1 FROM job WHERE kind = 'calibration' AND result ->> '$.posterior' = ?1 \
              UNION SELECT 1 FROM weighing WHERE trace = ?1)";
         let named: bool = sqlx::query_scalar(sql).bind(sha256).fetch_one(&self.reader).await?;
         if named { Ok(()) } else { remove(&self.artifacts.path(sha256)) }
@@ -85,7 +86,8 @@ impl Store {
     /// Remove files that no row names: a process that ended between file and row leaves one behind.
     pub(super) async fn sweep_artifacts(&self) -> Result<()> {
         let named = "SELECT checkpoint FROM job WHERE checkpoint IS NOT NULL \
-                     UNION SELECT result ->> '$.posterior' FROM job WHERE result ->> '$.posterior' IS NOT NULL \
+                     UNION SELECT result ->> '$.posterior' FROM job \
+                     WHERE kind = 'calibration' AND result ->> '$.posterior' IS NOT NULL \
                      UNION SELECT trace FROM weighing WHERE trace IS NOT NULL";
         let named: Vec<String> = sqlx::query_scalar(named).fetch_all(&self.reader).await?;
         self.artifacts.keep_only(&named.into_iter().collect())
