@@ -65,8 +65,9 @@ fn in_callers_protocol(mut response: Response, grpc: bool, id: &str) -> Response
 }
 
 fn harden(headers: &mut HeaderMap, id: &str) {
+    // A page that brings its own style has a policy of its own.
     for (name, value) in HARDENING {
-        headers.insert(name, HeaderValue::from_static(value));
+        headers.entry(name).or_insert(HeaderValue::from_static(value));
     }
     // Answers change and may be private; what may be cached says so itself.
     headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));

@@ -3,8 +3,8 @@
 use super::check::Check;
 use super::jobs::{corrupt, stored};
 use super::{App, Error, Result, campaign_csv};
-use crate::discover::Settings;
 use crate::discover::report::{Report, Row, Verdict};
+use crate::discover::{self, Settings};
 use crate::domain::job::JobKind;
 use crate::domain::powder::Method;
 use crate::jobs::{InvestigationSpec, JobSpec, SIMULATOR};
@@ -80,7 +80,7 @@ impl App {
             None => as_runs(&self.store().all_measurements(None).await?),
         };
         let campaign = campaign_csv::read(&csv, &REQUIRED)?.checked()?;
-        let spec = InvestigationSpec { campaign, settings, simulator: SIMULATOR.to_owned() };
+        let spec = InvestigationSpec { campaign, settings, method: discover::VERSION, simulator: SIMULATOR.to_owned() };
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Investigation(spec)).await?)
     }
 
@@ -102,19 +102,26 @@ impl App {
     /// # Errors
     /// `NotFound`; `Conflict` (`investigation_unfinished`) while there is no report.
     pub async fn predictions(&self, id: &str) -> Result<String> {
-        let report = self.investigation(id).await?.report.ok_or_else(|| {
+        Ok(predictions_csv(&self.report(id).await?.rows))
+    }
+
+    /// The report of an investigation.
+    ///
+    /// # Errors
+    /// As [`Self::predictions`].
+    pub async fn report(&self, id: &str) -> Result<Report> {
+        self.investigation(id).await?.report.ok_or_else(|| {
             let advice = format!("investigation {id} has no report: only those that have succeeded have one");
             Error::conflict("investigation_unfinished", advice)
-        })?;
-        Ok(predictions_csv(&report))
+        })
     }
 }
 
 /// The angle of every row, by the simulator as it was and by the extended one, as CSV; empty where nothing is known of a powder.
-pub fn predictions_csv(report: &Report) -> String {
+pub fn predictions_csv(rows: &[Row]) -> String {
     let mut text = String::from("row,powder,before_deg,before_sd_deg,after_deg,after_sd_deg\n");
     let cell = |mean: Option<f64>| mean.map_or_else(String::new, |mean| mean.to_string());
-    for row in &report.rows {
+    for row in rows {
         let Row { row, powder, before_deg, before_sd_deg, after_deg, after_sd_deg, .. } = row;
         let (before, after) = (cell(*before_deg), cell(*after_deg));
         // Numbers and powder ids: there is nothing to quote.
@@ -149,7 +156,7 @@ fn without_report(row: JobRow) -> Result<Investigation> {
         return Err(corrupt("an investigation's specification"));
     };
     let found: Option<Glance> = row.result.as_deref().map(stored).transpose()?;
-    let InvestigationSpec { campaign, settings, simulator } = spec;
+    let InvestigationSpec { campaign, settings, simulator, .. } = spec;
     Ok(Investigation {
         job: row.job,
         runs: campaign.runs.len() as u32,

@@ -1,12 +1,12 @@
 //! `flip discover`: what measured angles say that the simulator does not.
 
-use super::Common;
 use super::failure::Failure;
 use super::measurements::read;
-use super::session::with_app;
+use super::session::{with_app, with_reader};
 use super::table::table;
 use super::watch::Watch;
-use crate::app::{App, InvestigationRequest, Report, predictions_csv};
+use super::{Common, FIRST_PAGE};
+use crate::app::{App, InvestigationRequest, Report, SimulatorVersion, predictions_csv, report_html};
 use crate::domain::FieldError;
 use anyhow::Context;
 use serde::Serialize;
@@ -19,15 +19,40 @@ const CAUSES_SHOWN: usize = 5;
 
 /// Arguments of `flip discover`.
 #[derive(Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub(super) struct Arguments {
+    #[command(subcommand)]
+    action: Option<Action>,
+    #[command(flatten)]
+    campaign: CampaignArguments,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Action {
+    /// Angles of new rows by an extended simulator, as CSV on the standard output.
+    Predict {
+        /// Version of the simulator, `sv-…`, that an investigation made.
+        #[arg(long, value_name = "VERSION")]
+        simulator: String,
+        /// Rows as a CSV file: powder, and what the version's causes act through.
+        #[arg(long, value_name = "FILE")]
+        measurements: PathBuf,
+    },
+    /// List the simulator's versions, newest first.
+    Versions,
+}
+
+/// What to investigate.
+#[derive(Debug, clap::Args)]
+struct CampaignArguments {
     /// Angles of repose as a CSV file, one run a row, with what was recorded beside each.
     ///
     /// Columns: powder and repose_deg, with repose_sd_deg and n a summary of n runs; of what was recorded, session (the day),
     /// order_in_session, method (camera, manual), operator, batch, plate, relative_humidity_pct, temperature_c, rest_min, container_age_d,
     /// funnel_height_mm, base_diameter_mm, poured_mass_g, flow_time_s, vibration_rms_m_s2, ioniser_on, and any other column. An empty cell is
     /// a missing value.
-    #[arg(long, value_name = "FILE")]
-    measurements: PathBuf,
+    #[arg(long, value_name = "FILE", required = true)]
+    measurements: Option<PathBuf>,
     /// Balance readings of weighings as a CSV file: not read yet, so it is refused.
     #[arg(long, value_name = "FILE")]
     traces: Option<PathBuf>,
@@ -37,26 +62,59 @@ pub(super) struct Arguments {
     /// Campaigns in which nothing is wrong to compare with, 99 to 9999.
     #[arg(long, value_name = "N", default_value_t = 499, allow_negative_numbers = true)]
     simulations: u32,
-    /// Folder for report.json and predict.csv; made when absent.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    /// Folder for report.html, report.json and predict.csv; made when absent.
+    #[arg(long, value_name = "DIR", required = true)]
+    out: Option<PathBuf>,
 }
 
-/// Investigate, write the files and print the report. Whatever the verdict, that is a success.
+/// Investigate, write the files and print the report: whatever the verdict, that is a success. Or ask a version.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    match &arguments.action {
+        None => discover(common, &arguments.campaign),
+        Some(Action::Predict { simulator, measurements }) => {
+            let csv = read("measurements", measurements)?;
+            let rows = with_app(common, async |app| Ok(app.predict(simulator, &csv).await?))?;
+            common.print(&rows, || predictions_csv(&rows))
+        }
+        Some(Action::Versions) => {
+            let versions = with_reader(common, async |app| Ok(app.simulators(FIRST_PAGE).await?.items))?;
+            common.print(&versions, || versions_text(&versions))
+        }
+    }
+}
+
+fn versions_text(versions: &[SimulatorVersion]) -> String {
+    let row = |version: &SimulatorVersion| {
+        let sentence = version.body["sentence"].as_str().unwrap_or_default().to_owned();
+        vec![version.id.clone(), version.base.clone(), version.created_at.to_string(), sentence]
+    };
+    match versions {
+        [] => "no version: `flip discover` makes one where an extension predicts days that it has not seen".to_owned(),
+        versions => table(&["version", "extends", "made", "by"], &versions.iter().map(row).collect::<Vec<_>>()),
+    }
+}
+
+fn discover(common: &Common, arguments: &CampaignArguments) -> Result<(), Failure> {
     if arguments.traces.is_some() {
         return Err(FieldError::new("traces", "are not read yet: leave `--traces` out").into());
     }
-    let csv = read("measurements", &arguments.measurements)?;
+    let (Some(measurements), Some(out)) = (&arguments.measurements, &arguments.out) else {
+        return Err(FieldError::new("measurements", "and `--out` are required").into());
+    };
     let request = InvestigationRequest {
-        measurements_csv: Some(csv),
+        measurements_csv: Some(read("measurements", measurements)?),
         simulations: Some(arguments.simulations),
         seed: Some(common.seed),
     };
-    let report = with_app(common, async |app| investigate(app, request, &arguments.out).await)?;
+    let report = with_app(common, async |app| investigate(app, request, out).await)?;
     let json = serde_json::to_string_pretty(&report)? + "\n";
-    write_all(&arguments.out, &[("report.json", &json), ("predict.csv", &predictions_csv(&report))])?;
-    common.print(&report, || text(&report, &arguments.out))
+    let files = [
+        ("report.json", json),
+        ("report.html", report_html::html(&report)),
+        ("predict.csv", predictions_csv(&report.rows)),
+    ];
+    write_all(out, &files)?;
+    common.print(&report, || text(&report, out))
 }
 
 async fn investigate(app: &App, request: InvestigationRequest, out: &Path) -> Result<Report, Failure> {
@@ -70,9 +128,9 @@ async fn investigate(app: &App, request: InvestigationRequest, out: &Path) -> Re
 }
 
 /// Write files so that each is whole whenever it is there: all are written under other names first.
-fn write_all(folder: &Path, files: &[(&str, &str)]) -> Result<(), Failure> {
+fn write_all(folder: &Path, files: &[(&str, String)]) -> Result<(), Failure> {
     let part = |name: &str| folder.join(format!("{name}.part"));
-    let write = |(name, text): &(&str, &str)| {
+    let write = |(name, text): &(&str, String)| {
         let mut file = File::create(part(name))?;
         file.write_all(text.as_bytes())?;
         file.sync_all()
@@ -111,7 +169,7 @@ fn text(report: &Report, out: &Path) -> String {
         section(&["cause", "family", "probability", "powders"], causes.collect()),
         section(&["departs", "with", "effect", "95 % interval", "from - to", "powders"], findings.collect()),
         section(&["cannot be told", "because"], untestable.collect()),
-        format!("report.json and predict.csv are in {}", out.display()),
+        format!("report.html, report.json and predict.csv are in {}", out.display()),
     ];
     parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n\n")
 }

@@ -23,6 +23,9 @@
 //! Whether something is wrong is a matter of that comparison alone. What it is, is a matter of the posterior over models with one cause or two;
 //! what is claimed has 0.8 of it, and no look-alike. What it is worth is a matter of days that were left out of the whole search.
 
+/// Grows when an investigation of the same campaign may come to another report.
+pub const VERSION: u32 = 1;
+
 pub mod campaign;
 mod catalogue;
 mod detectable;

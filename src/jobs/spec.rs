@@ -107,8 +107,18 @@ pub struct InvestigationSpec {
     pub campaign: Campaign,
     /// How it is judged.
     pub settings: discover::Settings,
+    /// What judges: [`discover::VERSION`]. Another one may find something else.
+    pub method: u32,
     /// Version of the simulator: [`SIMULATOR`].
     pub simulator: String,
+}
+
+impl InvestigationSpec {
+    /// Name of the simulator's version that this investigation makes, if its extension wins.
+    pub fn version(&self) -> String {
+        let text = serde_json::to_string(self).expect("specifications hold only finite numbers, text and lists");
+        format!("sv-{}", &hex::encode(Sha256::digest(&text))[..16])
+    }
 }
 
 impl JobSpec {

@@ -17,6 +17,7 @@ pub mod parameter_sets;
 pub mod policies;
 pub mod powders;
 mod row;
+pub mod simulators;
 pub mod tokens;
 pub mod trials;
 pub mod weighings;

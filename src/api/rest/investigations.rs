@@ -6,10 +6,11 @@ use super::{csv_file, started};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::App;
-use crate::app::{Investigation, InvestigationRequest, Job, Page};
+use crate::app::{Investigation, InvestigationRequest, Job, Page, report_html};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
-use axum::response::Response;
+use axum::http::header;
+use axum::response::{Html, IntoResponse, Response};
 
 /// List investigations, newest first, without their reports.
 #[utoipa::path(get, path = "/v1/investigations", tag = "investigations", params(ListParams),
@@ -62,4 +63,16 @@ pub async fn download_predictions(
     Path(id): Path<String>,
 ) -> Result<Response, Problem> {
     Ok(csv_file("predict", app.predictions(&id).await?))
+}
+
+/// The report as a page of its own, which needs nothing else.
+#[utoipa::path(get, path = "/v1/investigations/{id}/report.html", tag = "investigations",
+    params(("id" = String, Path, description = "Id of the investigation")),
+    responses((status = 200, description = "The page", body = String, content_type = "text/html"),
+        (status = 409, description = "It has no report, or none yet", body = Problem,
+            content_type = "application/problem+json")))]
+pub async fn get_report_page(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
+    let page = report_html::html(&app.report(&id).await?);
+    // Its own style is all that it may load.
+    Ok(([(header::CONTENT_SECURITY_POLICY, report_html::POLICY)], Html(page)).into_response())
 }

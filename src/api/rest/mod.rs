@@ -12,6 +12,7 @@ mod measurements;
 mod parameters;
 mod policies;
 mod powders;
+mod simulators;
 mod tokens;
 mod trainings;
 mod weighings;
@@ -56,6 +57,10 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(investigations::list_investigations, investigations::start_investigation))
         .routes(routes!(investigations::get_investigation))
         .routes(routes!(investigations::download_predictions))
+        .routes(routes!(investigations::get_report_page))
+        .routes(routes!(simulators::list_simulators))
+        .routes(routes!(simulators::get_simulator))
+        .routes(routes!(simulators::predict))
         .routes(routes!(weighings::list_weighings, weighings::start_weighing))
         .routes(routes!(weighings::get_weighing))
         .routes(routes!(weighings::get_trace))

@@ -1,0 +1,50 @@
+//! `/v1/simulators`: versions of the simulator that investigations made.
+
+use super::csv_file;
+use super::extract::{Input, Path, Query};
+use super::list::{ListParams, respond};
+use crate::api::auth::Viewer;
+use crate::api::problem::Problem;
+use crate::app::{App, Page, PredictionRequest, SimulatorVersion, predictions_csv};
+use axum::Json;
+use axum::extract::{OriginalUri, State};
+use axum::response::Response;
+
+/// List versions of the simulator, newest first.
+#[utoipa::path(get, path = "/v1/simulators", tag = "investigations", params(ListParams),
+    responses((status = 200, description = "A page of versions", body = Page<SimulatorVersion>)))]
+pub async fn list_simulators(
+    _: Viewer,
+    State(app): State<App>,
+    OriginalUri(uri): OriginalUri,
+    Query(params): Query<ListParams>,
+) -> Result<Response, Problem> {
+    Ok(respond(&uri, app.simulators(params.into()).await?))
+}
+
+/// One version of the simulator.
+#[utoipa::path(get, path = "/v1/simulators/{id}", tag = "investigations",
+    params(("id" = String, Path, description = "Version, `sv-…`")),
+    responses((status = 200, description = "The version", body = SimulatorVersion)))]
+pub async fn get_simulator(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Json<SimulatorVersion>, Problem> {
+    Ok(Json(app.simulator(&id).await?))
+}
+
+/// Predict the angles of rows that nobody measured.
+///
+/// Columns of the answer as in an investigation's `predict.csv`.
+#[utoipa::path(post, path = "/v1/simulators/{id}/predictions", tag = "investigations",
+    request_body = PredictionRequest, params(("id" = String, Path, description = "Version, `sv-…`")),
+    responses((status = 200, description = "A row for each row", body = String, content_type = "text/csv")))]
+pub async fn predict(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+    Input(request): Input<PredictionRequest>,
+) -> Result<Response, Problem> {
+    Ok(csv_file("predict", predictions_csv(&app.predict(&id, &request.measurements_csv).await?)))
+}

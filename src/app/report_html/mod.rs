@@ -1,0 +1,168 @@
+//! The report of an investigation as one HTML page that needs nothing else: no script, no font, no other file.
+//!
+//! ```text
+//! mod.rs         the page: sentence and verdict first, provenance last
+//! sections.rs    what stands between them
+//! gain.rs        before and after
+//! figures.rs     SVG
+//! words.rs       names, numbers and units; everything from a file is escaped there
+//! style.css      light, dark, phone and paper
+//! ```
+//!
+//! The same report always makes the same bytes. A server must answer it with [`POLICY`]: under a stricter one the page has no style.
+
+mod figures;
+mod gain;
+mod sections;
+mod words;
+
+#[cfg(test)]
+mod tests;
+
+use crate::discover::Report;
+use crate::discover::report::{FormClass, Verdict};
+use words::{cause, chance, column, counted, duration, listed, lower, text};
+
+/// Content security policy: the page's own style, and nothing else.
+pub const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
+
+const STYLE: &str = include_str!("style.css");
+
+/// The page.
+pub fn html(report: &Report) -> String {
+    let parts = [
+        first(report),
+        sections::residuals(report),
+        sections::evidence(report),
+        sections::by_powder(report),
+        gain::before_after(report),
+        sections::blind_spots(report),
+        sections::null_check(report),
+        sections::experiment(report),
+        provenance(report),
+    ];
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\"/>\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n<meta name=\"color-scheme\" \
+         content=\"light dark\"/>\n<title>{} · FLIP investigation</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n{}\n\
+         </main>\n</body>\n</html>\n",
+        badge(report.verdict).1,
+        parts.iter().filter(|part| !part.is_empty()).map(String::as_str).collect::<Vec<_>>().join("\n")
+    )
+}
+
+/// Class and words of a verdict.
+fn badge(verdict: Verdict) -> (&'static str, &'static str) {
+    match verdict {
+        Verdict::NoDiscrepancy => ("none", "No discrepancy shown"),
+        Verdict::Cause => ("cause", "Cause named"),
+        Verdict::Ambiguous => ("doubt", "Cause not yet clear"),
+        Verdict::Unexplained => ("doubt", "No known cause"),
+    }
+}
+
+/// Sentence, verdict and p, and what the verdict means.
+fn first(report: &Report) -> String {
+    let (class, name) = badge(report.verdict);
+    let sentence = if report.sentence.trim().is_empty() { name } else { report.sentence.trim() };
+    let campaigns = report.null_check.campaigns;
+    let least = match campaigns > 0 && report.p_value * (f64::from(campaigns) + 1.0) < 1.5 {
+        true => format!(" It is the smallest that {campaigns} simulated campaigns can show."),
+        false => String::new(),
+    };
+    format!(
+        "<section class=\"first\"><p class=\"over\">FLIP · what the simulation gets wrong</p><h1>{}</h1><div class=\"head\">\
+         <span class=\"badge {class}\">{name}</span><span><strong>p = {}</strong>: chance of evidence this strong if nothing is \
+         wrong.{least}</span></div><p>{}</p></section>",
+        text(sentence),
+        chance(report.p_value),
+        meaning(report)
+    )
+}
+
+fn meaning(report: &Report) -> String {
+    match report.verdict {
+        Verdict::NoDiscrepancy => {
+            "These data do not show that the simulation is wrong. That is no proof that it is right: \
+                                   see below which effects this campaign would have found, and which it cannot show."
+                .to_owned()
+        }
+        Verdict::Cause => {
+            "The measured angles depart from the simulation, and the catalogue has a cause that explains how. \
+                           A good explanation is not a proof: only an experiment that changes the cause is."
+                .to_owned()
+        }
+        Verdict::Ambiguous => {
+            let names: Vec<String> = report
+                .ambiguous_between
+                .iter()
+                .map(|name| format!("<strong>{}</strong>", text(&lower(&cause(name)))))
+                .collect();
+            let between = match names.as_slice() {
+                [] => "several causes".to_owned(),
+                names => listed(names),
+            };
+            let next =
+                if report.suggested_experiment.is_some() { " The experiment below would tell most." } else { "" };
+            format!(
+                "The measured angles depart from the simulation, but this campaign cannot tell between {between}.{next}"
+            )
+        }
+        Verdict::Unexplained => {
+            let law = report.unexplained.as_ref().map_or(String::new(), |it| {
+                let on = match &it.covariate {
+                    Some(name) => format!("It depends on <strong>{}</strong>", text(&lower(&column(name).0))),
+                    None => "Nothing that was recorded explains it".to_owned(),
+                };
+                format!(" {on}. Its law ({}): {}.", form(it.form_class), text(it.law.trim_end_matches('.')))
+            });
+            format!("The measured angles depart from the simulation, and no cause of the catalogue explains how.{law}")
+        }
+    }
+}
+
+fn form(class: FormClass) -> &'static str {
+    match class {
+        FormClass::Linear => "a straight line",
+        FormClass::Power => "a power",
+        FormClass::Threshold => "a step",
+        FormClass::Saturating => "towards a limit",
+        FormClass::Periodic => "a wave",
+        FormClass::Smooth => "smooth, of no simpler form",
+    }
+}
+
+fn provenance(report: &Report) -> String {
+    let versions = &report.simulator_version;
+    let extended = match &versions.extended {
+        None => "none <small>nothing was accepted</small>".to_owned(),
+        Some(id) => format!(
+            "<span class=\"mono\">{}</span> <small>{}</small>",
+            text(id),
+            if versions.verified { "verified by simulations" } else { "not yet verified by simulations" }
+        ),
+    };
+    let measured = report.rows.iter().filter(|row| row.measured_deg.is_some()).count();
+    let mut facts = vec![
+        ("Simulator that was judged", format!("<span class=\"mono\">{}</span>", text(&versions.base))),
+        ("Simulator that the findings make", extended),
+        ("Simulations", report.simulator_runs.to_string()),
+        ("Simulated campaigns without an effect", report.null_check.campaigns.to_string()),
+    ];
+    if !report.rows.is_empty() {
+        let powders = counted(figures::powders(&report.rows).len(), "powder");
+        facts.push(("Rows with an angle", format!("{measured} <small>of {}, {powders}</small>", report.rows.len())));
+    }
+    if report.wall_s > 0.0 {
+        facts.push(("Time it took", duration(report.wall_s)));
+    }
+    facts.push(("Version of this document", report.schema_version.to_string()));
+    let facts: String =
+        facts.iter().map(|(what, value)| format!("<div><dt>{what}</dt><dd>{value}</dd></div>")).collect();
+    sections::section(
+        "Provenance",
+        "The same file, settings and seed give this report again. All numbers are in report.json.",
+        &format!("<dl class=\"facts\">{facts}</dl>"),
+    )
+}

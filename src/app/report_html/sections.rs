@@ -1,0 +1,321 @@
+//! The parts of a report below its sentence. A part without anything to say is empty.
+
+use super::figures::{self, bar};
+use super::words::{
+    cause, chance, column, column_with_unit, counted, decimals_of, duration, interval, lower, num, percent, signed,
+    text, with_unit, words,
+};
+use crate::discover::Mechanism;
+use crate::discover::report::{CauseReport, Channel, Experiment, Finding, PowderEffect, Report, Verdict};
+
+/// Figures of residuals at most.
+const FIGURES_MAX: usize = 8;
+/// Inclusion probability from which a cause is told of beyond its bar.
+const TOLD: f64 = 0.1;
+/// Steps of colour of an effect.
+const SHADES: f64 = 4.0;
+
+/// A part: heading, a line that says how to read it, content.
+pub fn section(title: &str, intro: &str, content: &str) -> String {
+    match content {
+        "" => String::new(),
+        content => format!("<section><h2>{title}</h2><p class=\"intro\">{intro}</p>{content}</section>"),
+    }
+}
+
+/// Headings beginning with `>` stand left.
+pub(super) fn table(class: &str, headings: &[&str], rows: &str) -> String {
+    let heading = |label: &&str| match label.strip_prefix('>') {
+        Some(label) => format!("<th scope=\"col\" class=\"left\">{label}</th>"),
+        None => format!("<th scope=\"col\">{label}</th>"),
+    };
+    let headings: String = headings.iter().map(heading).collect();
+    format!(
+        "<div class=\"scroll\" tabindex=\"0\"><table class=\"{class}\"><thead><tr>{headings}</tr></thead><tbody>{rows}</tbody></table></div>"
+    )
+}
+
+pub(super) fn row(head: &str, cells: &[String]) -> String {
+    let cells: String = cells.iter().map(|cell| format!("<td>{cell}</td>")).collect();
+    format!("<tr><th scope=\"row\">{head}</th>{cells}</tr>")
+}
+
+/// Covariates in the order in which a reader wants to see them: of findings, of causes from the most probable on, all others.
+fn covariates(report: &Report) -> Vec<&str> {
+    let of_findings = report.findings.iter().filter_map(|finding| finding.covariate.as_deref());
+    let of_unexplained = report.unexplained.iter().filter_map(|it| it.covariate.as_deref());
+    let of_evidence = report.evidence.iter().flat_map(|it| match it.cause.strip_prefix("unknown: ") {
+        Some(covariate) => vec![covariate],
+        None => {
+            let known = Mechanism::ALL.iter().find(|mechanism| mechanism.name().0 == it.cause);
+            known.map_or(Vec::new(), |mechanism| mechanism.covariates().to_vec())
+        }
+    });
+    let mut order: Vec<&str> = Vec::new();
+    for name in of_findings.chain(of_unexplained).chain(of_evidence) {
+        if !order.contains(&name) {
+            order.push(name);
+        }
+    }
+    order
+}
+
+pub fn residuals(report: &Report) -> String {
+    let order = covariates(report);
+    let mut curves: Vec<_> = report.curves.iter().collect();
+    curves.sort_by_key(|curve| order.iter().position(|name| *name == curve.covariate).unwrap_or(order.len()));
+    let drawn: Vec<String> =
+        curves.iter().map(|curve| figures::residuals(report, curve)).filter(|it| !it.is_empty()).collect();
+    if drawn.is_empty() {
+        return String::new();
+    }
+    let missing = report.curves.iter().any(|curve| curve.at.iter().any(Option::is_none));
+    let mut marks = vec![
+        ("<path class=\"zero\" d=\"M1 6h20\"/>", "as simulated before"),
+        (
+            "<rect class=\"band\" x=\"1\" width=\"20\" height=\"12\"/><path class=\"course\" d=\"M1 6h20\"/>",
+            "with what was found, and where 90 % of runs should lie",
+        ),
+    ];
+    if missing {
+        marks.push(("<path class=\"rug p6\" d=\"M4 6h14\"/>", "not recorded"));
+    }
+    let legend = figures::legend(&figures::powders(&report.rows), &marks);
+    let left_out = drawn.len().saturating_sub(FIGURES_MAX);
+    let more = match left_out {
+        0 => String::new(),
+        n => format!("<p class=\"note\">{} of less weight not drawn.</p>", counted(n, "recorded condition")),
+    };
+    let drawn: String = drawn.into_iter().take(FIGURES_MAX).collect();
+    section(
+        "Where measured and simulated angles differ",
+        "Each mark is one row of the file. A powder's mean is fitted, so what counts is a trend along a condition.",
+        &format!("{legend}<div class=\"figures\">{drawn}</div>{more}"),
+    )
+}
+
+pub fn evidence(report: &Report) -> String {
+    let finite = |it: &f64| it.is_finite();
+    let weights = || report.evidence.iter().map(|it| it.log10_evidence).filter(finite);
+    let (low, high) = (weights().fold(0.0, f64::min), weights().fold(1.0, f64::max));
+    let judged: String = report
+        .evidence
+        .iter()
+        .map(|it| {
+            let class = if it.log10_evidence < 0.0 { "against" } else { "weight" };
+            let family = it.family.as_deref().map_or(String::new(), |family| text(&lower(&words(family))));
+            row(
+                &format!("{} <span class=\"small\">{family}</span>", text(&cause(&it.cause))),
+                &[
+                    bar(it.log10_evidence, low, high, class)
+                        + &format!("<span class=\"number\">{}</span>", signed(it.log10_evidence, 1)),
+                    bar(it.inclusion_probability, 0.0, 1.0, "share")
+                        + &format!("<span class=\"number\">{}</span>", percent(it.inclusion_probability)),
+                ],
+            )
+        })
+        .collect();
+    let untestable: String = report
+        .untestable
+        .iter()
+        .map(|it| {
+            let name = text(&cause(&it.mechanism));
+            format!(
+                "<tr class=\"greyed\"><th scope=\"row\">{name}</th><td colspan=\"2\" class=\"left wrap\">cannot be tested: {}\
+                 </td></tr>",
+                text(&it.reason)
+            )
+        })
+        .collect();
+    if judged.is_empty() && untestable.is_empty() {
+        return String::new();
+    }
+    let bars = table(
+        "evidence",
+        &[">Cause and its family", "Evidence (log10)", "Probability"],
+        &format!("{judged}{untestable}"),
+    );
+    section(
+        "How well each cause explains the data",
+        "Evidence: 0 is noise alone, 1 explains the data ten times as well, 2 a hundred times; below 0 noise alone does better. \
+         Probability: that the cause is at work, if anything is; two causes may be at work together.",
+        &format!("{bars}{}", causes(report)),
+    )
+}
+
+/// What is known of the probable causes; nothing where nothing is wrong.
+fn causes(report: &Report) -> String {
+    if report.verdict == Verdict::NoDiscrepancy {
+        return String::new();
+    }
+    let told = report.causes.iter().filter(|it| it.inclusion_probability >= TOLD).take(5).map(told).collect::<String>();
+    match told.as_str() {
+        "" => told,
+        told => format!("<h3>The most probable causes</h3><ul class=\"plain\">{told}</ul>"),
+    }
+}
+
+fn told(it: &CauseReport) -> String {
+    let level = match it.confidence_level {
+        1 => "its pattern is in the data",
+        2 => "the simulator extended by it predicts better what it was not fitted to",
+        _ => "an intervention confirmed it",
+    };
+    let powders: Vec<String> = it.powders.iter().map(|name| text(&lower(&words(name)))).collect();
+    let shown = match powders.as_slice() {
+        [] => String::new(),
+        powders => format!(" Shows on {}.", super::words::listed(powders)),
+    };
+    let parameter = |p: &crate::discover::report::ParameterReport| {
+        let decimals = decimals_of(p.value);
+        format!(
+            " {}: {} {}.",
+            text(&words(&p.name)),
+            with_unit(&num(p.value, decimals), &text(&p.unit)),
+            interval(p.ci95, decimals)
+        )
+    };
+    let parameters: String = it.parameters.iter().map(parameter).collect();
+    format!(
+        "<li><strong>{}</strong>, {}. Level {} of 3: {level}.{shown}{parameters}</li>",
+        text(&cause(&it.mechanism)),
+        percent(it.inclusion_probability),
+        it.confidence_level
+    )
+}
+
+pub fn by_powder(report: &Report) -> String {
+    let findings = &report.findings;
+    if findings.is_empty() {
+        return String::new();
+    }
+    let mut powders: Vec<&str> = Vec::new();
+    for powder in findings.iter().flat_map(|finding| &finding.by_powder).map(|it| it.powder.as_str()) {
+        if !powders.contains(&powder) {
+            powders.push(powder);
+        }
+    }
+    let cells = |of: &dyn Fn(&Finding) -> Option<PowderEffect>| -> Vec<String> {
+        let most = findings.iter().flat_map(|f| f.by_powder.iter().map(|it| it.effect).chain([f.effect]));
+        let most = most.map(f64::abs).filter(|it| it.is_finite()).fold(1e-9, f64::max);
+        findings.iter().map(|finding| effect(of(finding), most, &finding.unit)).collect()
+    };
+    let line = |name: &str, cells: &[String]| format!("<tr><th scope=\"row\">{name}</th>{}</tr>", cells.concat());
+    let average =
+        |finding: &Finding| Some(PowderEffect { powder: String::new(), effect: finding.effect, ci95: finding.ci95 });
+    let rows: String = powders
+        .iter()
+        .map(|powder| {
+            let of = |finding: &Finding| finding.by_powder.iter().find(|it| it.powder == *powder).cloned();
+            line(&text(&words(powder)), &cells(&of))
+        })
+        .collect();
+    let headings: Vec<String> = findings.iter().map(heading).collect();
+    let mut columns = vec![">Powder"];
+    columns.extend(headings.iter().map(String::as_str));
+    section(
+        "Effect on each powder",
+        "How far the measurement moves from one end of the condition to the other, with its 95 % interval. \
+         Bold: the interval leaves out zero.",
+        &table("heat", &columns, &format!("{rows}{}", line("On average", &cells(&average)))),
+    )
+}
+
+fn heading(finding: &Finding) -> String {
+    let channel = match finding.channel {
+        Channel::Repose => "",
+        Channel::FlowTime => "Flow time: ",
+        Channel::Trace => "Balance readings: ",
+        Channel::Scatter => "Scatter: ",
+    };
+    let what = finding.covariate.as_deref().map_or("nothing recorded".to_owned(), |name| column(name).0);
+    format!("{channel}{}<br/><span class=\"small\">{}</span>", text(&what), text(&finding.span))
+}
+
+fn effect(effect: Option<PowderEffect>, most: f64, unit: &str) -> String {
+    let Some(it) = effect else { return "<td class=\"small\">–</td>".to_owned() };
+    let shade = (SHADES * it.effect.abs() / most).round().clamp(0.0, SHADES);
+    let shade = match (it.effect > 0.0, shade as u32) {
+        (_, 0) => String::new(),
+        (true, shade) => format!(" up{shade}"),
+        (false, shade) => format!(" down{shade}"),
+    };
+    let sure = if it.ci95[0] > 0.0 || it.ci95[1] < 0.0 { "sure" } else { "plain-effect" };
+    let number = with_unit(&signed(it.effect, 1), &text(unit));
+    format!("<td class=\"{sure}{shade}\">{number} <span class=\"small\">{}</span></td>", interval(it.ci95, 1))
+}
+
+pub fn blind_spots(report: &Report) -> String {
+    let spots: String = report.blind_spots.iter().map(|it| format!("<li>{}</li>", text(it))).collect();
+    match spots.as_str() {
+        "" => spots,
+        spots => section(
+            "What these data cannot show",
+            "Nothing is claimed of these, neither that they are there nor that they are not.",
+            &format!("<ul class=\"plain\">{spots}</ul>"),
+        ),
+    }
+}
+
+pub fn null_check(report: &Report) -> String {
+    let check = &report.null_check;
+    let mut content = String::new();
+    if check.campaigns > 0 {
+        content = format!(
+            "<p>{} of this design (its powders, days, repeats and gaps) were simulated with nothing wrong, and the whole search \
+             was done on each. The statistic is the natural log of the strongest evidence for any cause, with how \
+             likely the cause was before. One in twenty exceeds {}; here it is {}, p\u{a0}=\u{a0}{}.</p><div class=\"figures\">{}</div>",
+            counted(check.campaigns as usize, "campaign"),
+            num(check.threshold95, 1),
+            num(check.statistic, 1),
+            chance(report.p_value),
+            figures::null_scale(check)
+        );
+    }
+    if !report.minimum_detectable.is_empty() {
+        let line = |it: &crate::discover::report::Detectable| {
+            row(&text(&cause(&it.mechanism)), &[format!("{}°", num(it.effect_deg, 1)), percent(it.power)])
+        };
+        let rows: String = report.minimum_detectable.iter().map(line).collect();
+        content += "<h3>The smallest effects that this design would find</h3><p class=\"note\">Change of the angle from the 5th \
+                    to the 95th percentile of the condition, all powders alike. Smaller ones are easily missed.</p>";
+        content += &table("", &[">Cause", "Effect", "Found in"], &rows);
+    }
+    section("Null check", "How often as much is found where nothing is wrong.", &content)
+}
+
+pub fn experiment(report: &Report) -> String {
+    let Some(it) = &report.suggested_experiment else { return String::new() };
+    let facts = format!(
+        "<dl class=\"facts\"><div><dt>Time it takes</dt><dd>{}</dd></div><div><dt>Chance that it settles the cause</dt><dd>{}</dd>\
+         </div><div><dt>Probability of the right cause after it</dt><dd>{} <small>on average</small></dd></div></dl>",
+        duration(60.0 * it.minutes),
+        percent(it.chance_of_resolution),
+        percent(it.expected_posterior)
+    );
+    section(
+        "The next experiment",
+        "What would tell most. Do the runs in this order.",
+        &format!("<div class=\"card\"><p><strong>{}</strong></p>{facts}</div>{}", text(&it.what), runs(it)),
+    )
+}
+
+fn runs(experiment: &Experiment) -> String {
+    let mut columns: Vec<&str> = Vec::new();
+    for name in experiment.runs.iter().flat_map(|run| run.keys()) {
+        if !columns.contains(&name.as_str()) {
+            columns.push(name);
+        }
+    }
+    columns.sort_by_key(|name| *name != "powder");
+    if columns.is_empty() {
+        return String::new();
+    }
+    let headings: Vec<String> = columns.iter().map(|name| text(&column_with_unit(name))).collect();
+    let headings: Vec<&str> = [">Run"].into_iter().chain(headings.iter().map(String::as_str)).collect();
+    let line = |(k, run): (usize, &std::collections::BTreeMap<String, String>)| {
+        let cell = |name: &&str| run.get(*name).map_or("–".to_owned(), |value| text(value));
+        row(&(k + 1).to_string(), &columns.iter().map(cell).collect::<Vec<_>>())
+    };
+    table("", &headings, &experiment.runs.iter().enumerate().map(line).collect::<String>())
+}
