@@ -1,7 +1,7 @@
 //! Measurements as CSV, the form in which laboratories keep them: one repeat or one summary a row, an empty cell for what was not measured.
 //!
 //! A row with `n` is a summary (mean, SD, n). Rows without are single repeats; those of one powder, method, source and experiment are
-//! gathered into one measurement in the place of the first of them. What [`write`] writes, [`read`] reads.
+//! gathered into one measurement in the place of the first of them. What [`write()`] writes, [`read`] reads.
 
 use super::check::Check;
 use super::csv_file::{Cells, CsvFile, REFUSALS_MAX, Refused, at};
