@@ -166,7 +166,7 @@ fn text(report: &Report, out: &Path) -> String {
     let parts = [
         report.sentence.clone(),
         decision,
-        section(&["cause", "family", "probability", "powders"], causes.collect()),
+        section(&["cause", "family", "probability, if any", "powders"], causes.collect()),
         section(&["departs", "with", "effect", "95 % interval", "from - to", "powders"], findings.collect()),
         section(&["cannot be told", "because"], untestable.collect()),
         format!("report.html, report.json and predict.csv are in {}", out.display()),

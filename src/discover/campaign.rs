@@ -71,8 +71,8 @@ impl Campaign {
     /// The campaign, if it can say anything at all.
     ///
     /// # Errors
-    /// Fewer than [`RUNS_MIN`] measured runs beyond one for each powder; an angle that is no number; a covariate with another number of values
-    /// than there are runs.
+    /// Fewer than [`RUNS_MIN`] measured runs beyond one for each powder; an angle that is no number; angles that are the same in all runs of each
+    /// powder; a covariate with another number of values than there are runs.
     pub fn checked(self) -> Result<Self, FieldError> {
         let measured = self.measured().len();
         if measured.saturating_sub(self.powders.len()) < RUNS_MIN {
@@ -85,6 +85,10 @@ impl Campaign {
         if self.runs.iter().any(|run| run.repose_deg.is_some_and(|angle| !angle.is_finite())) {
             return Err(FieldError::new("repose_deg", "must be a finite number in every run"));
         }
+        if !self.varies() {
+            let message = "is the same in all runs of each powder; measure to 0.1 deg or finer";
+            return Err(FieldError::new("repose_deg", message));
+        }
         let odd = self.covariates.iter().find(|covariate| covariate.len() != self.runs.len());
         match odd {
             Some(covariate) => {
@@ -93,6 +97,13 @@ impl Campaign {
             }
             None => Ok(self),
         }
+    }
+
+    /// Whether any powder has two different angles.
+    fn varies(&self) -> bool {
+        let mut first: Vec<Option<f64>> = vec![None; self.powders.len()];
+        let mut angles = self.runs.iter().filter_map(|run| Some((run.powder, run.repose_deg?)));
+        angles.any(|(powder, angle)| *first[powder].get_or_insert(angle) != angle)
     }
 
     /// The runs that have an angle, by index.

@@ -45,7 +45,7 @@ pub(super) fn detectable(
         let sign = hypothesis.sign.unwrap_or(1.0);
         let shows = |size: f64| {
             let moved = DMatrix::from_fn(drawn.nrows(), drawn.ncols(), |i, k| drawn[(i, k)] + sign * size * course[i]);
-            let odds = &prepared.log_odds(&[hypothesis], &moved)[0];
+            let odds = prepared.log_odds(hypothesis, &prepared.seen(&moved));
             let found = odds.iter().filter(|&&odds| odds + hypothesis.prior.ln() > threshold).count();
             found as f64 >= POWER * f64::from(CAMPAIGNS)
         };
@@ -59,7 +59,10 @@ pub(super) fn detectable(
         }
         let mut sorted: Vec<f64> = course.iter().copied().collect();
         sorted.sort_by(f64::total_cmp);
-        let range = quantile(&sorted, 0.95)? - quantile(&sorted, 0.05)?;
+        let between = |low: f64, high: f64| Some(quantile(&sorted, high)? - quantile(&sorted, low)?);
+        // A step that few runs are past has no range between the percentiles: then all of it.
+        let (range, all) = (between(0.05, 0.95)?, between(0.0, 1.0)?);
+        let range = if range < all / 2.0 { all } else { range };
         let effect_deg = high * repeat_deg * range;
         Some(Detectable { mechanism: mechanism.name().0.to_owned(), effect_deg, power: POWER })
     };

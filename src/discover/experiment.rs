@@ -214,7 +214,8 @@ impl Game<'_> {
         });
         let of = |cause: &Cause| after.hypotheses.iter().find(|it| it.cause == *cause);
         let [Some(one), Some(other)] = self.causes.map(of) else { return Ok([0.0, 0.5]) };
-        let odds = after.log_odds(&[one, other], &all);
+        let seen = after.seen(&all);
+        let odds = [one, other].map(|hypothesis| after.log_odds(hypothesis, &seen));
         let (mut resolved, mut expected, mut total) = (0.0, 0.0, 0.0);
         for (k, (of_one, of_other)) in odds[0].iter().zip(&odds[1]).enumerate() {
             let lead = of_one + one.prior.ln() - of_other - other.prior.ln();

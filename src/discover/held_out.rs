@@ -125,7 +125,9 @@ fn fold(
     let rest = campaign.without(hidden);
     let prepared = Prepared::new(&rest, responses).map_err(Stopped::Refused)?;
     let settings = Settings { simulations: SIMULATIONS, seed: derive(settings.seed, &[hidden[0] as u64]) };
-    let is_found = screen_prepared(&prepared, &rest, &settings).p_value <= SIGNIFICANCE;
+    let never = |_: f64| ControlFlow::Continue(());
+    let screening = screen_prepared(&prepared, &rest, &settings, never).ok_or(Stopped::Asked)?;
+    let is_found = screening.p_value <= SIGNIFICANCE;
     let posterior = Posterior::new(&prepared);
     let predicted = posterior.predict(&rest);
     let shifts = posterior.shifts();

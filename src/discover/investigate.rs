@@ -53,11 +53,12 @@ pub fn investigate(
     let mut step =
         |fraction: f64, message: &str| on_progress(&Progress { fraction, message: message.to_owned() }).is_break();
     let settings = settings.checked()?;
-    if step(0.0, "judging every cause, here and where nothing is wrong") {
-        return Ok(None);
-    }
     let prepared = Prepared::new(campaign, responses)?;
-    let screening = screen_prepared(&prepared, campaign, &settings);
+    let judged = |share: f64| match step(0.3 * share, "judging every cause, here and where nothing is wrong") {
+        true => ControlFlow::Break(()),
+        false => ControlFlow::Continue(()),
+    };
+    let Some(screening) = screen_prepared(&prepared, campaign, &settings, judged) else { return Ok(None) };
     let posterior = Posterior::new(&prepared);
     let judgement = Judgement::of(&prepared, &posterior, screening.p_value);
     let mut report = blank(&screening, base);

@@ -33,9 +33,10 @@ pub(super) fn law(campaign: &Campaign, prepared: &Prepared, covariate: &str) -> 
     let classes = classes(campaign, &values, low, high);
     let powder = campaign.powder_of();
     let y = DMatrix::from_column_slice(prepared.observed.len(), 1, &prepared.observed);
+    let seen = prepared.seen(&y);
     let odds = |courses: &[(String, Course)]| {
         let hypothesis = Hypothesis::of(Cause::Unknown(covariate.to_owned()), courses, &powder);
-        prepared.log_odds(&[&hypothesis], &y)[0][0]
+        prepared.log_odds(&hypothesis, &seen)[0]
     };
     let judged: Vec<f64> = classes.iter().map(|(_, courses)| odds(courses)).collect();
     let best = judged.iter().copied().fold(f64::NEG_INFINITY, f64::max);

@@ -56,13 +56,6 @@ pub fn weights(campaign: &Campaign) -> Vec<f64> {
     variances.iter().map(|variance| (variance / mean).sqrt()).collect()
 }
 
-/// Whether any powder has two different angles.
-pub fn varies(campaign: &Campaign) -> bool {
-    let mut first: Vec<Option<f64>> = vec![None; campaign.powders.len()];
-    let mut angles = campaign.runs.iter().filter_map(|run| Some((run.powder, run.repose_deg?)));
-    angles.any(|(powder, angle)| *first[powder].get_or_insert(angle) != angle)
-}
-
 /// Angles of the measured runs less their powder's median, outliers drawn in; and each powder's median.
 pub fn drawn_in(campaign: &Campaign) -> (Vec<f64>, Vec<f64>) {
     let middle = |mut values: Vec<f64>| {

@@ -19,6 +19,7 @@ use crate::stats::mixed_model::{MixedModelError, Signature, Whitening, log_mean_
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::ops::ControlFlow;
 
 /// Root mean square of a cause over the SD of a repeat.
 pub(super) const AMPLITUDES: [f64; 4] = [0.15, 0.3, 0.6, 1.2];
@@ -95,10 +96,6 @@ pub(super) struct Prepared {
 
 impl Prepared {
     pub fn new(campaign: &Campaign, responses: &Responses) -> Result<Self, FieldError> {
-        if !noise::varies(campaign) {
-            let message = "is the same in all runs of each powder; measure to 0.1 deg or finer";
-            return Err(FieldError::new("repose_deg", message));
-        }
         let weights = noise::weights(campaign);
         let refused = |error: MixedModelError| FieldError::new("measurements", error.to_string());
         let noises = noise::noises(campaign, &weights).map_err(refused)?;
@@ -125,42 +122,49 @@ impl Prepared {
         hypothesis.features.iter().map(of).collect()
     }
 
-    /// Log odds of each hypothesis over noise alone in each column of `all`: `[hypothesis][column]`.
-    pub fn log_odds(&self, hypotheses: &[&Hypothesis], all: &DMatrix<f64>) -> Vec<Vec<f64>> {
-        let judged: Vec<Evidences> =
-            self.noises.par_iter().map(|noise| self.evidences(&noise.model, hypotheses, all)).collect();
-        let over_noises = |of: &dyn Fn(&Evidences) -> f64| log_mean_exp(&judged.iter().map(of).collect::<Vec<f64>>());
-        let null: Vec<f64> = (0..all.ncols()).map(|k| over_noises(&|it| it.null[k])).collect();
-        let of = |h: usize| (0..all.ncols()).map(|k| over_noises(&|it| it.causes[h][k]) - null[k]).collect();
-        (0..hypotheses.len()).map(of).collect()
+    /// Campaigns, one a column, as the noises see them.
+    pub fn seen<'a>(&self, all: &'a DMatrix<f64>) -> Seen<'a> {
+        let squares: Vec<Vec<f64>> = self.noises.par_iter().map(|noise| noise.model.squares(all)).collect();
+        let log_null = |k: usize| {
+            let each = self.noises.iter().zip(&squares).map(|(noise, squares)| noise.model.log_null(squares[k]));
+            log_mean_exp(&each.collect::<Vec<f64>>())
+        };
+        let log_null = (0..all.ncols()).map(log_null).collect();
+        Seen { all, squares, log_null }
     }
 
-    fn evidences(&self, noise: &Whitening, hypotheses: &[&Hypothesis], all: &DMatrix<f64>) -> Evidences {
-        let squares = noise.squares(all);
-        let null = squares.iter().map(|&squares| noise.log_null(squares)).collect();
-        let judge = |hypothesis: &&Hypothesis| {
-            let signatures: Vec<Signature> = self.signatures(noise, hypothesis).into_iter().flatten().collect();
-            let seen: Vec<DMatrix<f64>> = signatures.iter().map(|signature| signature.seen(all)).collect();
-            let signs = hypothesis.signs(0);
-            let of_column = |k: usize| {
-                let each = signatures.iter().zip(&seen).flat_map(|(signature, seen)| {
-                    AMPLITUDES
-                        .map(|amplitude| noise.log_evidence(signature, seen.column(k), squares[k], amplitude, &signs))
-                });
-                log_mean_exp(&each.collect::<Vec<f64>>())
-            };
-            (0..all.ncols()).map(of_column).collect()
+    /// Log odds of a hypothesis over noise alone in each campaign.
+    pub fn log_odds(&self, hypothesis: &Hypothesis, seen: &Seen<'_>) -> Vec<f64> {
+        let of_noise =
+            |(noise, squares): (&Noise, &Vec<f64>)| self.evidence(&noise.model, hypothesis, seen.all, squares);
+        let judged: Vec<Vec<f64>> = self.noises.par_iter().zip(&seen.squares).map(of_noise).collect();
+        let over_noises = |k: usize| log_mean_exp(&judged.iter().map(|of| of[k]).collect::<Vec<f64>>());
+        (0..seen.all.ncols()).map(|k| over_noises(k) - seen.log_null[k]).collect()
+    }
+
+    /// Log evidence of a hypothesis under one noise in each campaign.
+    fn evidence(&self, noise: &Whitening, hypothesis: &Hypothesis, all: &DMatrix<f64>, squares: &[f64]) -> Vec<f64> {
+        let signatures: Vec<Signature> = self.signatures(noise, hypothesis).into_iter().flatten().collect();
+        let seen: Vec<DMatrix<f64>> = signatures.iter().map(|signature| signature.seen(all)).collect();
+        let signs = hypothesis.signs(0);
+        let of_column = |k: usize| {
+            let each = signatures.iter().zip(&seen).flat_map(|(signature, seen)| {
+                AMPLITUDES.map(|amplitude| noise.log_evidence(signature, seen.column(k), squares[k], amplitude, &signs))
+            });
+            log_mean_exp(&each.collect::<Vec<f64>>())
         };
-        Evidences { null, causes: hypotheses.iter().map(judge).collect() }
+        (0..all.ncols()).map(of_column).collect()
     }
 }
 
-/// Log evidences under one noise model.
-struct Evidences {
-    /// Of noise alone, `[column]`.
-    null: Vec<f64>,
-    /// Of each cause, `[hypothesis][column]`.
-    causes: Vec<Vec<f64>>,
+/// Campaigns as the noises see them.
+pub(super) struct Seen<'a> {
+    /// One a column.
+    all: &'a DMatrix<f64>,
+    /// `y*^T y*` under each noise.
+    squares: Vec<Vec<f64>>,
+    /// Log evidence of noise alone.
+    log_null: Vec<f64>,
 }
 
 /// Judge every cause of the catalogue, and every covariate without a cause, on a campaign.
@@ -169,13 +173,28 @@ struct Evidences {
 /// A setting out of bounds; a campaign whose runs say nothing of their noise.
 pub fn screen(campaign: &Campaign, responses: &Responses, settings: &Settings) -> Result<Screening, FieldError> {
     let settings = settings.checked()?;
-    Ok(screen_prepared(&Prepared::new(campaign, responses)?, campaign, &settings))
+    let prepared = Prepared::new(campaign, responses)?;
+    let never = |_: f64| ControlFlow::Continue(());
+    screen_prepared(&prepared, campaign, &settings, never).ok_or_else(|| FieldError::new("measurements", "stopped"))
 }
 
-pub(super) fn screen_prepared(prepared: &Prepared, campaign: &Campaign, settings: &Settings) -> Screening {
+/// `on_cause` hears which share of the causes was judged; `Break` stops, and there is no screening.
+pub(super) fn screen_prepared(
+    prepared: &Prepared,
+    campaign: &Campaign,
+    settings: &Settings,
+    mut on_cause: impl FnMut(f64) -> ControlFlow<()>,
+) -> Option<Screening> {
     let Prepared { weights, noises, observed, hypotheses, .. } = prepared;
     let all = noise::with_simulated(campaign, weights, noises, observed, settings.seed, settings.simulations);
-    let log_odds = prepared.log_odds(&hypotheses.iter().collect::<Vec<_>>(), &all);
+    let seen = prepared.seen(&all);
+    let mut log_odds = Vec::new();
+    for (k, hypothesis) in hypotheses.iter().enumerate() {
+        if on_cause(k as f64 / hypotheses.len() as f64).is_break() {
+            return None;
+        }
+        log_odds.push(prepared.log_odds(hypothesis, &seen));
+    }
     let scores = |k: usize| hypotheses.iter().zip(&log_odds).map(move |(it, of)| of[k] + it.prior.ln());
     let largest = |k: usize| scores(k).fold(f64::NEG_INFINITY, f64::max);
     let mut null: Vec<f64> = (1..all.ncols()).map(largest).collect();
@@ -190,5 +209,6 @@ pub(super) fn screen_prepared(prepared: &Prepared, campaign: &Campaign, settings
     let mut judged: Vec<Judged> = hypotheses.iter().zip(scores(0)).map(judge).collect();
     judged.sort_by(|a, b| b.probability.total_cmp(&a.probability));
     let p_value = (1 + as_large) as f64 / all.ncols() as f64;
-    Screening { p_value, judged, untestable: prepared.untestable.clone(), statistic: largest(0), null }
+    let untestable = prepared.untestable.clone();
+    Some(Screening { p_value, judged, untestable, statistic: largest(0), null })
 }

@@ -185,7 +185,7 @@ fn campaigns_that_say_nothing_are_refused() {
     assert_eq!(odd.checked().unwrap_err().field, "relative_humidity_pct");
     let mut flat = campaign.clone();
     flat.runs.iter_mut().for_each(|run| run.repose_deg = Some(30.0));
-    assert_eq!(screen(&flat, &Responses::new(), &SETTINGS).unwrap_err().field, "repose_deg");
+    assert_eq!(flat.checked().unwrap_err().field, "repose_deg");
     assert_eq!(
         screen(&campaign, &Responses::new(), &Settings { simulations: 10, ..SETTINGS }).unwrap_err().field,
         "simulations"

@@ -2,8 +2,8 @@
 
 use super::figures::{self, bar};
 use super::words::{
-    cause, chance, column, column_with_unit, counted, decimals_of, duration, interval, lower, num, percent, signed,
-    text, with_unit, words,
+    cause, chance, column, column_with_unit, counted, decimals_of, duration, interval, lower, num, parameter, percent,
+    signed, span, text, with_unit, words,
 };
 use crate::discover::Mechanism;
 use crate::discover::report::{CauseReport, Channel, Experiment, Finding, PowderEffect, Report, Verdict};
@@ -170,7 +170,7 @@ fn told(it: &CauseReport) -> String {
         let decimals = decimals_of(p.value);
         format!(
             " {}: {} {}.",
-            text(&words(&p.name)),
+            text(&parameter(&p.name)),
             with_unit(&num(p.value, decimals), &text(&p.unit)),
             interval(p.ci95, decimals)
         )
@@ -229,7 +229,7 @@ fn heading(finding: &Finding) -> String {
         Channel::Scatter => "Scatter: ",
     };
     let what = finding.covariate.as_deref().map_or("nothing recorded".to_owned(), |name| column(name).0);
-    format!("{channel}{}<br/><span class=\"small\">{}</span>", text(&what), text(&finding.span))
+    format!("{channel}{}<br/><span class=\"small\">{}</span>", text(&what), text(span(&finding.span, &what)))
 }
 
 fn effect(effect: Option<PowderEffect>, most: f64, unit: &str) -> String {

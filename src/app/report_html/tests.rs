@@ -1,6 +1,6 @@
 use super::figures::Scale;
 use super::html;
-use super::words::{cause, chance, column_with_unit, duration, interval, num, percent, signed};
+use super::words::{cause, chance, column_with_unit, duration, interval, num, percent, signed, span, with_unit};
 use crate::discover::Report;
 use crate::discover::report::{
     CauseReport, Channel, Coverage, Curve, Detectable, Evidence, Experiment, Finding, FormClass, Gain, HeldOut,
@@ -317,6 +317,8 @@ fn numbers_are_written_as_people_write_them() {
         ["relative_humidity_pct", "vibration_rms_m_s2", "operator", "_c", "rest_min"].map(column_with_unit),
         ["Relative humidity (%)", "Vibration (rms) (m/s²)", "Operator", " c", "Time at rest (min)"]
     );
+    assert_eq!(span("from 28 to 70 % relative humidity", "Relative humidity"), "from 28 to 70 %");
+    assert_eq!(with_unit("0.13", "1"), "0.13");
     assert_eq!(cause("unknown: pressure_hpa"), "Unknown cause, with pressure");
 }
 

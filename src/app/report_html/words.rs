@@ -86,7 +86,7 @@ pub fn percent(share: f64) -> String {
 /// Degrees stand at their number, other units after a space. `unit` is HTML.
 pub fn with_unit(number: &str, unit: &str) -> String {
     match unit {
-        "" => number.to_owned(),
+        "" | "1" => number.to_owned(),
         "deg" | "°" => format!("{number}°"),
         unit => format!("{number} {unit}"),
     }
@@ -187,6 +187,19 @@ pub fn cause(name: &str) -> String {
         "unrecorded" => "Unknown cause, with nothing recorded".to_owned(),
         name => CAUSES.iter().find(|(cause, _)| *cause == name).map_or_else(|| words(name), |(_, it)| (*it).to_owned()),
     }
+}
+
+/// A fitted number in words; not escaped yet.
+pub fn parameter(name: &str) -> String {
+    match name {
+        "effect_5_95" => "Change from the 5th to the 95th percentile".to_owned(),
+        name => words(name),
+    }
+}
+
+/// From where to where, without the condition that stands above it; not escaped yet.
+pub fn span<'a>(span: &'a str, label: &str) -> &'a str {
+    span.strip_suffix(&lower(label)).map_or(span, str::trim_end)
 }
 
 /// Begins small, for the middle of a sentence.
