@@ -301,6 +301,7 @@ describe('every view', () => {
     policy: `policies/${made.policy}`,
     evaluation: `evaluations/${made.evaluation.id}`,
     weighings: 'weighings',
+    investigations: 'investigations',
     weighing: `weighings/${made.weighing}`,
     jobs: 'jobs',
   })
@@ -336,7 +337,7 @@ describe('every view', () => {
     await chromium.open(page)
     await page.keyboard.press('Tab')
     assert.equal(await page.evaluate(() => document.activeElement.textContent), 'Skip to content')
-    for (let k = 0; k < 7; k++) await page.keyboard.press('Tab')
+    for (let k = 0; k < 8; k++) await page.keyboard.press('Tab')
     await page.keyboard.press('Enter')
     await page.getByRole('heading', { name: 'Jobs', level: 1 }).waitFor()
     assert.equal(await page.evaluate(() => document.activeElement.id), 'main')

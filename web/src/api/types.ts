@@ -1,5 +1,7 @@
-/** The service's types under the names the page uses; all of them come from openapi.json. */
+/** The service's types under the names the page uses; all of them come from openapi.json, but for those of investigations, which it does not describe yet. */
 import type { components } from './schema'
+
+export type { Cause, Curve, Evidence, Experiment, Finding, Gain, HeldOut, Investigation, InvestigationRequest, Predicted, Report, Verdict } from './investigations'
 
 type Schemas = components['schemas']
 
@@ -18,7 +20,7 @@ export type EvaluationSummary = Schemas['EvaluationSummary']
 export type Event = Schemas['Event']
 export type Imported = Schemas['Imported']
 export type Job = Schemas['Job']
-export type JobKind = Schemas['JobKind']
+export type JobKind = Schemas['JobKind'] | 'investigation'
 export type JobState = Schemas['JobState']
 export type Marginal = Schemas['Marginal']
 export type Measurement = Schemas['Measurement']

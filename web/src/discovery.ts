@@ -1,0 +1,94 @@
+/** The words of an investigation: columns, causes, verdicts. */
+import type { Curve, Report } from './api/types'
+import { num, words } from './format'
+
+/** Endings of columns, longest first, and their units. */
+const UNITS: [string, string][] = [['_m_s2', 'm/s²'], ['_pct', '%'], ['_deg', '°'], ['_min', 'min'], ['_hpa', 'hPa'], ['_kpa', 'kPa'], ['_mm', 'mm'], ['_um', 'µm'], ['_mg', 'mg'], ['_ms', 'ms'], ['_pa', 'Pa'], ['_hz', 'Hz'], ['_c', '°C'], ['_d', 'd'], ['_g', 'g'], ['_h', 'h'], ['_s', 's'], ['_v', 'V']]
+/** Columns whose names are not the words that a chemist would use. */
+const COLUMNS: Record<string, string> = {
+  rest_min: 'Time at rest',
+  container_age_d: 'Time since opening',
+  vibration_rms_m_s2: 'Vibration (rms)',
+  plate: 'Base plate',
+  ioniser_on: 'Ioniser',
+  method: 'Method of measuring',
+}
+const CAUSES: Record<string, string> = {
+  rest_time: 'Consolidation at rest',
+  densification: 'Densification by shaking',
+  humid_ageing: 'Ageing at rest in humid air',
+  container_age: 'Ageing since opening',
+  batch: 'Batch or grain size',
+  polydispersity: 'Spread of grain sizes',
+  rolling_resistance: 'Grain shape (rolling resistance)',
+  charge: 'Electrostatic charge',
+  balance_static: 'Charge at the balance',
+  spoon_holdup: 'Powder held up on the spoon',
+  method_bias: 'Bias of the measuring method',
+  base_friction: 'Friction of the base plate',
+  order: 'Order in the session',
+  unrecorded: 'Unknown cause, with nothing recorded',
+}
+const FORMS: Record<string, string> = { linear: 'a straight line', power: 'a power', threshold: 'a step', saturating: 'towards a limit', periodic: 'a wave', smooth: 'smooth, of no simpler form' }
+const LEVELS = ['', 'its pattern is in the data', 'the simulator extended by it predicts better what it was not fitted to', 'an intervention confirmed it']
+
+/** What a column holds, and in which unit. */
+export function columnOf(name: string): { label: string; unit: string } {
+  const [ending, unit] = UNITS.find(([e]) => name.length > e.length && name.endsWith(e)) ?? ['', '']
+  return { label: COLUMNS[name] ?? words(ending ? name.slice(0, -ending.length) : name), unit }
+}
+/** `Relative humidity (%)`. */
+export function columnName(name: string): string {
+  const { label, unit } = columnOf(name)
+  return unit ? `${label} (${unit})` : label
+}
+const lower = (phrase: string) => phrase.charAt(0).toLowerCase() + phrase.slice(1)
+
+export function causeName(name: string): string {
+  const covariate = name.startsWith('unknown: ') ? name.slice(9) : ''
+  return covariate ? `Unknown cause, with ${lower(columnOf(covariate).label)}` : (CAUSES[name] ?? words(name))
+}
+export const levelName = (level: number) => LEVELS[level] ?? ''
+
+/** `a`, `a and b`, `a, b and c`. */
+export const listed = (items: string[]) => (items.length < 2 ? (items[0] ?? '') : `${items.slice(0, -1).join(', ')} and ${items.at(-1)}`)
+
+/** `[1.6, 3.1]`. */
+export const interval = (ci95: number[], decimals: number) => `[${num(ci95[0], decimals)}, ${num(ci95[1], decimals)}]`
+export const chance = (p: number) => num(p, p >= 0.1 ? 2 : p >= 0.001 ? 3 : 4)
+/** A share as a number of percent; what is nearly none or nearly all is not rounded to it. */
+export const percent = (share: number) => (share > 0 && share < 0.005 ? '< 1' : share < 1 && share > 0.995 ? '> 99' : num(100 * share, 0))
+/** Degrees stand at their number, other units after a space. */
+export const withUnit = (number: string, unit: string) => (unit === 'deg' || unit === '°' ? `${number}°` : unit ? `${number} ${unit}` : number)
+
+/** What a verdict means and what it does not. */
+export function meaning(report: Report): string {
+  const depart = 'The measured angles depart from the simulation'
+  switch (report.verdict) {
+    case 'no_discrepancy':
+      return 'These data do not show that the simulation is wrong. That is no proof that it is right: see below which effects this campaign would have found, and which it cannot show.'
+    case 'cause':
+      return `${depart}, and the catalogue has a cause that explains how. A good explanation is not a proof: only an experiment that changes the cause is.`
+    case 'ambiguous':
+      return `${depart}, but this campaign cannot tell between ${listed(report.ambiguous_between.map((name) => lower(causeName(name)))) || 'several causes'}.${report.suggested_experiment ? ' The experiment below would tell most.' : ''}`
+    case 'unexplained': {
+      const law = report.unexplained
+      const on = law?.covariate ? `It depends on ${lower(columnOf(law.covariate).label)}` : 'Nothing that was recorded explains it'
+      return `${depart}, and no cause of the catalogue explains how.${law ? ` ${on}. Its law (${FORMS[law.form_class] ?? law.form_class}): ${law.law.replace(/\.$/, '')}.` : ''}`
+    }
+  }
+}
+
+/** Powders in the order of the file: their places say how they are drawn. */
+export const powdersOf = (report: Report) => [...new Set(report.rows.map((row) => row.powder))]
+
+/** Curves in the order in which a reader wants them: of findings, of unknown causes from the most probable on, all others. */
+export function curvesOf(report: Report): Curve[] {
+  const named = [
+    ...report.findings.map((finding) => finding.covariate ?? ''),
+    report.unexplained?.covariate ?? '',
+    ...report.evidence.filter((e) => e.cause.startsWith('unknown: ')).map((e) => e.cause.slice(9)),
+  ]
+  const place = (curve: Curve) => (named.includes(curve.covariate) ? named.indexOf(curve.covariate) : named.length)
+  return report.curves.filter((curve) => curve.at.some((at) => at !== null)).sort((a, b) => place(a) - place(b))
+}

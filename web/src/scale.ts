@@ -1,0 +1,66 @@
+/** Axes of figures that are drawn as SVG. */
+import { num } from './format'
+
+export interface Scale {
+  low: number
+  high: number
+  /** Pixel of a value. */
+  at: (value: number) => number
+}
+
+/** A scale over all finite values with a little room, from pixel `from` to pixel `to`. */
+export function scaleOver(values: (number | null | undefined)[], from: number, to: number): Scale {
+  const known = values.filter((v): v is number => typeof v === 'number' && Number.isFinite(v))
+  const [least, most] = known.length > 0 ? [known.reduce((a, b) => Math.min(a, b)), known.reduce((a, b) => Math.max(a, b))] : [0, 1]
+  const room = most - least > 1e-9 * Math.max(Math.abs(least), Math.abs(most)) ? 0.04 * (most - least) : 0.5
+  const [low, high] = [least - room, most + room]
+  return { low, high, at: (value) => from + ((to - from) * (value - low)) / (high - low) }
+}
+
+export interface Tick {
+  value: number
+  text: string
+}
+
+/** About `count` round values on a scale, as written. */
+export function ticks({ low, high }: Scale, count: number): Tick[] {
+  const rough = (high - low) / count
+  const power = 10 ** Math.floor(Math.log10(rough))
+  const step = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= 0.7 * rough) ?? rough
+  const decimals = Math.min(9, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)))
+  const first = Math.ceil(low / step)
+  return Array.from({ length: Math.max(0, Math.floor(high / step) - first + 1) }, (_, k) => (first + k) * step).map((value) => ({ value, text: num(value, decimals) }))
+}
+
+/** As many names along an axis `room` pixels long as can be read. */
+export function nameTicks(names: string[], room: number): Tick[] {
+  const each = room / Math.max(1, names.length)
+  const every = Math.max(1, Math.ceil(38 / each))
+  const letters = Math.max(2, Math.floor((each * every) / 6.6))
+  const short = (name: string) => (name.length > letters ? `${name.slice(0, letters - 1)}…` : name)
+  return names.map((name, value) => ({ value, text: short(name) })).filter((_, k) => k % every === 0)
+}
+
+/** Powders told apart by colour; their shapes repeat with another period. */
+export const COLOURS = 7
+const SHAPES = 5
+
+/** The outline of the mark of the powder with this number, around a point. */
+export function mark(powder: number, x: number, y: number): string {
+  const p = (v: number) => v.toFixed(1)
+  switch (powder % SHAPES) {
+    case 0:
+      return `M${p(x - 3.2)} ${p(y)}a3.2 3.2 0 1 0 6.4 0a3.2 3.2 0 1 0-6.4 0`
+    case 1:
+      return `M${p(x - 3)} ${p(y - 3)}h6v6h-6z`
+    case 2:
+      return `M${p(x)} ${p(y - 3.9)}l3.7 6.6h-7.4z`
+    case 3:
+      return `M${p(x)} ${p(y - 4.1)}l4.1 4.1-4.1 4.1-4.1-4.1z`
+    default:
+      return `M${p(x)} ${p(y + 3.9)}l3.7-6.6h-7.4z`
+  }
+}
+
+/** The colour of a powder, for CSS. */
+export const colourOf = (powder: number) => `var(--powder-${powder % COLOURS})`
