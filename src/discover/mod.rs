@@ -43,6 +43,7 @@ mod response;
 mod scenario;
 mod screen;
 mod signature;
+pub mod traces;
 mod words;
 
 #[cfg(test)]

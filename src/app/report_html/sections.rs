@@ -74,7 +74,7 @@ pub fn residuals(report: &Report) -> String {
         ("<path class=\"zero\" d=\"M1 6h20\"/>", "as simulated before"),
         (
             "<rect class=\"band\" x=\"1\" width=\"20\" height=\"12\"/><path class=\"course\" d=\"M1 6h20\"/>",
-            "with what was found, and where 90 % of runs should lie",
+            "with what was found: the average over powders, and the band of 90 % of runs around it",
         ),
     ];
     if missing {
@@ -89,7 +89,8 @@ pub fn residuals(report: &Report) -> String {
     let drawn: String = drawn.into_iter().take(FIGURES_MAX).collect();
     section(
         "Where measured and simulated angles differ",
-        "Each mark is one row of the file. A powder's mean is fitted, so what counts is a trend along a condition.",
+        "Each mark is one row of the file. A powder's mean is fitted, so what counts is a trend along a condition. \
+         Powders that react otherwise than the average, and other conditions, move marks out of the band.",
         &format!("{legend}<div class=\"figures\">{drawn}</div>{more}"),
     )
 }

@@ -1,0 +1,36 @@
+//! What the simulated bench gets wrong, by what a balance showed during weighings.
+//!
+//! ```text
+//! readings.rs    what was recorded
+//! design.rs      from readings to plateaus, masses of shakes, scatter
+//! bench.rs       the simulated spoon and balance that signatures come from
+//! catalogue.rs   the causes and their forms
+//! shakes.rs      what each powder's spoon lets fall
+//! noise.rs       noise of each level, plain or wandering
+//! evidence.rs    how well signatures explain, weighing by weighing
+//! level.rs       a level, judged
+//! simulate.rs    readings in which nothing is wrong
+//! screen.rs      is anything wrong, and what explains it best
+//! ```
+//!
+//! As for angles of repose, what a calibration would absorb is not looked at, and the best of all causes is compared with the best that readings of
+//! the same design have when nothing is wrong. Something that wanders in each weighing in its own way is nobody's signature: it is judged beside the
+//! causes, and a cause that leaves too much of it gives its name up.
+
+mod bench;
+mod catalogue;
+mod design;
+mod evidence;
+mod level;
+mod noise;
+pub mod readings;
+mod screen;
+mod shakes;
+mod simulate;
+
+#[cfg(test)]
+mod tests;
+
+pub use catalogue::TraceMechanism;
+pub use readings::{Kind, Reading, Traces, Weighing};
+pub use screen::{Parameter, Settings, TraceCause, TraceJudged, TraceScreening, screen_traces};

@@ -1,0 +1,74 @@
+//! What each powder's spoon lets fall, as its own shakes have it: the response around which shakes are judged.
+//!
+//! ```text
+//! z = asinh(d / w),   w = 2 sqrt(2) s          s: SD of a plateau's level
+//! z ~ a_p + b_p ln A + c_p theta + e theta^2    of powder p, amplitude A, pitch theta; columns that were not recorded or did not vary are left out
+//! ```
+//!
+//! A calibrated simulation has all of these from the powder, so whatever they span is not looked at.
+
+use super::design::Design;
+use super::noise::Masses;
+use nalgebra::{DMatrix, DVector};
+
+/// Fewest shakes beyond the columns of the response that say anything.
+const SPARE_MIN: usize = 12;
+
+impl Masses {
+    /// Masses as they are judged, around the response.
+    pub fn seen(&self, masses_mg: &[f64]) -> Vec<f64> {
+        let z = |mg: f64| (mg / self.width_mg).asinh();
+        masses_mg.iter().zip(&self.nominal_mg).map(|(&mg, &nominal)| z(mg) - z(nominal)).collect()
+    }
+}
+
+/// The response; `None` of too few shakes.
+pub(super) fn response(design: &Design) -> Option<Masses> {
+    let masses = design.masses(&design.shown_mg);
+    let fixed = columns(design);
+    if masses.len() < fixed.ncols() + SPARE_MIN {
+        return None;
+    }
+    let late = |k: usize| design.plateaus[k].readings.len().div_ceil(2) as f64;
+    let counts: f64 = design.shakes.iter().map(|shake| late(shake.after)).sum::<f64>() / masses.len() as f64;
+    // Where loads do not move between readings, averaging does not help against a display's steps.
+    let shown = design.readability_mg.powi(2) / 12.0;
+    let level_sd_mg = (shown + design.reading_sd().powi(2) / counts).sqrt();
+    let mut sorted = masses.clone();
+    sorted.sort_by(f64::total_cmp);
+    let width_mg = (8f64.sqrt() * level_sd_mg).max(0.02 * sorted[sorted.len() / 2].abs()).max(1e-9);
+    let z = DVector::from_iterator(masses.len(), masses.iter().map(|mg| (mg / width_mg).asinh()));
+    let solved = fixed.clone().svd(true, true).solve(&z, 1e-9).ok()?;
+    let fitted = &fixed * solved;
+    // A shake is expected to let something fall.
+    let nominal_mg = fitted.iter().map(|z| (width_mg * z.sinh()).max(0.2 * width_mg)).collect();
+    Some(Masses { width_mg, level_sd_mg, nominal_mg, fixed })
+}
+
+/// Columns of the response in log mass, `[shakes, p]`, each covariate with mean 0 and SD 1.
+fn columns(design: &Design) -> DMatrix<f64> {
+    let (powders, _) = design.counts();
+    let standard = |of: &dyn Fn(usize) -> Option<f64>| -> Option<Vec<f64>> {
+        let values: Vec<Option<f64>> = design.shakes.iter().map(|shake| of(shake.after)).collect();
+        let known: Vec<f64> = values.iter().flatten().copied().collect();
+        let mean = crate::stats::summary::mean(&known)?;
+        let sd = crate::stats::summary::sd(&known).filter(|&sd| sd > 1e-9 * mean.abs())?;
+        Some(values.iter().map(|value| value.map_or(0.0, |value| (value - mean) / sd)).collect())
+    };
+    let plateau = |k: usize| &design.plateaus[k];
+    let amplitude = standard(&|k| plateau(k).shake_mm.filter(|&mm| mm > 0.0).map(f64::ln));
+    let pitch = standard(&|k| plateau(k).pitch_deg);
+    let powder: Vec<usize> = design.shakes.iter().map(|shake| design.logs[shake.log].powder).collect();
+    let mut columns: Vec<DVector<f64>> = Vec::new();
+    for p in 0..powders {
+        let of_powder = |values: &dyn Fn(usize) -> f64| {
+            DVector::from_fn(powder.len(), |i, _| if powder[i] == p { values(i) } else { 0.0 })
+        };
+        columns.push(of_powder(&|_| 1.0));
+        columns.extend(amplitude.as_ref().map(|values| of_powder(&|i| values[i])));
+        columns.extend(pitch.as_ref().map(|values| of_powder(&|i| values[i])));
+    }
+    columns.extend(pitch.map(|values| DVector::from_fn(powder.len(), |i, _| values[i] * values[i])));
+    columns.retain(|column| column.norm() > 0.0);
+    if columns.is_empty() { DMatrix::zeros(powder.len(), 0) } else { DMatrix::from_columns(&columns) }
+}
