@@ -1,5 +1,5 @@
 /** The words of an investigation: columns, causes, verdicts. */
-import type { Curve, Report } from './api/types'
+import type { Curve, Finding, Report } from './api/types'
 import { num, words } from './format'
 
 /** Endings of columns, longest first, and their units. */
@@ -48,7 +48,16 @@ export function causeName(name: string): string {
   const covariate = name.startsWith('unknown: ') ? name.slice(9) : ''
   return covariate ? `Unknown cause, with ${lower(columnOf(covariate).label)}` : (CAUSES[name] ?? words(name))
 }
+/** A fitted number in words. */
+export const parameterName = (name: string) => (name === 'effect_5_95' ? 'Change from the 5th to the 95th percentile' : words(name))
 export const levelName = (level: number) => LEVELS[level] ?? ''
+
+/** What a finding changes with, and from where to where. */
+export function findingName({ covariate, span }: Finding): string {
+  const label = covariate ? columnOf(covariate).label : 'Nothing recorded'
+  const repeated = lower(label)
+  return `${label}, ${span.endsWith(repeated) ? span.slice(0, -repeated.length).trimEnd() : span}`
+}
 
 /** `a`, `a and b`, `a, b and c`. */
 export const listed = (items: string[]) => (items.length < 2 ? (items[0] ?? '') : `${items.slice(0, -1).join(', ')} and ${items.at(-1)}`)
@@ -59,7 +68,7 @@ export const chance = (p: number) => num(p, p >= 0.1 ? 2 : p >= 0.001 ? 3 : 4)
 /** A share as a number of percent; what is nearly none or nearly all is not rounded to it. */
 export const percent = (share: number) => (share > 0 && share < 0.005 ? '< 1' : share < 1 && share > 0.995 ? '> 99' : num(100 * share, 0))
 /** Degrees stand at their number, other units after a space. */
-export const withUnit = (number: string, unit: string) => (unit === 'deg' || unit === '°' ? `${number}°` : unit ? `${number} ${unit}` : number)
+export const withUnit = (number: string, unit: string) => (unit === 'deg' || unit === '°' ? `${number}°` : unit && unit !== '1' ? `${number} ${unit}` : number)
 
 /** What a verdict means and what it does not. */
 export function meaning(report: Report): string {

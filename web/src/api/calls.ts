@@ -2,12 +2,11 @@
 import createClient, { type Middleware } from 'openapi-fetch'
 import type { Query } from '../resource.svelte'
 import { settings } from '../settings.svelte'
-import type { InvestigationPaths } from './investigations'
 import { Problem } from './problem'
 import type { paths } from './schema'
 import type * as T from './types'
 
-const client = createClient<paths & InvestigationPaths>()
+const client = createClient<paths>()
 
 const authorize: Middleware = {
   onRequest({ request }) {
@@ -74,7 +73,5 @@ export const startWeighing = (request: T.WeighingRequest, key: string) =>
   body(client.POST('/v1/weighings', { params: { header: { 'Idempotency-Key': key } }, body: request }))
 export const stopWeighing = (id: string) => body(client.POST('/v1/weighings/{id}/stop', { params: at(id) }))
 
-export const jobs = (query: Query & { kind?: T.JobKind; state?: T.JobState } = {}) =>
-  // The schema does not know the kind `investigation` yet.
-  body(client.GET('/v1/jobs', { params: { query: query as Query & { kind?: 'calibration' } } }))
+export const jobs = (query: Query & { kind?: T.JobKind; state?: T.JobState } = {}) => body(client.GET('/v1/jobs', { params: { query } }))
 export const cancelJob = (id: string) => body(client.POST('/v1/jobs/{id}/cancel', { params: at(id) }))

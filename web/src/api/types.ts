@@ -1,7 +1,5 @@
-/** The service's types under the names the page uses; all of them come from openapi.json, but for those of investigations, which it does not describe yet. */
+/** The service's types under the names the page uses; all of them come from openapi.json. */
 import type { components } from './schema'
-
-export type { Cause, Curve, Evidence, Experiment, Finding, Gain, HeldOut, Investigation, InvestigationRequest, Predicted, Report, Verdict } from './investigations'
 
 type Schemas = components['schemas']
 
@@ -11,6 +9,7 @@ export type CalibrationRequest = Schemas['CalibrationRequest']
 export type CalibrationSet = Schemas['CalibrationSet']
 export type ComparedCalibration = Schemas['ComparedCalibration']
 export type Comparison = Schemas['Comparison']
+export type Curve = Schemas['Curve']
 export type Episode = Schemas['Episode']
 export type Evaluation = Schemas['Evaluation']
 export type EvaluationRequest = Schemas['EvaluationRequest']
@@ -18,9 +17,13 @@ export type EvaluationResult = Schemas['EvaluationResult']
 export type EvaluationRow = Schemas['EvaluationRow']
 export type EvaluationSummary = Schemas['EvaluationSummary']
 export type Event = Schemas['Event']
+export type Finding = Schemas['Finding']
+export type HeldOut = Schemas['HeldOut']
 export type Imported = Schemas['Imported']
+export type Investigation = Schemas['Investigation']
+export type InvestigationRequest = Schemas['InvestigationRequest']
 export type Job = Schemas['Job']
-export type JobKind = Schemas['JobKind'] | 'investigation'
+export type JobKind = Schemas['JobKind']
 export type JobState = Schemas['JobState']
 export type Marginal = Schemas['Marginal']
 export type Measurement = Schemas['Measurement']
@@ -35,6 +38,8 @@ export type Policy = Schemas['Policy']
 export type PolicyError = Schemas['PolicyError']
 export type PowderDetail = Schemas['PowderDetail']
 export type Preset = Schemas['Preset']
+export type Report = Schemas['Report']
+export type ReportRow = Schemas['Row']
 export type Tick = Schemas['Tick']
 export type Training = Schemas['Training']
 export type TrainingLevel = Schemas['TrainingLevel']
