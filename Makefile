@@ -74,7 +74,8 @@ calibration-report: setup
 # Jobs that its data folder has finished are found and one that was stopped goes on from its checkpoint, so it can be made in pieces.
 EPISODES ?= 200
 discovery-report: setup
-	cargo test --release --locked --test discovery report -- --ignored --nocapture
+	cargo build --release --locked --bin flip --example discovery_report
+	FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip" cargo run --quiet --release --locked --example discovery_report
 
 training-report: setup
 	cargo build --release --locked

@@ -131,11 +131,18 @@ impl Whitening {
     /// Features as this noise sees them; `None` if the fixed part explains all of them.
     pub fn signature(&self, features: &DMatrix<f64>) -> Option<Signature> {
         let seen = &self.project * features;
-        let gram = SymmetricEigen::new(seen.tr_mul(&seen));
-        let largest = gram.eigenvalues.max();
         // Relative to what the features were before the fixed part was taken from them: of nothing, everything is rounding.
         let before = features.norm_squared() * self.project.norm_squared() / features.nrows() as f64;
-        let kept: Vec<usize> = (0..features.ncols())
+        // Columns that the fixed part explains are no directions, and the decomposition of a matrix with many of them need not converge.
+        let is_seen = |k: &usize| seen.column(*k).norm_squared() > RANK_TOLERANCE * before;
+        let columns: Vec<usize> = (0..features.ncols()).filter(is_seen).collect();
+        if columns.is_empty() {
+            return None;
+        }
+        let seen = seen.select_columns(&columns);
+        let gram = SymmetricEigen::new(seen.tr_mul(&seen));
+        let largest = gram.eigenvalues.max();
+        let kept: Vec<usize> = (0..columns.len())
             .filter(|&k| {
                 gram.eigenvalues[k] > RANK_TOLERANCE * largest && gram.eigenvalues[k] > RANK_TOLERANCE * before
             })
@@ -143,9 +150,11 @@ impl Whitening {
         if kept.is_empty() {
             return None;
         }
-        let rotation = gram.eigenvectors.select_columns(&kept);
+        let of_seen = gram.eigenvectors.select_columns(&kept);
+        let mut rotation = DMatrix::zeros(features.ncols(), kept.len());
+        columns.iter().enumerate().for_each(|(row, &column)| rotation.row_mut(column).copy_from(&of_seen.row(row)));
         Some(Signature {
-            directions: self.project.tr_mul(&(seen * &rotation)),
+            directions: self.project.tr_mul(&(seen * of_seen)),
             eigenvalues: gram.eigenvalues.select_rows(&kept),
             rotation,
         })

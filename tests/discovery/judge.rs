@@ -3,7 +3,7 @@
 use crate::truth::Case;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 
 /// Inclusion probability from which a report claims a cause.
@@ -47,8 +47,9 @@ impl Laboratory {
     }
 
     fn flip(&self, arguments: &[&str]) -> String {
-        // A long report may run beside builds: it is given a copy of the program then.
-        let program = std::env::var("FLIP_BIN").unwrap_or_else(|_| env!("CARGO_BIN_EXE_flip").to_owned());
+        // Tests know the program; the report is told.
+        let known = option_env!("CARGO_BIN_EXE_flip").map(str::to_owned);
+        let program = known.or_else(|| std::env::var("FLIP_BIN").ok()).expect("FLIP_BIN names the program");
         let output =
             Command::new(program).arg("--data-dir").arg(self.folder.join("data")).args(arguments).output().unwrap();
         let errors = String::from_utf8_lossy(&output.stderr);
@@ -170,9 +171,4 @@ fn limits_are_those_of_the_tables() {
     assert!(low == 0.0 && (high - 0.3085).abs() < 1e-4, "{low} {high}");
     let [low, high] = limits(5, 10);
     assert!((low - 0.1871).abs() < 1e-4 && (high - 0.8129).abs() < 1e-4, "{low} {high}");
-}
-
-/// Where the state of a long report lies.
-pub fn report_folder() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("target/discovery")
 }

@@ -4,7 +4,7 @@
 //! truth     laboratories with a hidden cause, or none; shares nothing with the detector
 //! grains    heaps of another kind of simulator: springs and dashpots, rotation, rolling resistance
 //! judge     the command, and what its answer is worth
-//! rates     M1 to M15 over many cases
+//! rates     M1 to M15 over many cases; report.rs prints them
 //! ```
 //!
 //! `cargo test --test discovery` hides a few dozen. `make discovery-report` hides hundreds and prints the table; it can be stopped and goes on.
@@ -14,16 +14,9 @@ mod judge;
 mod rates;
 mod truth;
 
-use judge::{Laboratory, report_folder};
-use rates::{LARGE_DEG, MEDIUM_DEG, Scored, scored, table};
+use judge::Laboratory;
+use rates::{LARGE_DEG, SIMULATIONS, Scored, scored, table, wanted};
 use truth::Family;
-
-/// Simulated campaigns of an investigation here: the fewest that there may be.
-const SIMULATIONS: u32 = 99;
-
-fn wanted(families: &[Family], size_deg: f64, seeds: std::ops::Range<u64>) -> Vec<(Family, f64, u64)> {
-    seeds.flat_map(|seed| families.iter().map(move |&family| (family, size_deg, seed))).collect()
-}
 
 /// The score of a detector of which only the verdict and the claim matter.
 fn claimed(of: &Scored, found: bool, claim: Option<&str>) -> Scored {
@@ -78,22 +71,6 @@ fn hidden_causes_are_found_and_named_and_saboteurs_fail() {
     verdict(&always(false, None, &nulls), &always(false, None, &effects)).unwrap_err();
     let humid = Some("humidity");
     verdict(&always(true, humid, &nulls), &always(true, humid, &effects)).unwrap_err();
-}
-
-/// The whole table. Ignored by `cargo test`; `make discovery-report` runs it.
-#[test]
-#[ignore = "takes hours; make discovery-report runs it, in pieces"]
-fn report() {
-    let count = |name: &str, usual: u64| std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(usual);
-    let (nulls, effects) = (count("NULLS", 70), count("EFFECTS", 10));
-    let folder = report_folder();
-    let laboratory = Laboratory::new(&folder);
-    let mut all = wanted(&Family::NULLS, LARGE_DEG, 1000..1000 + nulls);
-    all.extend(wanted(&Family::SINGLES, LARGE_DEG, 1000..1000 + effects));
-    all.extend(wanted(&[Family::Humidity, Family::RestTime], MEDIUM_DEG, 1000..1000 + effects));
-    all.extend(wanted(&Family::OTHERS, LARGE_DEG, 1000..1000 + effects));
-    let scored = scored(&laboratory, &folder.join("scored.jsonl"), &all, SIMULATIONS);
-    println!("{}", table(&scored));
 }
 
 /// The campaigns that the README shows, by file: what is hidden in them is known here alone.

@@ -10,8 +10,15 @@ use std::path::Path;
 /// Effects whose SD within a powder is this many degrees.
 pub const LARGE_DEG: f64 = 1.0;
 pub const MEDIUM_DEG: f64 = 0.75;
+/// Simulated campaigns of an investigation here: the fewest that there may be.
+pub const SIMULATIONS: u32 = 99;
 /// Days of which nothing was seen, for the error against the noise-free truth.
 const NEW_DAYS: usize = 20;
+
+/// Every family with every seed.
+pub fn wanted(families: &[Family], size_deg: f64, seeds: std::ops::Range<u64>) -> Vec<(Family, f64, u64)> {
+    seeds.flat_map(|seed| families.iter().map(move |&family| (family, size_deg, seed))).collect()
+}
 
 /// What one hidden effect came to.
 #[derive(Debug, Clone, Serialize, Deserialize)]

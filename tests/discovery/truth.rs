@@ -18,6 +18,7 @@
 mod effect;
 mod families;
 mod laboratory;
+#[cfg(test)]
 mod tests;
 
 use laboratory::{Laboratory, Run, Value, mean, percentile};

@@ -103,3 +103,25 @@ fn shared_draws_are_not_taken_for_an_effect() {
     // A Bayes factor above 20 has a probability below 1/20 where the noise is right (Ville); 12 of 100 is three standard errors above.
     assert!(favoured[0] > 12 && favoured[1] <= 12, "{favoured:?}");
 }
+
+#[test]
+fn columns_that_say_nothing_change_nothing() {
+    let (powder, day) = ([0, 0, 0, 1, 1, 1, 1, 0], [0, 1, 2, 3, 0, 1, 2, 3]);
+    let noise = Whitening::new(&[1.0; 8], &[Group { of: &day, ratio: 0.2 }], &one_hot(&powder, 2)).unwrap();
+    let y = column(&[1.0, 2.5, 0.3, 7.0, 9.0, 8.2, 6.1, 1.1]);
+    let squares = noise.squares(&y)[0];
+    let told = DMatrix::from_fn(8, 2, |i, k| ((i * (k + 2)) % 5) as f64);
+    // The same among columns that are empty or a powder's mean.
+    let hidden = DMatrix::from_fn(8, 60, |i, k| match k {
+        7 => told[(i, 0)],
+        31 => told[(i, 1)],
+        _ if k % 3 == 0 => f64::from(u8::from(powder[i] == 1)),
+        _ => 0.0,
+    });
+    let of = |features: &DMatrix<f64>, signs: &[(usize, f64)]| {
+        let signature = noise.signature(features).unwrap();
+        noise.log_evidence(&signature, signature.seen(&y).column(0), squares, 0.6, signs)
+    };
+    assert!((of(&told, &[]) - of(&hidden, &[])).abs() < 1e-9);
+    assert!((of(&told, &[(1, -1.0)]) - of(&hidden, &[(31, -1.0)])).abs() < 1e-9);
+}
