@@ -250,7 +250,7 @@ fn discover_writes_the_same_files_on_any_number_of_threads() {
         let names = std::fs::read_dir(&out).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
         assert_eq!(
             names.collect::<std::collections::BTreeSet<_>>(),
-            ["predict.csv", "report.json"].map(str::to_owned).into()
+            ["predict.csv", "report.html", "report.json"].map(str::to_owned).into()
         );
         (serde_json::to_string(&report).unwrap(), read("predict.csv"))
     };

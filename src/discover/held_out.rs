@@ -39,7 +39,7 @@ struct Hidden {
     sds: [f64; 2],
 }
 
-/// What leaving out says; `None` with too few sessions, `Err(None)` if stopped.
+/// What leaving out says; `None` with too few sessions, or if what is left of a fold says nothing.
 pub(super) fn gain(
     campaign: &Campaign,
     responses: &Responses,
@@ -61,26 +61,30 @@ pub(super) fn gain(
         covariate.and_then(|name| Some((name, percentile(campaign, name, 0.2)?, percentile(campaign, name, 0.8)?)));
     let of_range: Vec<Vec<usize>> = ends.map_or(Vec::new(), |(name, low, high)| {
         let values = campaign.numbers(name).unwrap_or_default();
-        vec![rows(campaign, |i| values[i] < low), rows(campaign, |i| values[i] > high)]
+        let ends = [rows(campaign, |i| values[i] < low), rows(campaign, |i| values[i] > high)];
+        // Where a fifth of the runs share the lowest value, nothing is below it.
+        ends.into_iter().filter(|end| !end.is_empty()).collect()
     });
     let all = folds + campaign.powders.len() + of_range.len();
     let mut done = 0;
-    let mut next = |hidden: Vec<usize>, centred: bool| -> Result<Vec<Hidden>, Stopped> {
-        let scored = fold(campaign, responses, &hidden, centred, settings)?;
+    let mut next = |hidden: Vec<usize>, centred: bool, scored: &mut Vec<Hidden>| -> Result<bool, Stopped> {
+        let Ok(of_fold) = fold(campaign, responses, &hidden, centred, settings) else { return Ok(false) };
+        // Of a powder that is hidden whole there is no angle, only its course.
+        scored.extend(of_fold.into_iter().filter(|it| it.errors.iter().all(|error| error.is_finite())));
         done += 1;
-        if on_fold(f64::from(done) / all as f64).is_break() { Err(Stopped::Asked) } else { Ok(scored) }
+        if on_fold(f64::from(done) / all as f64).is_break() { Err(Stopped) } else { Ok(true) }
     };
-    let mut days = Vec::new();
+    let (mut days, mut powders, mut range) = (Vec::new(), Vec::new(), Vec::new());
     for hidden in of_days {
-        days.extend(next(hidden, false)?);
+        if !next(hidden, false, &mut days)? {
+            return Ok(None);
+        }
     }
-    let mut powders = Vec::new();
-    for hidden in of_powders.filter(|_| campaign.powders.len() > 1) {
-        powders.extend(next(hidden, true)?);
+    for hidden in of_powders.filter(|hidden| campaign.powders.len() > 1 && !hidden.is_empty()) {
+        next(hidden, true, &mut powders)?;
     }
-    let mut range = Vec::new();
     for hidden in of_range {
-        range.extend(next(hidden, false)?);
+        next(hidden, false, &mut range)?;
     }
     let held_out = |scored: &[Hidden]| held_out(scored, settings.seed);
     let log_score = log_score(&days, settings.seed);
@@ -102,13 +106,8 @@ pub(super) fn gain(
     }))
 }
 
-/// Why there is no gain.
-pub(super) enum Stopped {
-    /// Somebody asked.
-    Asked,
-    /// What is left says nothing.
-    Refused(FieldError),
-}
+/// Somebody asked to stop.
+pub(super) struct Stopped;
 
 fn rows(campaign: &Campaign, which: impl Fn(usize) -> bool) -> Vec<usize> {
     campaign.measured().into_iter().filter(|&i| which(i)).collect()
@@ -121,13 +120,13 @@ fn fold(
     hidden: &[usize],
     centred: bool,
     settings: &Settings,
-) -> Result<Vec<Hidden>, Stopped> {
-    let rest = campaign.without(hidden);
-    let prepared = Prepared::new(&rest, responses).map_err(Stopped::Refused)?;
+) -> Result<Vec<Hidden>, FieldError> {
+    let rest = campaign.without(hidden).checked()?;
+    let prepared = Prepared::new(&rest, responses)?;
     let settings = Settings { simulations: SIMULATIONS, seed: derive(settings.seed, &[hidden[0] as u64]) };
     let never = |_: f64| ControlFlow::Continue(());
-    let screening = screen_prepared(&prepared, &rest, &settings, never).ok_or(Stopped::Asked)?;
-    let is_found = screening.p_value <= SIGNIFICANCE;
+    let screening = screen_prepared(&prepared, &rest, &settings, never);
+    let is_found = screening.is_some_and(|it| it.p_value <= SIGNIFICANCE);
     let posterior = Posterior::new(&prepared);
     let predicted = posterior.predict(&rest);
     let shifts = posterior.shifts();

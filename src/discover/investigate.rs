@@ -106,8 +106,7 @@ pub fn investigate(
         };
         report.gain = match gain(campaign, responses, covariate, &settings, fold) {
             Ok(gain) => gain,
-            Err(Stopped::Asked) => return Ok(None),
-            Err(Stopped::Refused(error)) => return Err(error),
+            Err(Stopped) => return Ok(None),
         };
         if report.gain.as_ref().is_some_and(|gain| gain.accepted) {
             let claimed = report.causes.iter_mut().filter(|it| it.inclusion_probability >= CLAIM);

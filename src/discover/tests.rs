@@ -299,3 +299,20 @@ fn new_days_are_predicted_by_what_the_old_ones_showed() {
     assert!(!humid.is_empty() && humid.iter().all(|row| row.after_deg > row.before_deg));
     assert!(rows.iter().filter(|row| row.powder == "lactose").all(|row| row.before_deg.is_none()));
 }
+
+#[test]
+fn covariates_of_two_values_and_powders_of_one_day_leave_nothing_out_that_is_not_there() {
+    let mut lab = Laboratory::new(7);
+    // Rest is short or long, so nothing lies below its lowest fifth; salt was measured on one day alone.
+    lab.rest.iter_mut().for_each(|rest| *rest = if *rest > 10.0 { 120.0 } else { 2.0 });
+    let mut campaign = lab.campaign(1.5, |lab, i| lab.rest[i]);
+    for run in campaign.runs.iter_mut().filter(|run| run.powder == 2 && run.session > 0) {
+        run.repose_deg = None;
+    }
+    let report = investigated(&campaign);
+    assert_eq!(report.causes[0].mechanism, "rest_time", "{}", report.sentence);
+    assert!(report.gain.is_some());
+    // A number that is none would become null, and the document be none.
+    let document = serde_json::to_string(&report).unwrap();
+    assert_eq!(serde_json::from_str::<Report>(&document).unwrap(), report);
+}

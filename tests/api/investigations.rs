@@ -85,7 +85,12 @@ async fn a_campaign_is_judged_and_the_same_campaign_is_the_same_job() {
     }
     assert_eq!((&report["schema_version"], &report["null_check"]["campaigns"]), (&json!(1), &json!(99)));
     assert_eq!(report["simulator_version"]["base"], found["simulator"]);
-    assert_eq!(report["causes"][0]["family"], "moisture", "{}", report["causes"]);
+    assert_eq!((&report["verdict"], &report["causes"][0]["mechanism"]), (&json!("cause"), &json!("humidity")));
+    let sentence = report["sentence"].as_str().unwrap();
+    assert!(sentence.starts_with("Humidity makes all powders pile steeper"), "{sentence}");
+    let [low, high] = [0, 1].map(|k| report["findings"][0]["ci95"][k].as_f64().unwrap());
+    // 0.125 deg for each percent of humidity between the percentiles of twelve days, which lie 15 to 40 % apart.
+    assert!(low > 0.5 && low < 5.0 && high > 1.9, "{low} to {high}");
     assert!(report["wall_s"].as_f64().unwrap() > 0.0);
 
     let predicted = service.get(&format!("{PATH}/{id}/predict.csv")).await;
@@ -191,4 +196,44 @@ async fn an_investigation_is_the_same_over_grpc() {
     assert!(status.message().contains("repose_deg"), "{status}");
     let none = client.get_investigation(proto::GetInvestigationRequest { id: "none".into() }).await.unwrap_err();
     assert_eq!(none.code(), Code::NotFound);
+}
+
+#[tokio::test]
+async fn an_extension_that_wins_is_a_version_that_predicts_and_the_report_is_a_page() {
+    let service = Service::start().await;
+    let body = json!({ "measurements_csv": humid_campaign(), "simulations": 99 });
+    let id = post(&service, &body).await.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
+    let found = finished(&service, &id).await;
+    let version = found["report"]["simulator_version"]["extended"].as_str().unwrap().to_owned();
+    let listed = get(&service, "/v1/simulators").await;
+    assert_eq!(listed["items"].as_array().unwrap().len(), 1);
+    let one = get(&service, &format!("/v1/simulators/{version}")).await;
+    assert_eq!(one, listed["items"][0]);
+    assert_eq!((&one["investigation"], &one["base"]), (&json!(id), &found["simulator"]));
+    assert_eq!(one["body"]["causes"][0]["mechanism"], "humidity");
+    assert_eq!(one["body"]["verified"], false, "no simulation confirmed it");
+    problem(service.get("/v1/simulators/sv-0").await, 404).await;
+
+    let path = format!("/v1/simulators/{version}/predictions");
+    let ask = async |csv: &str| {
+        let request = service.request("POST", &path).bearer_auth(service.token(Role::Operator).await);
+        request.json(&json!({ "measurements_csv": csv })).send().await.unwrap()
+    };
+    let answer = ask("powder,relative_humidity_pct\nsalt,32\nsalt,68\nlactose,68\n").await;
+    let text = answer.text().await.unwrap();
+    let rows: Vec<Vec<&str>> = text.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    let number = |row: usize, column: usize| rows[row][column].parse::<f64>().unwrap();
+    assert_eq!((rows.len(), rows[0][0], rows[2][1]), (3, "2", "lactose"));
+    assert!((number(0, 2) - number(1, 2)).abs() < 1e-9, "as it was, the simulator knows one angle of salt: {text}");
+    assert!(number(1, 4) - number(0, 4) > 2.5, "{text}");
+    assert_eq!(rows[2][2], "", "nothing is known of lactose: {text}");
+    let refused = problem(ask("powder\nsalt\n").await, 400).await;
+    assert_eq!(fields(&refused), ["measurements"]);
+    assert!(refused.to_string().contains("relative_humidity_pct"), "{refused}");
+
+    let page = service.get(&format!("{PATH}/{id}/report.html")).await;
+    let policy = page.headers()["content-security-policy"].to_str().unwrap().to_owned();
+    assert!(policy.starts_with("default-src 'none'; style-src 'unsafe-inline'"), "{policy}");
+    let page = page.text().await.unwrap();
+    assert!(page.contains("Humidity makes all powders pile steeper") && !page.contains("<script"));
 }

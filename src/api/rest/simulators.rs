@@ -3,7 +3,7 @@
 use super::csv_file;
 use super::extract::{Input, Path, Query};
 use super::list::{ListParams, respond};
-use crate::api::auth::Viewer;
+use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::{App, Page, PredictionRequest, SimulatorVersion, predictions_csv};
 use axum::Json;
@@ -41,7 +41,7 @@ pub async fn get_simulator(
     request_body = PredictionRequest, params(("id" = String, Path, description = "Version, `sv-…`")),
     responses((status = 200, description = "A row for each row", body = String, content_type = "text/csv")))]
 pub async fn predict(
-    _: Viewer,
+    _: Operator,
     State(app): State<App>,
     Path(id): Path<String>,
     Input(request): Input<PredictionRequest>,
