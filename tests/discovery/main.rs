@@ -73,6 +73,30 @@ fn hidden_causes_are_found_and_named_and_saboteurs_fail() {
     verdict(&always(true, humid, &nulls), &always(true, humid, &effects)).unwrap_err();
 }
 
+/// A campaign whose covariates moved together gets no name but an experiment.
+#[test]
+fn what_moved_together_is_not_named_and_an_experiment_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let laboratory = Laboratory::new(folder.path());
+    let [.., (_, family, seed)] = SHOWN;
+    let case = truth::case(family, SHOWN_DEG, seed);
+    let answer = laboratory.discover(&case.csv, SIMULATIONS);
+    assert_eq!(answer.verdict, "ambiguous", "{answer:?}");
+    let right = case.mechanism.unwrap();
+    assert!(answer.ambiguous_between.iter().any(|it| it == right), "{:?}, hidden is {right}", answer.ambiguous_between);
+    let column = case.covariate.as_deref().unwrap();
+    assert!(
+        !answer.experiment.is_empty() && answer.experiment.iter().all(|run| run.contains_key(column)),
+        "{answer:?}"
+    );
+}
+
+fn campaigns() -> std::path::PathBuf {
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/campaigns")
+}
+
+/// Size of the effects that the README shows, degrees.
+const SHOWN_DEG: f64 = 1.25;
 /// The campaigns that the README shows, by file: what is hidden in them is known here alone.
 const SHOWN: [(&str, Family, u64); 3] =
     [("humidity", Family::Humidity, 3), ("nothing", Family::NullPlain, 3), ("confounded", Family::Confounded, 3)];
@@ -80,12 +104,11 @@ const SHOWN: [(&str, Family, u64); 3] =
 /// `UPDATE=1` writes them.
 #[test]
 fn campaigns_of_the_readme_are_what_the_truth_makes() {
-    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/campaigns");
     for (name, family, seed) in SHOWN {
-        let path = folder.join(format!("{name}.csv"));
-        let made = truth::case(family, 1.25, seed).csv;
+        let path = campaigns().join(format!("{name}.csv"));
+        let made = truth::case(family, SHOWN_DEG, seed).csv;
         if std::env::var_os("UPDATE").is_some() {
-            std::fs::create_dir_all(&folder).unwrap();
+            std::fs::create_dir_all(campaigns()).unwrap();
             std::fs::write(&path, &made).unwrap();
         }
         assert!(std::fs::read_to_string(&path).is_ok_and(|text| text == made), "{}: run with UPDATE=1", path.display());
