@@ -25,7 +25,7 @@ use flip::policy::{self, Actor, Carried, Controller, Dispenser, Encoding, Paced,
 use flip::stats::summary::{mean, sd};
 use flip::train::environment::{Filling, Spoon, play};
 use flip::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
-use flip::train::{Event, Level, Network, Order, Preset, Replayed, Settings, Surrogate, train_on};
+use flip::train::{Event, Level, Network, Order, Preset, Replayed, Settings, Start, Surrogate, train_on};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
@@ -224,7 +224,7 @@ fn weigh(
         let powder = powders.iter().find(|powder| powder.subject.sets.contains(set));
         powder.map_or(0.0, |powder| powder.repose_deg)
     };
-    evaluate(&plan, |controller, set, target_mg, seed| {
+    evaluate(&plan, |controller, _, set, target_mg, seed| {
         let weigher = match controller {
             Controller::Learned(actor) if drawn => Weigher::Drawn(actor),
             _ => Weigher::Centre(controller),
@@ -238,7 +238,7 @@ fn run(levels: &[Level], powders: &[Weighed], settings: &Settings, spread: f64) 
     let started = Instant::now();
     let mut errors = Vec::new();
     let filling = Surrogate { spread, ..Surrogate::new(settings.rules.pitch) };
-    let trained = train_on(&filling, levels, settings, None, &|| ControlFlow::Continue(()), |event| {
+    let trained = train_on(&filling, levels, settings, Start::Nothing, &|| ControlFlow::Continue(()), |event| {
         if let Event::Episode(episode) = event {
             errors.push(episode.final_error_mg);
         }

@@ -14,7 +14,7 @@ use flip::domain::parameters::ParameterSet;
 use flip::jobs::bench::{Pour, Poured, Pouring, simulated};
 use flip::policy::{self, Controller, Dispenser, Fuzzy, Paced, Response, Rules, ScheduledStep};
 use flip::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
-use flip::train::{Event, Level, Preset, Settings, TrainError, train};
+use flip::train::{Event, Level, Preset, Settings, Start, TrainError, train};
 use flip::weigh::Order;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -87,17 +87,23 @@ fn learn(levels: &[Level], settings: &Settings, overrides: &Value) -> anyhow::Re
         true => ControlFlow::Continue(()),
         false => ControlFlow::Break(()),
     };
-    let trained = train(levels, settings, resume.as_deref(), &flow, |event| {
-        if let Event::Episode(e) = event {
-            let alpha = e.losses.map_or(f64::NAN, |l| l.alpha);
-            let (s, error_mg) = (started.elapsed().as_secs_f64(), e.dispensed_mg - e.target_mg);
-            let (index, powder, target_mg, steps) = (e.index, e.powder, e.target_mg, e.steps);
-            eprintln!(
-                "{s:7.1}s {index:4} {powder:8} target {target_mg:5.2} error {error_mg:6.2} steps {steps:2} alpha {alpha:.4}"
-            );
-        }
-        ControlFlow::Continue(())
-    });
+    let trained = train(
+        levels,
+        settings,
+        resume.as_deref().map_or(Start::Nothing, Start::Checkpoint),
+        &flow,
+        |event| {
+            if let Event::Episode(e) = event {
+                let alpha = e.losses.map_or(f64::NAN, |l| l.alpha);
+                let (s, error_mg) = (started.elapsed().as_secs_f64(), e.dispensed_mg - e.target_mg);
+                let (index, powder, target_mg, steps) = (e.index, e.powder, e.target_mg, e.steps);
+                eprintln!(
+                    "{s:7.1}s {index:4} {powder:8} target {target_mg:5.2} error {error_mg:6.2} steps {steps:2} alpha {alpha:.4}"
+                );
+            }
+            ControlFlow::Continue(())
+        },
+    );
     match (trained, path) {
         (Err(TrainError::Stopped { checkpoint }), Some(path)) => {
             std::fs::write(path, checkpoint)?;
@@ -193,7 +199,7 @@ fn main() -> anyhow::Result<()> {
     };
     let trace = flag("trace");
     let pour = simulated();
-    let once = |controller: &Controller, set: &ParameterSet, target_mg, seed| {
+    let once = |controller: &Controller, _: &Subject, set: &ParameterSet, target_mg, seed| {
         let order = Order {
             target_mg,
             tolerance_lower_mg: 0.0,

@@ -3,12 +3,13 @@
 use flip::domain::bench::PitchLimits;
 use flip::domain::parameters::ParameterSet;
 use flip::domain::seed::derive;
-use flip::policy::{Controller, Episode, Observation, decode};
+use flip::policy::{Actor, Controller, Episode, Observation, decode};
 use flip::sim::balance;
 use flip::train::environment::{Filling, play};
 use flip::train::formula::Formula;
 use flip::train::{
-    EpisodeRecord, Event, Level, Network, Order, Preset, Replayed, Settings, TrainError, Trained, train_on,
+    EpisodeRecord, Event, FineTuning, Level, Network, Order, Preset, Replayed, Settings, Start, TrainError, Trained,
+    train_on,
 };
 use safetensors::tensor::{SafeTensors, TensorView};
 use std::ops::ControlFlow;
@@ -59,8 +60,12 @@ fn kinds() -> [Settings; 6] {
 const GO_ON: fn() -> ControlFlow<()> = || ControlFlow::Continue(());
 
 fn run(settings: &Settings, resume: Option<&[u8]>) -> (Trained, Vec<EpisodeRecord>, Vec<Vec<u8>>) {
+    begin(settings, resume.map_or(Start::Nothing, Start::Checkpoint))
+}
+
+fn begin(settings: &Settings, start: Start<'_>) -> (Trained, Vec<EpisodeRecord>, Vec<Vec<u8>>) {
     let (mut episodes, mut checkpoints) = (Vec::new(), Vec::new());
-    let trained = train_on(&FORMULA, &levels(), settings, resume, &GO_ON, |event| {
+    let trained = train_on(&FORMULA, &levels(), settings, start, &GO_ON, |event| {
         match event {
             Event::Episode(record) => episodes.push(*record),
             Event::Checkpoint(bytes) => checkpoints.push(bytes),
@@ -114,6 +119,47 @@ fn a_trained_policy_errs_less_than_half_as_much_as_an_untrained_one() {
     assert!(ours < 3.0, "{ours}");
 }
 
+/// The network inside a policy's bytes.
+fn network(artifact: &[u8]) -> Actor {
+    match decode(artifact).unwrap().controller {
+        Controller::Learned(actor) => actor,
+        other => panic!("not learnt: {other:?}"),
+    }
+}
+
+#[test]
+fn a_training_goes_on_from_a_policy_and_holds_it_while_its_critics_form() {
+    let begun = network(&run(&small(Order::Curriculum), None).0.artifact);
+    let with = |spoons: u32, held_updates: u32| {
+        let settings = small(Order::Random).going_on_from("p-0123".into());
+        let from = settings.from.clone().map(|from| FineTuning { spoons, held_updates, ..from });
+        Settings { from, surrogate_episodes: 10, ..settings }
+    };
+    let (held, ..) = begin(&with(0, 1_000_000), Start::Policy(&begun));
+    assert_eq!(network(&held.artifact), begun);
+    let settings = with(6, 5);
+    let (unbroken, episodes, checkpoints) = begin(&settings, Start::Policy(&begun));
+    assert_ne!(network(&unbroken.artifact), begun);
+    assert!(unbroken.manifest.settings["from"]["policy"] == "p-0123");
+    for checkpoint in checkpoints {
+        assert_eq!(run(&settings, Some(&checkpoint)).0, unbroken);
+    }
+    // The spoons that were looked at are those of the formula: the surrogate does something else after it.
+    let (_, as_it_is, _) = begin(&with(0, 5), Start::Policy(&begun));
+    assert_ne!(as_it_is[0].dispensed_mg, episodes[0].dispensed_mg);
+    assert_eq!(as_it_is[0].target_mg, episodes[0].target_mg);
+    // Stopped while it looks, it looks again.
+    let stopped = train_on(&FORMULA, &levels(), &settings, Start::Policy(&begun), &|| ControlFlow::Break(()), |_| {
+        panic!("there is nothing to tell")
+    });
+    let Err(TrainError::Stopped { checkpoint }) = stopped else { panic!("{stopped:?}") };
+    assert_eq!(run(&settings, Some(&checkpoint)).0, unbroken);
+    let other = Settings { hidden: 8, ..settings };
+    let refused = train_on(&FORMULA, &levels(), &other, Start::Policy(&begun), &GO_ON, |_| ControlFlow::Continue(()));
+    let Err(TrainError::Invalid(error)) = refused else { panic!("{refused:?}") };
+    assert_eq!(error.field, "from");
+}
+
 #[test]
 fn the_first_episodes_are_played_on_the_surrogate_and_the_others_are_not() {
     let of = |surrogate_episodes| run(&Settings { surrogate_episodes, ..small(Order::Random) }, None).1;
@@ -146,7 +192,7 @@ fn a_stop_finishes_its_round_and_hands_over_a_checkpoint() {
     let settings = small(Order::Random);
     let (unbroken, episodes, _) = run(&settings, None);
     let mut seen = Vec::new();
-    let stopped = train_on(&FORMULA, &levels(), &settings, None, &GO_ON, |event| match event {
+    let stopped = train_on(&FORMULA, &levels(), &settings, Start::Nothing, &GO_ON, |event| match event {
         Event::Episode(record) => {
             seen.push(*record);
             if seen.len() == 5 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -170,7 +216,7 @@ fn a_stop_within_a_round_drops_the_round_and_loses_nothing() {
         _ => ControlFlow::Break(()),
     };
     let mut seen = Vec::new();
-    let stopped = train_on(&FORMULA, &levels(), &settings, None, &flow, |event| {
+    let stopped = train_on(&FORMULA, &levels(), &settings, Start::Nothing, &flow, |event| {
         if let Event::Episode(record) = event {
             seen.push(*record);
         }
@@ -242,13 +288,17 @@ fn a_recurrent_policy_learns_and_weighs_by_what_it_remembers() {
 fn a_checkpoint_of_another_training_or_damaged_is_refused() {
     let settings = small(Order::Curriculum);
     let (.., checkpoints) = run(&settings, None);
-    let refusal =
-        |settings: &Settings, bytes: &[u8]| match train_on(&FORMULA, &levels(), settings, Some(bytes), &GO_ON, |_| {
-            ControlFlow::Continue(())
-        }) {
-            Err(TrainError::Checkpoint(text)) => text,
-            other => panic!("{other:?}"),
-        };
+    let refusal = |settings: &Settings, bytes: &[u8]| match train_on(
+        &FORMULA,
+        &levels(),
+        settings,
+        Start::Checkpoint(bytes),
+        &GO_ON,
+        |_| ControlFlow::Continue(()),
+    ) {
+        Err(TrainError::Checkpoint(text)) => text,
+        other => panic!("{other:?}"),
+    };
     assert!(refusal(&Settings { seed: 4, ..settings.clone() }, &checkpoints[0]).contains("another training"));
     assert!(!refusal(&settings, &checkpoints[0][..checkpoints[0].len() / 2]).is_empty());
     assert!(!refusal(&settings, b"").is_empty());
@@ -299,13 +349,17 @@ fn the_papers_preset_plays_ten_steps_and_never_ends_early() {
 
 #[test]
 fn impossible_inputs_are_refused_by_field() {
-    let refused =
-        |levels: &[Level], settings: &Settings| match train_on(&FORMULA, levels, settings, None, &GO_ON, |_| {
-            ControlFlow::Continue(())
-        }) {
-            Err(TrainError::Invalid(error)) => error.field,
-            other => panic!("{other:?}"),
-        };
+    let refused = |levels: &[Level], settings: &Settings| match train_on(
+        &FORMULA,
+        levels,
+        settings,
+        Start::Nothing,
+        &GO_ON,
+        |_| ControlFlow::Continue(()),
+    ) {
+        Err(TrainError::Invalid(error)) => error.field,
+        other => panic!("{other:?}"),
+    };
     let settings = small(Order::Curriculum);
     assert_eq!(refused(&[], &settings), "levels");
     let empty = Level { powder: "sand".into(), repose_deg: 28.0, sets: vec![] };

@@ -3,14 +3,18 @@
 use super::check::Check;
 use super::jobs::{corrupt, stored};
 use super::{App, Error, Result};
+use crate::domain::FieldError;
+use crate::domain::conditions::{Conditions, Patch, Under};
 use crate::domain::job::JobKind;
-use crate::jobs::train::{Level, Order, PAPER_LEVELS_DEG, Preset, SETS_PER_LEVEL, Settings, TrainingResult};
+use crate::jobs::train::{Extended, Level, Order, PAPER_LEVELS_DEG, Preset, SETS_PER_LEVEL, Settings, TrainingResult};
 use crate::jobs::{JobSpec, SIMULATOR, TrainingSpec};
+use crate::policy;
 use crate::store::jobs::{Job, JobRow};
 use crate::store::page::{Page, PageQuery, SERIES_LIMIT_MAX};
 use crate::store::parameter_sets::CalibratedSet;
 use crate::store::trials::Episode;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// The powders of the default curriculum, from the most to the least flowable.
 const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
@@ -18,6 +22,8 @@ const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
 const POWDERS_MAX: usize = 20;
 /// Most episodes in one training.
 const EPISODES_MAX: u32 = 20_000;
+/// Days that a training under an extended simulator has, drawn as its campaign saw them.
+const DAYS: usize = 64;
 /// Most episodes that a crash may cost, whole rounds apart.
 const EPISODES_PER_CHECKPOINT: u32 = 4;
 
@@ -37,8 +43,18 @@ pub struct TrainingRequest {
     pub surrogate_episodes: Option<u32>,
     /// Powders whose calibrated sets are the levels; default `sand`, `sugar`, `salt`. Not with the `paper` preset.
     pub powders: Option<Vec<String>>,
+    /// Learnt policy of the same preset that it goes on from, e.g. to suit a version of the simulator; default one that cannot do anything. Then all
+    /// episodes are on the surrogate by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from: Option<String>,
     /// Seed; default 1.
     pub seed: Option<u64>,
+    /// Extended version of the simulator, `sv-…`; default the base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simulator: Option<String>,
+    /// Held in every episode; the others are drawn for each as the version's campaign saw them.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub conditions: Conditions,
 }
 
 /// A training: its job, its levels, and once it has succeeded its policy.
@@ -54,6 +70,9 @@ pub struct Training {
     pub episodes: u32,
     /// The levels.
     pub levels: Vec<TrainingLevel>,
+    /// The extended version of the simulator, and the conditions that were given; absent of the base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub under: Option<Under>,
     /// Every setting.
     #[schema(value_type = Object)]
     pub settings: serde_json::Value,
@@ -78,18 +97,51 @@ impl App {
     /// # Errors
     /// `Invalid`; `Conflict` (`calibration_missing`) when a level has no parameter sets yet.
     pub async fn start_training(&self, request: TrainingRequest) -> Result<(Job, bool)> {
-        let settings = settings_of(&request)?;
+        let mut settings = settings_of(&request)?;
+        if let Some(from) = &request.from {
+            self.check_predecessor(from, &settings).await?;
+        }
+        let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
+        let simulator = extended.as_ref().map(|(under, _)| under.simulator.as_str());
         let levels = match (settings.order, settings.preset) {
             // Draws from the whole published box: there are no levels.
             (Order::DomainRandomisation, _) => Vec::new(),
-            (_, Preset::Flip) => self.levels_of_powders(request.powders.as_deref()).await?,
+            (_, Preset::Flip) => self.levels_of_powders(request.powders.as_deref(), simulator).await?,
             (_, Preset::Paper) => self.published_levels().await?,
         };
+        if let Some((under, extended)) = extended {
+            let days = extended.days(&under.conditions, DAYS, settings.seed).map_err(Error::Invalid)?;
+            let of = |powder: Option<&str>| -> Result<Vec<Patch>> {
+                days.iter().map(|day| extended.at(powder, day).map_err(Error::Invalid)).collect()
+            };
+            let own = levels.iter().map(|level| Ok((level.powder.clone(), of(Some(&level.powder))?)));
+            settings.extended = Some(Extended { days: of(None)?, powders: own.collect::<Result<_>>()?, under });
+            settings = settings.checked()?;
+        }
         let spec = TrainingSpec { levels, settings, simulator: SIMULATOR.to_owned() };
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Training(spec)).await?)
     }
 
-    async fn levels_of_powders(&self, powders: Option<&[String]>) -> Result<Vec<Level>> {
+    /// A policy that this training cannot go on from is refused before it waits in the queue.
+    async fn check_predecessor(&self, id: &str, settings: &Settings) -> Result<()> {
+        let refuse = |message: String| Error::from(FieldError::new("from", message));
+        let found = self.policy_bytes(id).await;
+        let bytes = found.map_err(|error| match error {
+            Error::NotFound { .. } => refuse(format!("there is no policy `{id}`")),
+            error => error,
+        })?;
+        let policy = policy::decode(&bytes).map_err(|error| Error::Internal(error.into()))?;
+        if policy.manifest.kind == settings.policy_kind() {
+            Ok(())
+        } else {
+            Err(refuse(format!(
+                "`{id}` must be a policy that the same preset has learnt; it is {}",
+                policy.manifest.kind.name()
+            )))
+        }
+    }
+
+    async fn levels_of_powders(&self, powders: Option<&[String]>, simulator: Option<&str>) -> Result<Vec<Level>> {
         let powders = match powders {
             Some(powders) => powders.to_vec(),
             None => POWDERS.map(str::to_owned).to_vec(),
@@ -97,14 +149,15 @@ impl App {
         let mut levels = Vec::new();
         for (k, id) in powders.iter().enumerate() {
             let powder = self.powder_of(&format!("powders[{k}]"), id).await?;
-            let sets = self.calibrated_sets(Some(id), 0.0).await?.ok_or_else(|| {
+            let sets = self.calibrated_sets(Some(id), 0.0, simulator).await?.ok_or_else(|| {
                 let advice = format!(
-                    "powder `{id}` has no parameter set: run `flip calibrate --powder {id}` or POST /v1/calibrations, \
-                     and train when it has succeeded"
+                    "powder {} or POST /v1/calibrations, and train when it has succeeded",
+                    without_sets(id, simulator)
                 );
                 Error::conflict("calibration_missing", advice)
             })?;
-            let measured = powder.flowability.map(|f| f.repose_deg);
+            // Under an extended version the sets are those of its reference, not of the day of the measurement.
+            let measured = powder.flowability.filter(|_| simulator.is_none()).map(|f| f.repose_deg);
             levels.push(level(powder.id, measured, &sets));
         }
         Ok(levels)
@@ -114,7 +167,7 @@ impl App {
     async fn published_levels(&self) -> Result<Vec<Level>> {
         let mut levels = Vec::new();
         for repose_deg in PAPER_LEVELS_DEG {
-            let sets = self.calibrated_sets(None, repose_deg).await?.ok_or_else(|| {
+            let sets = self.calibrated_sets(None, repose_deg, None).await?.ok_or_else(|| {
                 let advice = format!(
                     "the `paper` preset trains at {repose_deg} deg, and nothing is calibrated to that: \
                      POST /v1/calibrations {{\"repose_deg\": {repose_deg}}}, or let `flip train --preset paper` do it"
@@ -126,13 +179,15 @@ impl App {
         Ok(levels)
     }
 
-    /// What the newest successful calibration of a powder, or of a bare angle, kept.
+    /// What the newest successful calibration of a powder, or of a bare angle, kept; under a version of the simulator, none being the base.
     pub(super) async fn calibrated_sets(
         &self,
         powder: Option<&str>,
         repose_deg: f64,
+        simulator: Option<&str>,
     ) -> Result<Option<Vec<CalibratedSet>>> {
-        let Some(calibration) = self.store().newest_calibration(powder, repose_deg).await? else { return Ok(None) };
+        let newest = self.store().newest_calibration(powder, repose_deg, simulator).await?;
+        let Some(calibration) = newest else { return Ok(None) };
         Ok(Some(self.store().sets_of_calibration(&calibration).await?))
     }
 
@@ -175,12 +230,22 @@ fn settings_of(request: &TrainingRequest) -> Result<Settings> {
     }
     check.done()?;
     let mut settings = Settings::of(request.preset, request.order, request.seed.unwrap_or(1));
+    if let Some(from) = &request.from {
+        settings = settings.going_on_from(from.clone());
+    }
     settings.episodes = request.episodes.unwrap_or(settings.episodes);
     settings.surrogate_episodes = request.surrogate_episodes.unwrap_or_else(|| settings.surrogate_by_default());
     // Episodes are seconds of work, a checkpoint is a fraction of one.
     let rounds = (EPISODES_PER_CHECKPOINT / settings.episodes_per_round).max(1);
     settings.rounds_per_checkpoint = settings.rounds_per_checkpoint.min(rounds);
     Ok(settings.checked()?)
+}
+
+/// A powder without sets, and the command that finds some.
+pub(super) fn without_sets(powder: &str, simulator: Option<&str>) -> String {
+    let (of, with) =
+        simulator.map_or_else(Default::default, |id| (format!(" under {id}"), format!(" --simulator {id}")));
+    format!("`{powder}` has no parameter set{of}: run `flip calibrate --powder {powder}{with}`")
 }
 
 fn level(powder: String, repose_deg: Option<f64>, sets: &[CalibratedSet]) -> Level {
@@ -202,6 +267,7 @@ fn training(row: JobRow) -> Result<Training> {
         preset: spec.settings.preset,
         episodes: spec.settings.episodes,
         levels: spec.levels.into_iter().map(level).collect(),
+        under: spec.settings.extended.as_ref().map(|extended| extended.under.clone()),
         settings: serde_json::to_value(spec.settings).map_err(|error| Error::Internal(error.into()))?,
         result: row.result.as_deref().map(stored).transpose()?,
     })

@@ -157,7 +157,7 @@ async fn attended(
 async fn demonstrate(app: &App, common: &Common, arguments: &Arguments) -> Result<Document, Failure> {
     let (began, watch) = (Instant::now(), Watch::new());
     let targets = PUBLISHED.map(|powder| Target::Powder(powder.id.to_owned()));
-    let calibrations = calibrate(app, &watch, &targets, Some(&arguments.search), common.seed).await?;
+    let calibrations = calibrate(app, &watch, &targets, Some(&arguments.search), None, common.seed).await?;
     let learned = learn(app, &watch, common, arguments).await?;
     let mut rows = Vec::new();
     for (powder, calibration) in PUBLISHED.iter().zip(&calibrations) {

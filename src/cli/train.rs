@@ -4,10 +4,12 @@ use super::Common;
 use super::calibrate::{Target, calibrate};
 use super::failure::Failure;
 use super::session::with_app;
+use super::simulator::{SimulatorArguments, words};
 use super::table::table;
 use super::watch::Watch;
 use crate::app::{App, Error, Job, Order, Preset, Training, TrainingRequest, TrainingResult};
 use crate::domain::FieldError;
+use crate::domain::conditions::Under;
 use clap::ValueEnum;
 use serde::Serialize;
 
@@ -34,6 +36,11 @@ pub(super) struct Arguments {
     /// Powders whose calibrated sets are the levels [default: sand,sugar,salt]; not with the paper preset.
     #[arg(long, value_name = "ID,…", value_delimiter = ',')]
     powders: Option<Vec<String>>,
+    /// Learnt policy that it goes on from, e.g. to suit a version of the simulator; then all episodes are on the fast model unless --surrogate-episodes says otherwise.
+    #[arg(long, value_name = "P")]
+    from: Option<String>,
+    #[command(flatten)]
+    extended: SimulatorArguments,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -67,6 +74,8 @@ struct Document {
     /// Mean absolute error of the last 20 episodes.
     final_error_mg: f64,
     levels: Vec<serde_json::Value>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    under: Option<Under>,
     seed: u64,
     timing: Timing,
 }
@@ -81,13 +90,17 @@ pub(super) struct Timing {
 /// Train a policy and print what came out.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let began = std::time::Instant::now();
+    let conditions = arguments.extended.conditions()?;
     let request = |order: OrderFlag| TrainingRequest {
         order: order.into(),
         preset: arguments.preset.into(),
         episodes: arguments.episodes,
         surrogate_episodes: arguments.surrogate_episodes,
         powders: arguments.powders.clone(),
+        from: arguments.from.clone(),
         seed: Some(common.seed),
+        simulator: arguments.extended.simulator.clone(),
+        conditions: conditions.clone(),
     };
     let document = |training: Training| {
         let result = training.result.ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?;
@@ -99,6 +112,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             episodes,
             final_error_mg,
             levels,
+            under: training.under,
             seed: common.seed,
             timing,
         })
@@ -132,7 +146,9 @@ async fn begin(app: &App, watch: &Watch, request: TrainingRequest) -> Result<Job
         Err(Error::Conflict { code: "calibration_missing", message }) => {
             watch.say(&format!("{message}: calibrating first"));
             let levels = levels(&request);
-            calibrate(app, watch, &levels, None, request.seed.unwrap_or(1)).await?;
+            // Bare angles are those of the base, which a version is at its reference.
+            let simulator = request.simulator.as_deref().filter(|_| request.preset == Preset::Flip);
+            calibrate(app, watch, &levels, None, simulator, request.seed.unwrap_or(1)).await?;
             start(app, &request).await?
         }
         started => started?,
@@ -172,7 +188,8 @@ fn text(document: &Document) -> String {
     let rows: Vec<Vec<String>> =
         document.levels.iter().map(|level| keys.iter().map(|key| plain(&level[*key])).collect()).collect();
     format!(
-        "order        {}\npolicy       {}\nepisodes     {}\nfinal error  {:.2} mg (mean of the last 20)\n\n{}",
+        "{}order        {}\npolicy       {}\nepisodes     {}\nfinal error  {:.2} mg (mean of the last 20)\n\n{}",
+        document.under.as_ref().map_or_else(String::new, |under| words(under) + "\n"),
         serde_json::to_value(document.order)
             .ok()
             .and_then(|order| order.as_str().map(str::to_owned))

@@ -4,18 +4,19 @@
 //! stay as they are.
 
 use super::context::{JobContext, JobError};
+use super::evaluate::load_policy;
 use super::spec::TrainingSpec;
 use crate::domain::job::Progress;
-use crate::policy;
+use crate::policy::{self, Actor, Controller};
 use crate::store;
 use crate::store::trials::Episode;
-use crate::train::{EpisodeRecord, Event, Flow, TrainError, Trained};
+use crate::train::{EpisodeRecord, Event, Flow, Start, TrainError, Trained};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-pub use crate::train::{Level, Order, PAPER_LEVELS_DEG, Preset, Settings};
+pub use crate::train::{Extended, FineTuning, Level, Order, PAPER_LEVELS_DEG, Preset, Settings};
 
 /// Parameter sets in a level: the paper's number. The others of a calibration are left for weighings and evaluations.
 pub const SETS_PER_LEVEL: usize = 7;
@@ -24,16 +25,14 @@ const RECENT: usize = 20;
 
 /// A training as jobs call it: [`crate::train::train`] in the product, a formula in tests.
 pub type Train = Arc<
-    dyn Fn(&[Level], &Settings, Option<&[u8]>, &Flow<'_>, &mut Listener<'_>) -> Result<Trained, TrainError>
-        + Send
-        + Sync,
+    dyn Fn(&[Level], &Settings, Start<'_>, &Flow<'_>, &mut Listener<'_>) -> Result<Trained, TrainError> + Send + Sync,
 >;
 /// Who hears what a training does; `Break` when it could not be written down.
 pub type Listener<'a> = dyn FnMut(Event) -> ControlFlow<()> + 'a;
 
 /// The simulator's training.
 pub fn simulated() -> Train {
-    Arc::new(|levels, settings, resume, flow, listener| crate::train::train(levels, settings, resume, flow, listener))
+    Arc::new(|levels, settings, start, flow, listener| crate::train::train(levels, settings, start, flow, listener))
 }
 
 /// What a training produced.
@@ -53,10 +52,15 @@ pub struct TrainingResult {
 pub(super) fn perform(context: &JobContext, spec: &TrainingSpec, checkpoint: Option<&str>) -> Result<(), JobError> {
     let resume = checkpoint.map(|sha256| context.store.artifacts().get(sha256)).transpose()?;
     let mut recorder = Recorder { context, spec, round: Vec::new(), recent: VecDeque::new(), unsaved: None };
-    let trained =
-        (context.functions.train)(&spec.levels, &spec.settings, resume.as_deref(), &|| context.flow(), &mut |event| {
-            recorder.hear(event)
-        });
+    let from = resume.is_none().then(|| predecessor(context, spec)).transpose()?.flatten();
+    let start = match (&resume, &from) {
+        (Some(bytes), _) => Start::Checkpoint(bytes),
+        (None, Some(actor)) => Start::Policy(actor),
+        (None, None) => Start::Nothing,
+    };
+    let trained = (context.functions.train)(&spec.levels, &spec.settings, start, &|| context.flow(), &mut |event| {
+        recorder.hear(event)
+    });
     recorder.flush();
     match (trained, recorder.unsaved) {
         (_, Some(error)) => Err(error.into()),
@@ -66,6 +70,15 @@ pub(super) fn perform(context: &JobContext, spec: &TrainingSpec, checkpoint: Opt
             Err(JobError::Stopped)
         }
         (Err(error), None) => Err(JobError::Fail(error.to_string())),
+    }
+}
+
+/// The policy that the training goes on from.
+fn predecessor(context: &JobContext, spec: &TrainingSpec) -> Result<Option<Actor>, JobError> {
+    let Some(from) = &spec.settings.from else { return Ok(None) };
+    match load_policy(context, &from.policy)?.controller {
+        Controller::Learned(actor) => Ok(Some(actor)),
+        _ => Err(JobError::Fail(format!("from: policy `{}` has no network to go on with", from.policy))),
     }
 }
 

@@ -7,6 +7,7 @@ use super::settings::{Order, Settings};
 use super::spoons::Spoons;
 use super::surrogate::Surrogate;
 use super::training::{Flow, Level};
+use crate::domain::conditions::Patch;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
 use crate::policy::{Actor, Carried, OUTPUTS};
@@ -20,6 +21,7 @@ pub(super) mod stream {
     pub const EPISODE: u64 = 2;
     pub const UPDATE: u64 = 3;
     pub const SPOONS: u64 = 4;
+    pub const LOOKS: u64 = 5;
 }
 
 /// An episode before it is played: everything is drawn from its own seed.
@@ -30,8 +32,10 @@ pub struct Planned {
     pub level: u32,
     /// Its powder is drawn from the whole box, and does not count towards the level.
     pub randomised: bool,
-    /// Powder.
+    /// Powder, as its conditions leave it.
     pub set: ParameterSet,
+    /// What else its conditions change.
+    patch: Patch,
     heap: u32,
     /// Angle of repose of its level, degrees.
     repose_deg: Option<f64>,
@@ -42,6 +46,8 @@ pub struct Planned {
 
 /// Seed index of the spoonful within an episode that is played on the surrogate.
 const SPOONFUL: u64 = 2;
+/// Seed index of an episode's conditions.
+const CONDITIONS: u64 = 3;
 
 /// Draw episode `index` of a training that now stands at `level`.
 pub fn plan(index: u32, level: u32, levels: &[Level], settings: &Settings) -> Planned {
@@ -62,16 +68,24 @@ pub fn plan(index: u32, level: u32, levels: &[Level], settings: &Settings) -> Pl
         sets[rng.random_range(0..sets.len())]
     };
     let heap = rng.random_range(0..settings.fills_per_set);
+    let powder = levels.get(level as usize).filter(|_| !randomised).map(|level| level.powder.as_str());
+    let patch = settings
+        .extended
+        .as_ref()
+        .map_or_else(Patch::default, |extended| extended.drawn(powder, derive(seed, &[CONDITIONS])).clone());
+    let set = patch.powder(&set);
     let repose_deg = levels.get(level as usize).filter(|_| !randomised).map(|level| level.repose_deg);
-    Planned { index, level, randomised, set, heap, repose_deg, target_mg, rng, seed }
+    Planned { index, level, randomised, set, patch, heap, repose_deg, target_mg, rng, seed }
 }
 
-/// Play these episodes, one per task; results are in order. Without an actor the actions are random. None when `flow` said to
+/// Play these episodes, one per task; results are in order. Without an actor the actions are random. `shift` is the
+/// surrogate's. None when `flow` said to
 /// stop before all were played.
 pub fn play_round<F: Filling>(
     planned: Vec<Planned>,
     actor: Option<&Actor>,
     spoons: &Spoons<F>,
+    shift: [f64; 3],
     settings: &Settings,
     flow: &Flow<'_>,
 ) -> Option<Vec<(Planned, Played)>> {
@@ -81,12 +95,15 @@ pub fn play_round<F: Filling>(
             if flow().is_break() {
                 return None;
             }
-            let surrogate = Surrogate::new(settings.rules.pitch);
+            let surrogate = Surrogate { shift, ..Surrogate::new(settings.rules.pitch) };
             let played = if plan.index < settings.surrogate_episodes {
                 let spoon = surrogate.fill(&plan.set, derive(plan.seed, &[SPOONFUL]));
                 play_planned(&mut plan, spoon, actor, settings)
             } else if plan.randomised {
-                let spoon = spoons.fill(&plan.set, plan.index);
+                let spoon = spoons.fill(&plan.set, plan.index, &plan.patch);
+                play_planned(&mut plan, spoon, actor, settings)
+            } else if !plan.patch.is_none() {
+                let spoon = spoons.fill(&plan.set, plan.heap, &plan.patch);
                 play_planned(&mut plan, spoon, actor, settings)
             } else {
                 let spoon = spoons.take(&plan.set, plan.heap);
@@ -120,4 +137,36 @@ pub fn remembered(plan: &Planned, played: &Played, actor: &Actor, settings: &Set
     let (target_mg, repose_deg) = (played.target_mg as f32, plan.repose_deg.unwrap_or(0.0) as f32);
     let steps = played.steps.iter().map(|&step| Memory { step, target_mg, repose_deg, parameters }).collect();
     Episode::new(steps, actor, settings)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::settings::{Extended, Preset};
+    use super::*;
+    use crate::domain::conditions::Under;
+
+    #[test]
+    fn days_change_the_powder_and_nothing_else_that_is_drawn() {
+        let sets = vec![ParameterSet::default(), ParameterSet::default().with("friction", 0.7).unwrap()];
+        let levels = [Level { powder: "salt".into(), repose_deg: 36.0, sets }];
+        let base = Settings { box_share: 0.3, ..Settings::of(Preset::Flip, Order::Curriculum, 1) };
+        let more = |cohesion: f64| Patch { parameters: [("cohesion".to_owned(), cohesion)].into(), ..Patch::default() };
+        let under = Under { simulator: "sv-1".into(), conditions: Default::default() };
+        let powders = [("salt".to_owned(), vec![more(0.2), more(0.4)])].into();
+        let extended = Settings { extended: Some(Extended { under, days: vec![more(0.1)], powders }), ..base.clone() };
+        let mut met = std::collections::BTreeSet::new();
+        for index in 0..60 {
+            let [a, b] = [&base, &extended].map(|settings| plan(index, 0, &levels, settings));
+            assert_eq!((a.target_mg, a.heap, a.randomised, a.seed), (b.target_mg, b.heap, b.randomised, b.seed));
+            assert_eq!(a.set.friction(), b.set.friction());
+            assert!(a.patch.is_none());
+            let added = b.patch.parameters["cohesion"];
+            assert!(b.set.cohesion() == (a.set.cohesion() + added).min(1.2));
+            assert_eq!(added == 0.1, b.randomised, "powders out of the box have the average day");
+            met.insert((added * 10.0) as u32);
+        }
+        assert_eq!(met.into_iter().collect::<Vec<_>>(), [1, 2, 4]);
+        let none = Extended { days: Vec::new(), ..extended.extended.clone().unwrap() };
+        assert_eq!(Settings { extended: Some(none), ..base }.checked().unwrap_err().field, "extended.days");
+    }
 }

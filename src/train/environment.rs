@@ -2,6 +2,7 @@
 
 use super::settings::Settings;
 use crate::domain::bench::Action;
+use crate::domain::conditions::Patch;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
 use crate::policy::{Episode, ON_TARGET_MG, Observation, Rules};
@@ -14,6 +15,10 @@ pub trait Filling: Sync {
     type Spoon: Spoon;
     /// A spoon filled with this powder; costly, so the result is kept and cloned.
     fn fill(&self, set: &ParameterSet, seed: u64) -> Self::Spoon;
+    /// The same under conditions whose part in the powder's parameters is in `set` already; a spoon without mechanisms feels nothing else.
+    fn fill_under(&self, set: &ParameterSet, _patch: &Patch, seed: u64) -> Self::Spoon {
+        self.fill(set, seed)
+    }
 }
 
 /// A filled spoon over a vial.
@@ -41,6 +46,10 @@ impl Filling for Simulated {
     type Spoon = Dispenser;
     fn fill(&self, set: &ParameterSet, seed: u64) -> Dispenser {
         Dispenser::new(set, &self.settings, seed)
+    }
+    fn fill_under(&self, set: &ParameterSet, patch: &Patch, seed: u64) -> Dispenser {
+        let extensions = self.settings.extensions.patched(patch).expect("checked before the training begins");
+        Dispenser::new(set, &dispense::Settings { extensions, ..self.settings }, seed)
     }
 }
 
@@ -172,6 +181,29 @@ mod tests {
         {
             assert_eq!(reward(target, true_mg), expected);
         }
+    }
+
+    #[test]
+    fn an_extended_spoon_at_the_reference_is_the_base_in_every_bit_and_a_wet_one_is_not() {
+        let filling = Simulated {
+            settings: dispense::Settings { particles: 600, pitch: PitchLimits::WIDE, ..Default::default() },
+        };
+        let set = ParameterSet::default();
+        let pour = |mut spoon: Dispenser| {
+            for _ in 0..5 {
+                Spoon::step(&mut spoon, Action { incline_change_deg: 8.0, shake_mm: 16.0 });
+            }
+            Spoon::vial_mg(&spoon).to_bits()
+        };
+        let base = pour(filling.fill(&set, 3));
+        assert!(f64::from_bits(base) > 0.0, "nothing fell, so nothing can differ");
+        assert_eq!(pour(filling.fill_under(&set, &Patch::default(), 3)), base);
+        let wet = |amplitude: f64| {
+            let amplitudes = [("humidity".to_owned(), amplitude)].into();
+            pour(filling.fill_under(&set, &Patch { amplitudes, ..Patch::default() }, 3))
+        };
+        assert_eq!(wet(0.0), base);
+        assert_ne!(wet(0.5), base);
     }
 
     #[test]

@@ -140,14 +140,14 @@ pub struct Evaluation {
 
 /// Weigh every dose of the plan, in parallel; the result does not depend on the number of threads.
 ///
-/// `weigh_once` gets controller, parameter set, target in mg and seed; it should be the loop that real weighings use. Its first
+/// `weigh_once` gets controller, powder, one of its parameter sets, target in mg and seed; it should be the loop that real weighings use. Its first
 /// error ends the evaluation.
 ///
 /// # Errors
 /// Whatever `weigh_once` reports.
 pub fn evaluate<E: Send>(
     plan: &Plan,
-    weigh_once: impl Fn(&Controller, &ParameterSet, f64, u64) -> Result<Dose, E> + Sync,
+    weigh_once: impl Fn(&Controller, &Subject, &ParameterSet, f64, u64) -> Result<Dose, E> + Sync,
 ) -> Result<Evaluation, E> {
     let mut doses = Vec::new();
     for contender in &plan.contenders {
@@ -164,7 +164,7 @@ pub fn evaluate<E: Send>(
         .into_par_iter()
         .map(|(contender, subject, target_mg, repeat, seed)| {
             let set = &subject.sets[repeat as usize % subject.sets.len()];
-            let dose = weigh_once(&contender.controller, set, target_mg, seed)?;
+            let dose = weigh_once(&contender.controller, subject, set, target_mg, seed)?;
             Ok(Trial {
                 controller: contender.name.clone(),
                 powder: subject.powder.clone(),
@@ -264,7 +264,7 @@ mod tests {
 
     #[test]
     fn rows_and_summaries_have_the_numbers_one_gets_by_hand() {
-        let evaluation = evaluate(&plan(), |_, set, target, _| Ok::<_, ()>(weigh(set, target, 0.5))).unwrap();
+        let evaluation = evaluate(&plan(), |_, _, set, target, _| Ok::<_, ()>(weigh(set, target, 0.5))).unwrap();
         assert_eq!((evaluation.rows.len(), evaluation.summary.len(), evaluation.trials.len()), (8, 2, 32));
         // Errors alternate between -0.5 and 1.5 mg.
         let row = &evaluation.rows[5];
@@ -289,8 +289,10 @@ mod tests {
         let run = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
-                evaluate(&plan(), |_, set, target, seed| Ok::<_, ()>(weigh(set, target, (seed % 1000) as f64 / 1000.0)))
-                    .unwrap()
+                evaluate(&plan(), |_, _, set, target, seed| {
+                    Ok::<_, ()>(weigh(set, target, (seed % 1000) as f64 / 1000.0))
+                })
+                .unwrap()
             })
         };
         let one = run(1);
@@ -300,6 +302,6 @@ mod tests {
 
     #[test]
     fn an_error_of_the_bench_ends_the_evaluation() {
-        assert_eq!(evaluate(&plan(), |_, _, _, _| Err("the balance is silent")), Err("the balance is silent"));
+        assert_eq!(evaluate(&plan(), |_, _, _, _, _| Err("the balance is silent")), Err("the balance is silent"));
     }
 }

@@ -31,6 +31,6 @@ mod surrogate;
 mod training;
 
 pub use adam::Adam;
-pub use settings::{CriticLoss, Network, Order, PAPER_LEVELS_DEG, Preset, Replayed, Settings};
+pub use settings::{CriticLoss, Extended, FineTuning, Network, Order, PAPER_LEVELS_DEG, Preset, Replayed, Settings};
 pub use surrogate::Surrogate;
-pub use training::{EpisodeRecord, Event, Flow, Level, RANDOMISED, TrainError, Trained, train, train_on};
+pub use training::{EpisodeRecord, Event, Flow, Level, RANDOMISED, Start, TrainError, Trained, train, train_on};

@@ -6,7 +6,7 @@
 use super::recurrent::{self, Course};
 use super::settings::{Network, Settings};
 use crate::domain::parameters::COUNT;
-use crate::policy::{Actor, Encoding, OUTPUTS};
+use crate::policy::{Actor, Encoding, Kind, OUTPUTS};
 use rand::{Rng, RngExt};
 use tch::Tensor;
 
@@ -58,6 +58,14 @@ impl Networks {
                     critic: sizes(with_action, vec![2 * hidden, hidden, 1]),
                 }
             }
+        }
+    }
+
+    /// What a manifest says of an actor.
+    pub fn kind(&self, encoding: Encoding) -> Kind {
+        match self {
+            Self::FeedForward { actor, .. } => Kind::Learned { encoding, widths: actor.clone() },
+            Self::Recurrent { actor, .. } => Kind::Recurrent { encoding, hidden: actor.hidden },
         }
     }
 

@@ -139,7 +139,8 @@ impl Learner {
         self.networks.snapshot(settings.encoding, &self.actor)
     }
 
-    /// One update of critics, actor, temperature and targets from one batch.
+    /// One update of critics, actor, temperature and targets from one batch; of critics and targets alone while the settings hold
+    /// the actor.
     ///
     /// `noise` holds `[2, rows, 2]` standard normal numbers: for the next actions, then for the present ones.
     pub fn update(&mut self, batch: &Batch, noise: &[f32], settings: &Settings) -> Losses {
@@ -159,12 +160,14 @@ impl Learner {
         let (action, log_prob) = squash(&self.networks.head(&actor, &now), &noise.get(1));
         let critics = Tensor::from_slice(&self.critics).view([2, -1]);
         let actor_loss = actor_loss(&self.networks.values(&critics, &now, &action), &log_prob, alpha);
-        let gradient = gradient_of(&actor_loss, &actor);
-        self.actor_adam.step(&mut self.actor, &gradient, settings.learning_rate);
-
         let mean_log_prob = log_prob.mean(None).double_value(&[]);
-        let gradient = temperature_gradient(alpha, mean_log_prob, settings.target_entropy);
-        self.alpha_adam.step(&mut self.log_alpha, &[gradient as f32], settings.learning_rate);
+        let held = settings.from.as_ref().map_or(0, |from| from.held_updates.into());
+        if self.critics_adam.t > held {
+            let gradient = gradient_of(&actor_loss, &actor);
+            self.actor_adam.step(&mut self.actor, &gradient, settings.learning_rate);
+            let gradient = temperature_gradient(alpha, mean_log_prob, settings.target_entropy);
+            self.alpha_adam.step(&mut self.log_alpha, &[gradient as f32], settings.learning_rate);
+        }
 
         let tau = settings.tau as f32;
         for (slow, fast) in self.targets.iter_mut().zip(&self.critics) {

@@ -1,10 +1,13 @@
 //! Every hyper-parameter of a training, in one block.
 
 use super::curriculum;
+use super::networks::Networks;
+use crate::domain::conditions::{Patch, Under};
 use crate::domain::{FieldError, bounded};
-use crate::policy::{Encoding, Rules};
+use crate::policy::{Encoding, Kind, Rules};
 use crate::sim::{balance, dispense};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Angles of repose of the published curriculum's three levels, degrees.
 pub const PAPER_LEVELS_DEG: [f64; 3] = [28.0, 33.0, 37.0];
@@ -76,6 +79,50 @@ pub enum CriticLoss {
     Huber,
 }
 
+/// The days of a training under an extended simulator: each episode has one of them. The surrogate feels what they do to a powder's parameters only.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[schema(as = ExtendedTraining)]
+#[serde(deny_unknown_fields)]
+pub struct Extended {
+    /// The version, and the conditions that are held.
+    pub under: Under,
+    /// What each day changes about a powder that has no list of its own, at least one day.
+    pub days: Vec<Patch>,
+    /// What each day changes about these powders.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub powders: BTreeMap<String, Vec<Patch>>,
+}
+
+impl Extended {
+    /// The day of an episode with this seed.
+    pub(super) fn drawn(&self, powder: Option<&str>, seed: u64) -> &Patch {
+        let own = powder.and_then(|powder| self.powders.get(powder)).filter(|own| !own.is_empty());
+        let days = own.unwrap_or(&self.days);
+        &days[(seed % days.len() as u64) as usize]
+    }
+
+    fn check(&self, spoon: &dispense::Settings) -> Result<(), FieldError> {
+        if self.days.is_empty() {
+            return Err(FieldError::new("extended.days", "must hold at least one day"));
+        }
+        let all = self.days.iter().chain(self.powders.values().flatten());
+        all.map(|patch| spoon.extensions.patched(patch)).find_map(Result::err).map_or(Ok(()), Err)
+    }
+}
+
+/// A training that goes on from a policy, for conditions that this one has not met.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FineTuning {
+    /// Id of the policy.
+    pub policy: String,
+    /// Weighings by that policy in the simulator, under the training's own conditions, before anything is learnt: the surrogate is then shifted to what
+    /// these spoons did ([`super::Surrogate::tuned`]), and the first episodes are played on it. 0: it stays as it is.
+    pub spoons: u32,
+    /// Updates of the critics alone. They begin with nothing, and a policy that followed them at once would forget what it can.
+    pub held_updates: u32,
+}
+
 /// Every setting of a training; stored with its job, its checkpoints and its policy.
 ///
 /// Sources: "Haarnoja 2018" is arXiv:1812.05905; "prior work" is the public code of the published robot and of the
@@ -120,6 +167,13 @@ pub struct Settings {
     pub balance: balance::Settings,
     /// The simulated spoon; its pitch range is replaced by the rules'.
     pub spoon: dispense::Settings,
+    /// The version of the simulator that it trains on and the days it meets. Default the base, whose every day is alike.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub extended: Option<Extended>,
+
+    /// What it goes on from. Default nothing: a training begins with a policy that cannot do anything.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from: Option<FineTuning>,
 
     /// Inputs of the networks.
     pub encoding: Encoding,
@@ -193,6 +247,8 @@ impl Settings {
             target_mg_max: 15.0,
             balance: balance::Settings::default(),
             spoon: dispense::Settings::default(),
+            extended: None,
+            from: None,
             encoding: Encoding::Fall,
             network: Network::FeedForward,
             hidden: 128,
@@ -244,6 +300,13 @@ impl Settings {
         }
     }
 
+    /// These settings for a training that goes on from a policy: it weighs from the first episode on, and explores as little as it has come to.
+    #[must_use]
+    pub fn going_on_from(self, policy: String) -> Self {
+        let from = Some(FineTuning { policy, spoons: 32, held_updates: 2000 });
+        Self { from, warmup_episodes: 0, initial_alpha: 0.02, ..self }
+    }
+
     /// These settings if a training can run with them.
     ///
     /// # Errors
@@ -282,14 +345,19 @@ impl Settings {
         }
         bounded("relabel_mg_min", self.relabel_mg_min, 0.1, self.target_mg_max, "mg")?;
         count("curriculum.queue", self.curriculum.queue, 1, 100_000)?;
+        if let Some(from) = &self.from {
+            count("from.spoons", from.spoons, 0, 1000)?;
+        }
+        self.extended.as_ref().map_or(Ok(()), |extended| extended.check(&self.spoon))?;
         Ok(self)
     }
 
-    /// Episodes on the surrogate unless a request says otherwise: four fifths of ours, none of the published ones.
+    /// Episodes on the surrogate unless a request says otherwise: four fifths of ours, all that go on from a policy, none of the published ones.
     pub fn surrogate_by_default(&self) -> u32 {
-        match self.preset {
-            Preset::Flip => self.episodes - self.episodes.div_ceil(5),
-            Preset::Paper => 0,
+        match (self.preset, &self.from) {
+            (Preset::Flip, Some(_)) => self.episodes,
+            (Preset::Flip, None) => self.episodes - self.episodes.div_ceil(5),
+            (Preset::Paper, _) => 0,
         }
     }
 
@@ -300,6 +368,11 @@ impl Settings {
             f64::from(on_surrogate) / f64::from(SURROGATE_EPISODES) + f64::from(episodes - on_surrogate)
         };
         work(episodes) / work(self.episodes)
+    }
+
+    /// What the manifest of a policy says that was trained with these settings.
+    pub fn policy_kind(&self) -> Kind {
+        Networks::new(self).kind(self.encoding)
     }
 
     /// Episodes are remembered with the actor's state after their first step.

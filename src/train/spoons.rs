@@ -1,6 +1,7 @@
 //! Filled spoons, kept: filling takes as long as several steps.
 
 use super::environment::Filling;
+use crate::domain::conditions::Patch;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
 use std::collections::HashMap;
@@ -28,12 +29,12 @@ impl<'a, F: Filling> Spoons<'a, F> {
             let mut kept = self.kept.lock().unwrap_or_else(|broken| broken.into_inner());
             kept.entry((set.id(), heap)).or_default().clone()
         };
-        slot.get_or_init(|| self.fill(set, heap)).clone()
+        slot.get_or_init(|| self.fill(set, heap, &Patch::default())).clone()
     }
 
-    /// The same without keeping it, for powders that are met once.
-    pub fn fill(&self, set: &ParameterSet, heap: u32) -> F::Spoon {
-        self.filling.fill(set, derive(self.seed, &[heap.into()]))
+    /// The same without keeping it, for powders and conditions that are met once.
+    pub fn fill(&self, set: &ParameterSet, heap: u32, patch: &Patch) -> F::Spoon {
+        self.filling.fill_under(set, patch, derive(self.seed, &[heap.into()]))
     }
 }
 

@@ -8,10 +8,11 @@ use super::replay::Replay;
 use super::sac::{Learner, Losses};
 use super::settings::{Order, SURROGATE_EPISODES, Settings};
 use super::spoons::Spoons;
+use super::surrogate::Surrogate;
 use crate::domain::FieldError;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
-use crate::policy::{self, Controller, Episode, LevelManifest, Manifest, Policy, SetManifest, normal};
+use crate::policy::{self, Actor, Controller, Episode, LevelManifest, Manifest, Policy, SetManifest, normal};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
@@ -113,22 +114,33 @@ pub enum TrainError {
     },
 }
 
+/// Where a training begins.
+#[derive(Debug, Clone, Copy)]
+pub enum Start<'a> {
+    /// With a policy that cannot do anything.
+    Nothing,
+    /// With this one; the settings' [`FineTuning`](super::FineTuning) says how.
+    Policy(&'a Actor),
+    /// Where it was interrupted.
+    Checkpoint(&'a [u8]),
+}
+
 /// Train a policy in the simulator.
 ///
 /// `on_event` hears of every episode and checkpoint; when it answers `Break`, the training stops with a checkpoint. When `flow`
-/// does, it stops sooner: episodes under way are played to their end, and their round is dropped to be played again. `resume` is
-/// such a checkpoint: the result is the same, bit for bit, as without the interruption.
+/// does, it stops sooner: episodes under way are played to their end, and their round is dropped to be played again. From a
+/// checkpoint the result is the same, bit for bit, as without the interruption.
 ///
 /// # Errors
 /// [`TrainError`].
 pub fn train(
     levels: &[Level],
     settings: &Settings,
-    resume: Option<&[u8]>,
+    start: Start<'_>,
     flow: &Flow<'_>,
     on_event: impl FnMut(Event) -> ControlFlow<()>,
 ) -> Result<Trained, TrainError> {
-    train_on(&simulated(settings), levels, settings, resume, flow, on_event)
+    train_on(&simulated(settings), levels, settings, start, flow, on_event)
 }
 
 /// Everything that changes during a training; what a checkpoint holds.
@@ -154,6 +166,9 @@ pub(super) struct Progress {
     pub recent: VecDeque<f64>,
     /// Episodes by level.
     pub on_level: Vec<u32>,
+    /// What the surrogate is shifted by, once the spoons were looked at.
+    #[serde(default)]
+    pub shift: Option<[f64; 3]>,
 }
 
 /// Episodes in the final error.
@@ -167,17 +182,21 @@ pub fn train_on<F: Filling>(
     filling: &F,
     levels: &[Level],
     settings: &Settings,
-    resume: Option<&[u8]>,
+    start: Start<'_>,
     flow: &Flow<'_>,
     mut on_event: impl FnMut(Event) -> ControlFlow<()>,
 ) -> Result<Trained, TrainError> {
     let settings = &settings.clone().checked()?;
     let levels = &ordered(levels, settings)?;
-    let mut state = match resume {
-        Some(bytes) => checkpoint::decode(bytes, levels, settings).map_err(TrainError::Checkpoint)?,
-        None => State::new(levels, settings),
+    let mut state = match start {
+        Start::Checkpoint(bytes) => checkpoint::decode(bytes, levels, settings).map_err(TrainError::Checkpoint)?,
+        Start::Nothing => State::new(levels, settings),
+        Start::Policy(actor) => State::new(levels, settings).going_on_from(actor, settings)?,
     };
     let spoons = Spoons::new(filling, derive(settings.seed, &[stream::SPOONS]));
+    if state.progress.shift.is_none() && !state.look_at_spoons(levels, settings, &spoons, flow)? {
+        return Err(TrainError::Stopped { checkpoint: checkpoint::encode(&state, levels, settings) });
+    }
     while state.progress.episodes < settings.episodes {
         let Some(records) = state.round(levels, settings, &spoons, flow)? else {
             return Err(TrainError::Stopped { checkpoint: checkpoint::encode(&state, levels, settings) });
@@ -240,6 +259,44 @@ impl State {
         }
     }
 
+    /// With a policy that can weigh in place of the fresh one.
+    fn going_on_from(mut self, actor: &Actor, settings: &Settings) -> Result<Self, FieldError> {
+        if actor.kind() != settings.policy_kind() {
+            let advice = "is a policy of another network than this training's: take one of the same preset";
+            return Err(FieldError::new("from", advice));
+        }
+        self.learner.actor = actor.to_flat();
+        Ok(self)
+    }
+
+    /// Weigh with the policy at hand on spoons that are not learnt from, and shift the surrogate to them; false, and nothing is changed, when `flow`
+    /// said to stop.
+    fn look_at_spoons<F: Filling>(
+        &mut self,
+        levels: &[Level],
+        settings: &Settings,
+        spoons: &Spoons<F>,
+        flow: &Flow<'_>,
+    ) -> Result<bool, TrainError> {
+        let count = settings.from.as_ref().map_or(0, |from| from.spoons);
+        if count == 0 {
+            self.progress.shift = Some([0.0; 3]);
+            return Ok(true);
+        }
+        let actor = self.learner.snapshot(settings).ok_or(TrainError::Diverged { episodes: 0 })?;
+        let looks = Settings {
+            seed: derive(settings.seed, &[stream::LOOKS]),
+            order: if settings.order == Order::DomainRandomisation { settings.order } else { Order::Random },
+            surrogate_episodes: 0,
+            ..settings.clone()
+        };
+        let planned = (0..count).map(|k| plan(k, 0, levels, &looks)).collect();
+        let Some(played) = play_round(planned, Some(&actor), spoons, [0.0; 3], &looks, flow) else { return Ok(false) };
+        let courses: Vec<_> = played.iter().map(|(plan, played)| (plan.set, played.steps.as_slice())).collect();
+        self.progress.shift = Some(Surrogate::new(settings.rules.pitch).shift_to(&courses));
+        Ok(true)
+    }
+
     /// Play a round, learn from it, and report its episodes; None, and nothing is changed, when `flow` said to stop.
     fn round<F: Filling>(
         &mut self,
@@ -258,7 +315,8 @@ impl State {
         let diverged = TrainError::Diverged { episodes: first };
         let actor = self.learner.snapshot(settings).ok_or(diverged)?;
         let learns = first >= settings.warmup_episodes;
-        let Some(played) = play_round(planned, learns.then_some(&actor), spoons, settings, flow) else {
+        let shift = self.progress.shift.unwrap_or_default();
+        let Some(played) = play_round(planned, learns.then_some(&actor), spoons, shift, settings, flow) else {
             return Ok(None);
         };
         for (plan, played) in &played {

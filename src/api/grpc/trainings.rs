@@ -1,6 +1,6 @@
 //! `flip.v1.Trainings`.
 
-use super::convert::{all, given, named, page};
+use super::convert::{all, conditions, given, named, page};
 use super::proto::*;
 use super::{Service, read, write};
 use crate::app::TrainingRequest;
@@ -12,14 +12,20 @@ impl trainings_server::Trainings for Service {
         &self,
         request: Request<StartTrainingRequest>,
     ) -> Result<Response<StartJobResponse>, Status> {
-        let StartTrainingRequest { order, preset, episodes, powders, seed, surrogate_episodes } = write(request)?;
+        let asked = write(request)?;
+        let StartTrainingRequest {
+            order, preset, episodes, powders, seed, surrogate_episodes, simulator, from, ..
+        } = asked;
         let request = TrainingRequest {
             order: named::<Order, _>("order", order)?.unwrap_or_default(),
             preset: named::<Preset, _>("preset", preset)?.unwrap_or_default(),
             episodes,
             surrogate_episodes,
             powders: given(powders),
+            from,
             seed,
+            simulator,
+            conditions: conditions(asked.conditions),
         };
         Ok(Response::new(self.app.start_training(request).await?.into()))
     }
