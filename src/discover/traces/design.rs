@@ -89,7 +89,10 @@ impl Design {
             all.dedup();
             move |name: &String| all.binary_search(name).unwrap_or(0)
         };
-        let powder_of = |weighing: &Weighing| weighing.powder.clone().unwrap_or_default();
+        // A dose of nobody knows what is of a powder of its own.
+        let own =
+            |weighing: &Weighing| if weighing.kind == Kind::Dose { format!("?{}", weighing.id) } else { String::new() };
+        let powder_of = |weighing: &Weighing| weighing.powder.clone().unwrap_or_else(|| own(weighing));
         let session_of = |weighing: &Weighing| weighing.session.clone().unwrap_or_default();
         let (powder, session) = (names(&powder_of), names(&session_of));
         let mut new = Self {
@@ -184,6 +187,12 @@ impl Design {
             }
         }
         shakes
+    }
+
+    /// Whether at least half of the plateaus that shakes end at have what `of` gives.
+    pub fn knows(&self, of: impl Fn(&Plateau) -> Option<f64>) -> bool {
+        let known = self.shakes.iter().filter(|shake| of(&self.plateaus[shake.after]).is_some()).count();
+        known > 0 && 2 * known >= self.shakes.len()
     }
 
     /// Number of powders and of sessions.

@@ -32,6 +32,8 @@ pub(super) struct Form {
     pub scale: f64,
     /// Number of its shape.
     pub shape: Option<f64>,
+    /// What an effect of size 1 changes from the lowest to the highest tenth of what it goes with.
+    pub span: f64,
 }
 
 /// A cause and its forms.
@@ -47,11 +49,22 @@ pub(super) struct Hypothesis {
 /// What the evidence says of a cause's size and shape in the measured readings, all of it.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Estimate {
-    /// Weight, mean and SD of the size, and shape, one for each form, noise and amplitude.
-    parts: Vec<(f64, f64, f64, Option<f64>)>,
+    /// One for each form, noise and amplitude.
+    parts: Vec<Part>,
     /// Share of what is more than noise that the cause explains: all of it as probably as nothing wanders beside it, else the share of the log
     /// evidence or of the squares that it gains alone, whichever is more.
     pub explained: f64,
+}
+
+/// What one form says under one noise and amplitude.
+#[derive(Debug, Clone, Copy)]
+struct Part {
+    weight: f64,
+    /// Mean and SD of the size.
+    size: f64,
+    sd: f64,
+    shape: Option<f64>,
+    span: f64,
 }
 
 /// A level, judged.
@@ -67,19 +80,27 @@ pub(super) struct Verdict {
 
 impl Form {
     /// A raw signature made to size 1; `None` if the fixed part explains it.
-    pub fn new(raw: &[f64], shape: Option<f64>, plain: &Whitening) -> Option<Self> {
+    pub fn new(raw: &[f64], shape: Option<f64>, span: f64, plain: &Whitening) -> Option<Self> {
         let column = DMatrix::from_column_slice(raw.len(), 1, raw);
         let size = (plain.apply(&column).norm_squared() / plain.freedom).sqrt();
         let is_seen = size > 1e-9 * column.norm();
-        is_seen.then(|| Self { course: raw.iter().map(|x| x / size).collect(), scale: 1.0 / size, shape })
+        is_seen.then(|| Self { course: raw.iter().map(|x| x / size).collect(), scale: 1.0 / size, shape, span })
     }
+}
+
+/// Scale, shape and span of a form.
+#[derive(Debug, Clone, Copy)]
+struct Sized {
+    scale: f64,
+    shape: Option<f64>,
+    span: f64,
 }
 
 /// What one noise says: of itself, of each cause, and of the sizes in the measured readings.
 struct Seen {
     null: Vec<f64>,
     causes: Vec<Vec<f64>>,
-    sizes: Vec<Vec<(Fit, f64, Option<f64>)>>,
+    sizes: Vec<Vec<(Fit, Sized)>>,
     squares: f64,
     freedom: f64,
 }
@@ -134,7 +155,7 @@ fn see(noise: &Noise, hypotheses: &[Hypothesis], observations: &DMatrix<f64>) ->
                         let fit = noise.fit(signature, k, squares[k], amplitude, sign);
                         logs.push(fit.log_evidence);
                         if k == 0 {
-                            of_sizes.push((fit, form.scale, form.shape));
+                            of_sizes.push((fit, Sized { scale: form.scale, shape: form.shape, span: form.span }));
                         }
                     }
                 }
@@ -153,9 +174,10 @@ fn estimate(noises: &[Noise], seen: &[Seen], h: usize, white: Option<f64>) -> Es
     let (mut plain, mut is_plain) = ((f64::NEG_INFINITY, 0.0, 0.0), Vec::new());
     for (noise, seen) in noises.iter().zip(seen) {
         let log_prior = -(counts[usize::from(noise.is_wander)] as f64).ln();
-        for &(fit, scale, shape) in &seen.sizes[h] {
+        for &(fit, Sized { scale, shape, span }) in &seen.sizes[h] {
             let log_weight = fit.log_evidence + log_prior;
-            new.parts.push((log_weight, fit.first * scale, fit.first_sd * scale, shape));
+            let (size, sd) = (fit.first * scale, fit.first_sd * scale);
+            new.parts.push(Part { weight: log_weight, size, sd, shape, span });
             is_plain.push(!noise.is_wander);
             if !noise.is_wander && log_weight > plain.0 {
                 let more = white.map_or(f64::INFINITY, |white| seen.squares - white * seen.freedom);
@@ -165,7 +187,8 @@ fn estimate(noises: &[Noise], seen: &[Seen], h: usize, white: Option<f64>) -> Es
     }
     let null: Vec<f64> = noises.iter().zip(seen).filter(|it| !it.0.is_wander).map(|it| it.1.null[0]).collect();
     let of = |which: bool| {
-        let kept: Vec<f64> = (0..is_plain.len()).filter(|&k| is_plain[k] == which).map(|k| new.parts[k].0).collect();
+        let kept: Vec<f64> =
+            (0..is_plain.len()).filter(|&k| is_plain[k] == which).map(|k| new.parts[k].weight).collect();
         let sizes = kept.len() as f64 / counts[usize::from(!which)] as f64;
         log_mean_exp(&kept) + (kept.len() as f64).ln() - sizes.ln()
     };
@@ -174,19 +197,29 @@ fn estimate(noises: &[Noise], seen: &[Seen], h: usize, white: Option<f64>) -> Es
     let gain = ((alone - log_mean_exp(&null)) / (both - log_mean_exp(&null)).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
     let squares = if plain.2 > 0.0 { (plain.1 / plain.2).min(1.0) } else { 0.0 };
     new.explained = alone_probability + (1.0 - alone_probability) * gain.max(squares);
-    let best = new.parts.iter().map(|part| part.0).fold(f64::NEG_INFINITY, f64::max);
-    new.parts.iter_mut().for_each(|part| part.0 = (part.0 - best).exp());
+    let best = new.parts.iter().map(|part| part.weight).fold(f64::NEG_INFINITY, f64::max);
+    new.parts.iter_mut().for_each(|part| part.weight = (part.weight - best).exp());
     new
 }
 
 impl Estimate {
     /// Mean and 95 % limits of the size, as of a normal distribution with the mixture's mean and variance.
     pub fn size(&self) -> [f64; 3] {
+        self.mixture(|_| 1.0)
+    }
+
+    /// The same of what the size changes over the span.
+    pub fn effect(&self) -> [f64; 3] {
+        self.mixture(|part| part.span)
+    }
+
+    fn mixture(&self, scale: impl Fn(&Part) -> f64) -> [f64; 3] {
         let (mut total, mut mean, mut square) = (0.0, 0.0, 0.0);
-        for &(weight, value, sd, _) in &self.parts {
-            total += weight;
-            mean += weight * value;
-            square += weight * (value * value + sd * sd);
+        for part in &self.parts {
+            let (value, sd) = (part.size * scale(part), part.sd * scale(part));
+            total += part.weight;
+            mean += part.weight * value;
+            square += part.weight * (value * value + sd * sd);
         }
         let mean = mean / total;
         let sd = (square / total - mean * mean).max(0.0).sqrt();
@@ -197,10 +230,10 @@ impl Estimate {
     /// probable form has one.
     pub fn shape(&self) -> Option<[f64; 3]> {
         let mut all: Vec<(f64, f64)> =
-            self.parts.iter().filter_map(|&(weight, _, _, shape)| shape.map(|shape| (shape, weight))).collect();
+            self.parts.iter().filter_map(|part| part.shape.map(|shape| (shape, part.weight))).collect();
         all.sort_by(|a, b| a.0.total_cmp(&b.0));
         let total: f64 = all.iter().map(|(_, weight)| weight).sum();
-        let of_all: f64 = self.parts.iter().map(|part| part.0).sum();
+        let of_all: f64 = self.parts.iter().map(|part| part.weight).sum();
         if total < 0.5 * of_all {
             return None;
         }

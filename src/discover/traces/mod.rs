@@ -11,6 +11,8 @@
 //! level.rs       a level, judged
 //! simulate.rs    readings in which nothing is wrong
 //! screen.rs      is anything wrong, and what explains it best
+//! span.rs        how large a cause is over what it goes with
+//! report.rs      what of it a document has            words.rs   its sentences and experiments
 //! ```
 //!
 //! As for angles of repose, what a calibration would absorb is not looked at, and the best of all causes is compared with the best that readings of
@@ -24,13 +26,17 @@ mod evidence;
 mod level;
 mod noise;
 pub mod readings;
+pub(super) mod report;
 mod screen;
 mod shakes;
 mod simulate;
+mod span;
+mod words;
 
 #[cfg(test)]
 mod tests;
 
 pub use catalogue::TraceMechanism;
 pub use readings::{Kind, Reading, Traces, Weighing};
-pub use screen::{Parameter, Settings, TraceCause, TraceJudged, TraceScreening, screen_traces};
+pub use report::WANDER;
+pub use screen::{Effect as TraceEffect, Parameter, Settings, TraceCause, TraceJudged, TraceScreening, screen_traces};

@@ -9,7 +9,7 @@
 //! | symbol | name |
 //! |---|---|
 //! | K | correlation in time within a weighing: exp(-x / L), or (1 + x / L) exp(-x / L) |
-//! | r | variance of what wanders; plain noise has none but what the balance's own filter of 0.2 s makes |
+//! | r | variance of what wanders; plain noise has none but what the balance's own filter of 0.1 to 0.4 s makes |
 //! | w | variance of what a weighing's shakes, or plateaus, have in common |
 //! | c, s | scatter of log mass; SD of a plateau's level, mg |
 //! | A, J | dz / d log d and dz / d d of the transformed mass z = asinh(d / 2 s) of a shake |
@@ -21,10 +21,19 @@ use super::level::Noise;
 use nalgebra::DMatrix;
 use std::ops::Range;
 
-/// Time over which a balance's own filter correlates its noise, s.
-pub(super) const FILTER_S: f64 = 0.2;
-/// Variance of that noise over that of white noise; 0 is white alone.
-pub(super) const FILTERED: [f64; 3] = [0.0, 1.0, 4.0];
+/// Noise that a balance's own filter correlates: its variance over that of white noise, 0 being white alone, and the filter's time, s.
+pub(super) const FILTERED: [(f64, f64); 10] = [
+    (0.0, 0.2),
+    (0.3, 0.1),
+    (1.0, 0.1),
+    (4.0, 0.1),
+    (0.3, 0.2),
+    (1.0, 0.2),
+    (4.0, 0.2),
+    (0.3, 0.4),
+    (1.0, 0.4),
+    (4.0, 0.4),
+];
 /// Time constant of the simulated balance's own filter, s: what it does to a step is no discrepancy.
 const NOMINAL_LAG_S: f64 = 0.16;
 /// Fewest rows of a plateau that can spare one for it.
@@ -37,7 +46,7 @@ const WANDER_RATIOS: [f64; 4] = [0.1, 1.0, 10.0, 100.0];
 pub(super) const SCATTERS: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
 /// Variance of what shakes of a weighing have in common over that of one shake.
 pub(super) const WEIGHING_RATIOS: [f64; 3] = [0.0, 0.1, 0.5];
-/// Variance of what each shake changes for all after it; plain noise has none.
+/// Variance of what each shake changes for all after it; plain noise has none where the pitch is known.
 const STEP_RATIOS: [f64; 3] = [0.0, 0.05, 0.3];
 
 /// Runs of equal neighbours.
@@ -105,7 +114,10 @@ pub(super) fn of_readings(design: &Design) -> Vec<Noise> {
     // A display's steps hide what is smaller, so a load that shows no noise is not known better than to them.
     let steps = design.readability_mg.powi(2) / 12.0;
     let finish = |model: Whitening, is_wander: bool| Noise { floor: steps * model.trace(white), model, is_wander };
-    let plain = FILTERED.iter().filter_map(|&ratio| noise(FILTER_S, false, ratio)).map(|model| finish(model, false));
+    let plain = FILTERED
+        .iter()
+        .filter_map(|&(ratio, filter_s)| noise(filter_s, false, ratio))
+        .map(|model| finish(model, false));
     let wanders =
         WANDERS.iter().flat_map(|&(scale_s, is_smooth)| WANDER_RATIOS.map(move |ratio| (scale_s, is_smooth, ratio)));
     let wanders = wanders.filter_map(|(scale_s, is_smooth, ratio)| noise(scale_s, is_smooth, ratio));
@@ -136,8 +148,16 @@ impl Masses {
     }
 }
 
-/// Noises of the masses of shakes, and of each plain one its scatter of log mass and what weighings have in common.
-pub(super) fn of_shakes(design: &Design, masses: &Masses) -> Vec<(Noise, f64, f64)> {
+/// A noise of shakes, and over the square of its scatter of log mass what weighings have in common and what each shake changes for all after it.
+pub(super) struct ShakeNoise {
+    pub noise: Noise,
+    pub weighing: f64,
+    pub step: f64,
+}
+
+/// Noises of the masses of shakes. A pitch that nobody recorded may go up and down: then what changes from shake to shake is plain noise.
+pub(super) fn of_shakes(design: &Design, masses: &Masses) -> Vec<ShakeNoise> {
+    let is_pitch_known = design.knows(|plateau| plateau.pitch_deg);
     let shakes = &design.shakes;
     let blocks = runs(shakes.iter().map(|shake| shake.log));
     let fixed = DMatrix::from_fn(shakes.len(), masses.fixed.ncols(), |i, k| masses.log_slope(i) * masses.fixed[(i, k)]);
@@ -166,7 +186,8 @@ pub(super) fn of_shakes(design: &Design, masses: &Masses) -> Vec<(Noise, f64, f6
     for scatter in SCATTERS {
         for weighing in WEIGHING_RATIOS {
             for step in STEP_RATIOS {
-                let of = |model| (Noise { model, is_wander: step > 0.0, floor: 0.0 }, scatter, weighing);
+                let is_wander = step > 0.0 && is_pitch_known;
+                let of = |model| ShakeNoise { noise: Noise { model, is_wander, floor: 0.0 }, weighing, step };
                 noises.extend(noise(scatter, weighing, step).map(of));
             }
         }

@@ -1,35 +1,44 @@
 //! What a balance showed during weighings, as it was recorded.
 
 use crate::domain::{FieldError, bounded};
+use serde::{Deserialize, Serialize};
 
 /// Fewest readings that can say anything.
 pub const READINGS_MIN: usize = 30;
 
 /// One reading of the balance and what was recorded with it; `None` where it was not.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Reading {
     /// Since any fixed moment of the weighing, s.
     pub t_s: f64,
     /// What the balance showed, mg.
     pub balance_mg: f64,
     /// Whether the balance called it stable.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stable: Option<bool>,
     /// Shakes so far: readings with the same number follow the same shake.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shake_index: Option<u32>,
     /// Commanded amplitude of that shake, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shake_mm: Option<f64>,
     /// Pitch of the spoon during it, degrees, positive is tip down.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spoon_pitch_deg: Option<f64>,
     /// Powder in the spoon, mg.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spoon_fill_mg: Option<f64>,
     /// Relative humidity, percent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub relative_humidity_pct: Option<f64>,
     /// Vibration of the bench, root mean square acceleration, m/s^2.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vibration_rms_m_s2: Option<f64>,
 }
 
 /// What was on the pan.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Kind {
     /// A vial that powder is shaken into.
     Dose,
@@ -40,24 +49,27 @@ pub enum Kind {
 }
 
 /// The readings of one weighing, or of one control of the balance.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Weighing {
     /// As the file has it.
     pub id: String,
     /// Name of the powder.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub powder: Option<String>,
     /// Day, or whatever shares the state of the balance.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub session: Option<String>,
     /// What was on the pan.
     pub kind: Kind,
     /// Mass that was wanted, mg.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target_mg: Option<f64>,
     /// In the order of time.
     pub readings: Vec<Reading>,
 }
 
 /// Weighings and controls of one bench.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Traces {
     /// In any order.
     pub weighings: Vec<Weighing>,

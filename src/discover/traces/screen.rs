@@ -10,13 +10,14 @@
 //! which a calibration would absorb and which is therefore not looked at.
 
 use super::bench::Bench;
-use super::catalogue::{Differs, Effect, Level, Shaped, TraceMechanism};
+use super::catalogue::{self, Differs, Level, Shaped, TraceMechanism};
 use super::design::Design;
 use super::level::{Estimate, Form, Hypothesis, Noise, Verdict, judge};
-use super::noise::{self, FILTERED, Masses, SCATTERS};
+use super::noise::{self, FILTERED, Masses, SCATTERS, ShakeNoise};
 use super::readings::{Kind, Traces};
 use super::shakes;
 use super::simulate::{self, Scatter};
+use super::span::Along;
 use crate::domain::FieldError;
 use crate::stats::mixed_model::log_mean_exp;
 use nalgebra::DMatrix;
@@ -26,6 +27,8 @@ use rayon::prelude::*;
 const DIFFERENCES: [f64; 2] = [0.3, 1.0];
 /// Share of structure that a cause must explain, the rest being wander, for what it leaves to be called white.
 const EXPLAINED_MIN: f64 = 0.5;
+/// Most averaged readings of all simulations together: some ten matrices of so many numbers are held at once.
+const SIMULATED_ROWS_MAX: usize = 20_000_000;
 /// Odds before any data of what wanders, and of an actuator: a curved response of the spoon looks like one.
 const PRIORS: [f64; 2] = [1.0, 0.3];
 
@@ -62,6 +65,21 @@ pub struct Parameter {
     pub unit: &'static str,
 }
 
+/// How large a cause is: the change from the 5th to the 95th percentile of what it goes with.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Effect {
+    /// Column of the file.
+    pub covariate: &'static str,
+    /// Change, and its 95 % interval.
+    pub value: f64,
+    /// Lower and upper limit of 95 %.
+    pub ci95: [f64; 2],
+    /// `mg`, or `%` of a shake's mass or of a reading's SD.
+    pub unit: &'static str,
+    /// From where to where, in words.
+    pub span: String,
+}
+
 /// A cause and how well it explains the readings.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TraceJudged {
@@ -73,6 +91,8 @@ pub struct TraceJudged {
     pub probability: f64,
     /// Its size and its shape.
     pub parameters: Vec<Parameter>,
+    /// How large it is; nothing of what wanders.
+    pub effect: Option<Effect>,
 }
 
 /// The outcome of [`screen_traces`].
@@ -86,6 +106,12 @@ pub struct TraceScreening {
     pub untestable: Vec<(TraceMechanism, String)>,
     /// Whether what the best cause leaves of the readings is white. Where it is not the cause gave its probability to the unknown.
     pub white: bool,
+    /// The largest evidence here, with its prior, natural log.
+    pub statistic: f64,
+    /// The same in each of the simulated readings, in ascending order.
+    pub null: Vec<f64>,
+    /// Readings and shakes that were looked at.
+    pub looked_at: [u32; 2],
 }
 
 impl TraceCause {
@@ -101,13 +127,22 @@ impl TraceCause {
 /// Judge every cause of the catalogue, and what wanders, on what a balance showed.
 ///
 /// # Errors
-/// A setting out of bounds; traces that [`Traces::checked`] refuses or whose weighings leave nothing to judge.
+/// A setting out of bounds; more readings than so many simulations can have; traces that [`Traces::checked`] refuses or whose weighings leave nothing to judge.
 pub fn screen_traces(traces: &Traces, settings: &Settings) -> Result<TraceScreening, FieldError> {
     if !(99..=9999).contains(&settings.simulations) {
         let message = format!("must be from 99 to 9999, got {}", settings.simulations);
         return Err(FieldError::new("simulations", message));
     }
     let design = Design::new(&traces.clone().checked()?);
+    let rows_max = SIMULATED_ROWS_MAX / settings.simulations as usize;
+    if design.rows.len() > rows_max {
+        let message = format!(
+            "{} are too many for readings that average to {} rows, and {rows_max} rows are the most: ask for fewer, or leave weighings out",
+            settings.simulations,
+            design.rows.len()
+        );
+        return Err(FieldError::new("simulations", message));
+    }
     let bench = Bench::new(&design);
     let mut untestable = Vec::new();
     let mut known = Vec::new();
@@ -128,7 +163,7 @@ pub fn screen_traces(traces: &Traces, settings: &Settings) -> Result<TraceScreen
         .map(|k| plan.seen(&simulate::readings(&design, plan.masses, &scatter, settings.seed, k)))
         .collect();
     let all: Vec<&Seen> = std::iter::once(&measured).chain(&simulated).collect();
-    let shake_noises: Vec<Noise> = shake_noises.into_iter().map(|(noise, _, _)| noise).collect();
+    let shake_noises: Vec<Noise> = shake_noises.into_iter().map(|it| it.noise).collect();
     let levels = [
         plan.judge(Level::Readings, &reading_noises, &all),
         plan.judge(Level::Shakes, &shake_noises, &all),
@@ -144,7 +179,7 @@ pub fn screen_traces(traces: &Traces, settings: &Settings) -> Result<TraceScreen
         }
     }
     untestable.sort_by_key(|(mechanism, _)| TraceMechanism::ALL.iter().position(|known| known == mechanism));
-    Ok(conclude(&levels, untestable, all.len()))
+    Ok(plan.conclude(&levels, untestable, all.len()))
 }
 
 /// What each level sees of one set of readings.
@@ -175,20 +210,20 @@ impl Plan<'_> {
     }
 
     /// What the measured readings say of the bench's scatter when nothing is wrong.
-    fn scatter(&self, readings: &[Noise], shakes: &[(Noise, f64, f64)], measured: &Seen) -> Scatter {
+    fn scatter(&self, readings: &[Noise], shakes: &[ShakeNoise], measured: &Seen) -> Scatter {
         let plain = judge(readings, &[], &column(measured, Level::Readings), None).plain;
-        let mut filtered: Vec<(f64, f64)> = plain.into_iter().zip(FILTERED).collect();
+        let mut filtered: Vec<(f64, (f64, f64))> = plain.into_iter().zip(FILTERED).collect();
         if filtered.is_empty() {
             filtered.push((1.0, FILTERED[0]));
         }
         let shakes = match self.masses {
-            None => vec![(1.0, (SCATTERS[0], 0.0))],
+            None => vec![(1.0, [SCATTERS[0], 0.0, 0.0])],
             Some(_) => {
                 let mass = column(measured, Level::Shakes);
-                let plain = shakes.iter().filter(|(noise, _, _)| !noise.is_wander);
-                let odds = plain.map(|(noise, _, weighing)| {
+                let plain = shakes.iter().filter(|it| !it.noise.is_wander);
+                let odds = plain.map(|ShakeNoise { noise, weighing, step, .. }| {
                     let squares = noise.model.apply(&mass).norm_squared();
-                    (noise.model.log_null(squares), ((squares / noise.model.freedom).sqrt(), *weighing))
+                    (noise.model.log_null(squares), [(squares / noise.model.freedom).sqrt(), *weighing, *step])
                 });
                 let odds: Vec<_> = odds.collect();
                 let most = odds.iter().map(|odds| odds.0).fold(f64::NEG_INFINITY, f64::max);
@@ -220,7 +255,8 @@ impl Plan<'_> {
     }
 
     /// What an effect of small size does to a level, over that size, `[rows]`.
-    fn raw(&self, effect: Effect) -> Vec<f64> {
+    fn raw(&self, effect: catalogue::Effect) -> Vec<f64> {
+        use catalogue::Effect;
         /// Size of an effect whose signature is a difference of two runs of the bench.
         const SMALL: f64 = 1e-4;
         let over = |with: Vec<f64>, without: Vec<f64>| -> Vec<f64> {
@@ -264,7 +300,20 @@ impl Plan<'_> {
                 let of = [self.design.logs[log].powder, self.design.logs[log].session];
                 which.map_or(0, |which: usize| of[which])
             };
-            let forms = effects.iter().filter_map(|&(effect, shape)| Form::new(&self.raw(effect), shape, plain));
+            let along = Along::of(mechanism, self.design, &self.scattered());
+            let form = |&(effect, shape): &Shaped| {
+                let raw = self.raw(effect);
+                let span = match self.masses {
+                    // Of the log of a shake's mass.
+                    Some(masses) if level == Level::Shakes => {
+                        let of_log = |(i, dz): (usize, &f64)| dz / masses.log_slope(i);
+                        along.span(&raw.iter().enumerate().map(of_log).collect::<Vec<f64>>())
+                    }
+                    _ => along.span(&raw),
+                };
+                Form::new(&raw, shape, span, plain)
+            };
+            let forms = effects.iter().filter_map(form);
             let differ = if count > 1 { DIFFERENCES.map(Some).to_vec() } else { vec![None] };
             Hypothesis { mechanism, forms: forms.collect(), group: logs.iter().map(group_of).collect(), differ }
         };
@@ -275,56 +324,76 @@ impl Plan<'_> {
         let white = (level == Level::Readings).then_some(white);
         Some(judge(noises, &hypotheses, &observations, white))
     }
+
+    fn conclude(
+        &self,
+        levels: &[Option<Verdict>],
+        untestable: Vec<(TraceMechanism, String)>,
+        count: usize,
+    ) -> TraceScreening {
+        let prior = |mechanism| if mechanism == TraceMechanism::Actuator { PRIORS[1].ln() } else { 0.0 };
+        let wander = |k: usize| {
+            let of_levels: Vec<f64> = levels[..2].iter().flatten().map(|level| level.wander[k]).collect();
+            log_mean_exp(&of_levels) + PRIORS[0].ln()
+        };
+        let causes: Vec<(TraceMechanism, &Vec<f64>, &Estimate)> = levels
+            .iter()
+            .flatten()
+            .flat_map(|level| level.causes.iter().zip(&level.estimates))
+            .map(|((mechanism, logs), estimate)| (*mechanism, logs, estimate))
+            .collect();
+        let largest = |k: usize| causes.iter().map(|(it, logs, _)| logs[k] + prior(*it)).fold(wander(k), f64::max);
+        let here = largest(0);
+        let mut null: Vec<f64> = (1..count).map(largest).collect();
+        null.sort_by(f64::total_cmp);
+        let as_large = null.iter().filter(|&&it| it >= here).count();
+        let logs: Vec<f64> =
+            causes.iter().map(|(it, logs, _)| logs[0] + prior(*it)).chain(std::iter::once(wander(0))).collect();
+        let total = log_mean_exp(&logs) + (logs.len() as f64).ln();
+        let mut judged: Vec<TraceJudged> = causes
+            .iter()
+            .map(|(mechanism, logs, estimate)| TraceJudged {
+                mechanism: TraceCause::Known(*mechanism),
+                log_evidence: logs[0],
+                probability: (logs[0] + prior(*mechanism) - total).exp(),
+                parameters: parameters(*mechanism, estimate),
+                effect: self.effect(*mechanism, estimate),
+            })
+            .collect();
+        let best = (0..judged.len()).max_by(|&a, &b| judged[a].probability.total_cmp(&judged[b].probability));
+        let white = best.is_none_or(|best| causes[best].2.explained >= EXPLAINED_MIN);
+        let mut unknown = (wander(0) - total).exp();
+        for (judged, (_, _, estimate)) in judged.iter_mut().zip(&causes) {
+            if estimate.explained < EXPLAINED_MIN {
+                unknown += std::mem::take(&mut judged.probability);
+            }
+        }
+        judged.push(TraceJudged {
+            mechanism: TraceCause::Unknown,
+            log_evidence: wander(0) - PRIORS[0].ln(),
+            probability: unknown,
+            parameters: Vec::new(),
+            effect: None,
+        });
+        judged.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+        let p_value = (1 + as_large) as f64 / count as f64;
+        let looked_at = [self.design.times_s.len() as u32, self.design.shakes.len() as u32];
+        TraceScreening { p_value, judged, untestable, white, statistic: here, null, looked_at }
+    }
+
+    /// How large a cause is over what it goes with.
+    fn effect(&self, mechanism: TraceMechanism, estimate: &Estimate) -> Option<Effect> {
+        let along = Along::of(mechanism, self.design, &self.scattered());
+        let [value, low, high] = estimate.effect().map(|effect| mechanism.in_unit(effect));
+        let ends = along.ends()?;
+        let span = mechanism.between(along.covariate, ends);
+        Some(Effect { covariate: along.covariate, value, ci95: [low, high], unit: mechanism.unit(), span })
+    }
 }
 
 fn column(seen: &Seen, level: Level) -> DMatrix<f64> {
     let rows = &seen.0[level as usize];
     DMatrix::from_column_slice(rows.len(), 1, rows)
-}
-
-fn conclude(levels: &[Option<Verdict>], untestable: Vec<(TraceMechanism, String)>, count: usize) -> TraceScreening {
-    let prior = |mechanism| if mechanism == TraceMechanism::Actuator { PRIORS[1].ln() } else { 0.0 };
-    let wander = |k: usize| {
-        let of_levels: Vec<f64> = levels[..2].iter().flatten().map(|level| level.wander[k]).collect();
-        log_mean_exp(&of_levels) + PRIORS[0].ln()
-    };
-    let causes: Vec<(TraceMechanism, &Vec<f64>, &Estimate)> = levels
-        .iter()
-        .flatten()
-        .flat_map(|level| level.causes.iter().zip(&level.estimates))
-        .map(|((mechanism, logs), estimate)| (*mechanism, logs, estimate))
-        .collect();
-    let largest = |k: usize| causes.iter().map(|(it, logs, _)| logs[k] + prior(*it)).fold(wander(k), f64::max);
-    let here = largest(0);
-    let as_large = (1..count).filter(|&k| largest(k) >= here).count();
-    let logs: Vec<f64> =
-        causes.iter().map(|(it, logs, _)| logs[0] + prior(*it)).chain(std::iter::once(wander(0))).collect();
-    let total = log_mean_exp(&logs) + (logs.len() as f64).ln();
-    let mut judged: Vec<TraceJudged> = causes
-        .iter()
-        .map(|(mechanism, logs, estimate)| TraceJudged {
-            mechanism: TraceCause::Known(*mechanism),
-            log_evidence: logs[0],
-            probability: (logs[0] + prior(*mechanism) - total).exp(),
-            parameters: parameters(*mechanism, estimate),
-        })
-        .collect();
-    let best = (0..judged.len()).max_by(|&a, &b| judged[a].probability.total_cmp(&judged[b].probability));
-    let white = best.is_none_or(|best| causes[best].2.explained >= EXPLAINED_MIN);
-    let mut unknown = (wander(0) - total).exp();
-    for (judged, (_, _, estimate)) in judged.iter_mut().zip(&causes) {
-        if estimate.explained < EXPLAINED_MIN {
-            unknown += std::mem::take(&mut judged.probability);
-        }
-    }
-    judged.push(TraceJudged {
-        mechanism: TraceCause::Unknown,
-        log_evidence: wander(0) - PRIORS[0].ln(),
-        probability: unknown,
-        parameters: Vec::new(),
-    });
-    judged.sort_by(|a, b| b.probability.total_cmp(&a.probability));
-    TraceScreening { p_value: (1 + as_large) as f64 / count as f64, judged, untestable, white }
 }
 
 fn parameters(mechanism: TraceMechanism, estimate: &Estimate) -> Vec<Parameter> {

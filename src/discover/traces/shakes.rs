@@ -2,10 +2,11 @@
 //!
 //! ```text
 //! z = asinh(d / w),   w = 2 sqrt(2) s          s: SD of a plateau's level
-//! z ~ a_p + b_p ln A + c_p theta + e theta^2    of powder p, amplitude A, pitch theta; columns that were not recorded or did not vary are left out
+//! z ~ a_p + b_p ln A + c_p theta + e theta^2    of powder p, amplitude A, pitch theta; columns that did not vary are left out
 //! ```
 //!
-//! A calibrated simulation has all of these from the powder, so whatever they span is not looked at.
+//! A calibrated simulation has all of these from the powder, so whatever they span is not looked at. Without amplitudes there is no response: who shakes
+//! ever less makes what looks like any cause of the spoon. A pitch that was not recorded may have grown from shake to shake: a trend stands for it.
 
 use super::design::Design;
 use super::noise::Masses;
@@ -22,8 +23,11 @@ impl Masses {
     }
 }
 
-/// The response; `None` of too few shakes.
+/// The response; `None` of too few shakes, or without their amplitudes.
 pub(super) fn response(design: &Design) -> Option<Masses> {
+    if !design.knows(|plateau| plateau.shake_mm) {
+        return None;
+    }
     let masses = design.masses(&design.shown_mg);
     let fixed = columns(design);
     if masses.len() < fixed.ncols() + SPARE_MIN {
@@ -69,6 +73,9 @@ fn columns(design: &Design) -> DMatrix<f64> {
         columns.extend(pitch.as_ref().map(|values| of_powder(&|i| values[i])));
     }
     columns.extend(pitch.map(|values| DVector::from_fn(powder.len(), |i, _| values[i] * values[i])));
+    if !design.knows(|plateau| plateau.pitch_deg) {
+        columns.push(DVector::from_fn(powder.len(), |i, _| design.shakes[i].number));
+    }
     columns.retain(|column| column.norm() > 0.0);
     if columns.is_empty() { DMatrix::zeros(powder.len(), 0) } else { DMatrix::from_columns(&columns) }
 }

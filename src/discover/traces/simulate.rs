@@ -1,14 +1,14 @@
 //! Readings of the same design in which nothing is wrong.
 //!
 //! ```text
-//! d_k = mu_k exp(c (e_k + sqrt(w) u))         m_k = m_(k-1) + d_k         y = m_k + s (e + sqrt(r) f), shown to the display's step
+//! d_k = mu_k exp(c (e_k + sqrt(w) u + sqrt(v) (u_1 + .. + u_k)))         m_k = m_(k-1) + d_k         y = m_k + s (e + sqrt(r) f), shown to the display's step
 //! ```
 //!
-//! with the scatter c of shakes, the share w that a weighing's have in common, the noise s of a reading and the share r of it that the balance's own
+//! with the scatter c of shakes, the share w that a weighing's have in common, the share v that each shake changes for those after it, the noise s of a reading and the share r of it that the balance's own
 //! filter correlates, as probable as the measured readings make them.
 
 use super::design::Design;
-use super::noise::{FILTER_S, Masses};
+use super::noise::Masses;
 use crate::domain::seed::derive;
 use crate::stats::normal;
 use rand::{RngExt, SeedableRng};
@@ -18,10 +18,10 @@ use rand_pcg::Pcg64;
 pub(super) struct Scatter {
     /// SD of the balance's white noise, mg.
     pub reading_mg: f64,
-    /// Odds of each share r of filtered noise.
-    pub filtered: Vec<(f64, f64)>,
-    /// Odds of each scatter c and share w.
-    pub shakes: Vec<(f64, (f64, f64))>,
+    /// Odds of each share r of filtered noise and time of the filter, s.
+    pub filtered: Vec<(f64, (f64, f64))>,
+    /// Odds of each scatter c, share w and share v.
+    pub shakes: Vec<(f64, [f64; 3])>,
 }
 
 /// SD of a balance's noise whose readings, shown in steps of `readability_mg`, scatter by `shown_sd_mg` on average over where loads lie.
@@ -62,8 +62,8 @@ pub(super) fn noise_behind(shown_sd_mg: f64, readability_mg: f64) -> f64 {
 /// Readings of simulation `k`, `[readings]`, mg.
 pub(super) fn readings(design: &Design, masses: Option<&Masses>, scatter: &Scatter, seed: u64, k: u64) -> Vec<f64> {
     let mut rng = Pcg64::seed_from_u64(derive(seed, &[k]));
-    let ratio = pick(&scatter.filtered, rng.random());
-    let (own, common) = pick(&scatter.shakes, rng.random());
+    let (ratio, filter_s) = pick(&scatter.filtered, rng.random());
+    let [own, common, step] = pick(&scatter.shakes, rng.random());
     let mut draw = || normal::quantile(rng.random::<f64>().max(f64::EPSILON));
     let mut levels = design.levels(&design.shown_mg);
     let measured = levels.clone();
@@ -79,6 +79,7 @@ pub(super) fn readings(design: &Design, masses: Option<&Masses>, scatter: &Scatt
             if shake.log != log {
                 (log, together) = (shake.log, own * f64::sqrt(common) * draw());
             }
+            together += own * f64::sqrt(step) * draw();
             let mass = masses.nominal_mg[i] * (own * draw() + together).exp();
             // A shake that was not looked at leaves the steps after it as they are.
             let skipped = shake.before.map_or(0.0, |before| levels[before]);
@@ -98,7 +99,7 @@ pub(super) fn readings(design: &Design, masses: Option<&Masses>, scatter: &Scatt
         let (mut filtered, mut last) = (draw(), f64::NEG_INFINITY);
         for k in log.plateaus.clone() {
             for i in design.plateaus[k].readings.clone() {
-                let keeps = libm::exp(-(design.times_s[i] - last) / FILTER_S);
+                let keeps = libm::exp(-(design.times_s[i] - last) / filter_s);
                 filtered = keeps * filtered + (1.0 - keeps * keeps).max(0.0).sqrt() * draw();
                 last = design.times_s[i];
                 let value = levels[k] + sd * (draw() + ratio.sqrt() * filtered);
