@@ -6,6 +6,8 @@ use serde::{Deserialize, Serialize};
 
 /// Fewest runs that can say anything: with fewer there is no telling days from repeats.
 pub const RUNS_MIN: usize = 12;
+/// Most different names of a covariate that is looked at: each is a number of its own to fit.
+pub const LEVELS_MAX: usize = 50;
 /// Share of runs that may lack a covariate before nothing is asked of it.
 const MISSING_MAX: f64 = 0.5;
 
@@ -199,6 +201,11 @@ impl Campaign {
             return Err(format!("{name} is missing in {missing} of {} runs", measured.len()));
         }
         let count = values.iter().flatten().max().map_or(0, |last| last + 1);
+        if count > LEVELS_MAX {
+            return Err(format!(
+                "{name} has {count} different names, more than the {LEVELS_MAX} that are looked at: group them into fewer"
+            ));
+        }
         let of: Vec<usize> = values.iter().map(|value| value.unwrap_or(count)).collect();
         match measured.windows(2).all(|pair| of[pair[0]] == of[pair[1]]) {
             true => Err(format!("{name} was the same in all runs")),

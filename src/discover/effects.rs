@@ -1,7 +1,8 @@
 //! How large an effect is, on which powders, and its course over what was recorded.
 
-use super::campaign::{Campaign, Values};
+use super::campaign::{Campaign, Covariate, LEVELS_MAX, Values};
 use super::hypothesis::{Cause, Responses};
+use super::names;
 use super::posterior::Posterior;
 use super::report::{Channel, Curve, Finding, PowderEffect};
 use super::scenario::{Conditions, Setting, extended, levels, percentile};
@@ -97,28 +98,19 @@ pub(super) fn rounded(value: f64) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
-/// What a column's name says it holds, and the unit that it ends in, with a space before.
-pub(super) fn quantity(covariate: &str) -> (String, &'static str) {
-    const UNITS: [(&str, &str); 9] = [
-        ("_pct", " %"),
-        ("_min", " min"),
-        ("_m_s2", " m/s^2"),
-        ("_mm", " mm"),
-        ("_hpa", " hPa"),
-        ("_c", " °C"),
-        ("_d", " d"),
-        ("_g", " g"),
-        ("_s", " s"),
-    ];
-    let known = UNITS.iter().find(|(ending, _)| covariate.ends_with(ending));
-    let (stem, unit) = known.map_or((covariate, ""), |(ending, unit)| (covariate.trim_end_matches(ending), *unit));
-    (stem.replace('_', " "), unit)
+/// What a column holds, for the middle of a sentence, and its unit, with a space before.
+pub(super) fn quantity(covariate: &str) -> (String, String) {
+    let (label, unit) = names::column(covariate);
+    (names::lower(&label), names::with_unit("", unit))
 }
 
 /// Residuals' course over every recorded covariate.
 pub(super) fn curves(campaign: &Campaign, responses: &Responses) -> Result<Vec<Curve>, FieldError> {
     let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0);
     let powders = campaign.powders.len();
+    // Names that are too many to be judged have no course either.
+    let few = |it: &&Covariate| levels(campaign, &it.name).is_none_or(|names| names.len() <= LEVELS_MAX);
+    let covariates: Vec<&Covariate> = campaign.covariates.iter().filter(few).collect();
     let places = |covariate: &str| -> Vec<f64> {
         match levels(campaign, covariate) {
             Some(names) => (0..names.len()).map(|level| level as f64).collect(),
@@ -131,7 +123,7 @@ pub(super) fn curves(campaign: &Campaign, responses: &Responses) -> Result<Vec<C
         }
     };
     let mut runs = Vec::new();
-    for covariate in &campaign.covariates {
+    for covariate in &covariates {
         for place in places(&covariate.name) {
             let setting = match covariate.values {
                 Values::Numbers(_) => Setting::Number(place),
@@ -148,7 +140,7 @@ pub(super) fn curves(campaign: &Campaign, responses: &Responses) -> Result<Vec<C
     let predicted = posterior.predict(&with_runs);
     let mut next = first;
     let mut curves = Vec::new();
-    for covariate in &campaign.covariates {
+    for covariate in &covariates {
         let mut course = Vec::new();
         for place in places(&covariate.name) {
             let of_place = next..next + powders;

@@ -1,8 +1,8 @@
-//! The one experiment that best tells two causes apart.
+//! The one experiment that best tells two or three causes apart.
 //!
-//! Runs at low and high settings of what either acts through, all in one session and in random order, so that the day is the same for all. Each
-//! candidate is played: an angle is drawn for each run under one of the two causes (as probable as it is now), both are judged again with
-//! these runs, and it counts how often the right one then holds [`CLAIM`] of the probability that both have.
+//! Runs at low and high settings of what they act through, all in one session and in random order, so that the day is the same for all. Each
+//! candidate is played: an angle is drawn for each run under one of the causes (as probable as it is now), all are judged again with these
+//! runs, and it counts how often the right one then holds [`ANSWER`] of the probability that they have together.
 
 use super::campaign::{Campaign, Values};
 use super::hypothesis::{Cause, Responses};
@@ -23,85 +23,114 @@ use std::collections::BTreeMap;
 /// Plays of each candidate.
 const PLAYS: usize = 60;
 /// Runs of a candidate.
-const RUNS: [usize; 3] = [12, 24, 40];
+const RUNS: [usize; 4] = [12, 24, 48, 80];
 /// Powders that take part: those that respond most.
 const POWDERS: usize = 3;
 /// Difference that matters to a chemist, degrees.
 const SETTLED_DEG: f64 = 1.0;
 /// Chance of an answer that is enough.
-const ENOUGH: f64 = 0.9;
-/// SD of what a day does to all its runs, over that of a repeat; it is the same for both causes.
+const ENOUGH: f64 = 0.95;
+/// Share among the candidates that counts as an answer: causes that are no candidates keep some of the rest.
+const ANSWER: f64 = 0.9;
+/// SD of what a day does to all its runs, over that of a repeat; it is the same for all causes.
 const DAY: f64 = 0.3;
+/// SD of the size of an effect over what it is thought to be.
+const SIZE_SD: f64 = 0.3;
 /// Minutes of a run: filling, pouring, reading, cleaning.
 const RUN_MIN: f64 = 4.0;
 
-/// What to measure to tell the first cause from the second; `None` where no setting differs. `is_claimed`: the first is to be confirmed, so what
-/// it acts through is varied in any case.
+/// A covariate and its low and high settings.
+type Ends = (String, [Setting; 2]);
+
+/// What to measure to tell these causes apart; `None` where no setting differs. `is_claimed`: the first is to be confirmed, so what it acts
+/// through is varied in any case.
 pub(super) fn experiment(
     campaign: &Campaign,
     responses: &Responses,
-    [one, other]: [&Cause; 2],
+    causes: &[&Cause],
     is_claimed: bool,
     settings: &Settings,
 ) -> Result<Option<Experiment>, FieldError> {
     let now = Prepared::new(campaign, responses)?;
     let posterior = Posterior::new(&now);
     let powders = responding(campaign, &posterior);
-    let covariates: Vec<String> = {
-        let mut names: Vec<&str> = one.covariates();
-        names.extend(other.covariates());
-        names.dedup();
-        names.into_iter().map(str::to_owned).collect()
-    };
-    let ends: Vec<(String, [Setting; 2])> =
-        covariates.iter().filter_map(|name| Some((name.clone(), ends(campaign, name)?))).collect();
-    // All settings of one covariate alone, then all of them against each other.
-    let mut designs: Vec<Vec<&(String, [Setting; 2])>> = ends.iter().map(|end| vec![end]).collect();
-    if ends.len() > 1 {
-        designs.push(ends.iter().collect());
+    let mut ends: Vec<Ends> = Vec::new();
+    for name in causes.iter().flat_map(|cause| cause.covariates()) {
+        if let (false, Some(of)) = (ends.iter().any(|it| it.0 == name), settings_of(campaign, name)) {
+            ends.push((name.to_owned(), of));
+        }
     }
+    let mut designs = designs(&ends);
     if is_claimed {
-        let acts = |name: &str| one.covariates().contains(&name);
+        let acts = |name: &str| causes[0].covariates().contains(&name);
         designs.retain(|design| design.iter().any(|(name, _)| acts(name)));
     }
-    let candidates: Vec<_> = designs
-        .iter()
-        .flat_map(|design| RUNS.map(|count| (design, runs(campaign, design, &ends, &powders, count, settings.seed))))
-        .collect();
-    // What either cause would do to the runs of every candidate.
+    // What each cause would do to the runs of every candidate.
     let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0) + 1;
-    let asked: Vec<_> = candidates.iter().flat_map(|(_, runs)| runs).map(|(p, c)| (*p, c.clone(), None)).collect();
-    let (unseen, mut first) = extended(campaign, session, &asked);
+    let planned = |design: &Vec<&Ends>, count| runs(campaign, design, &ends, &powders, count, settings.seed);
+    let candidates: Vec<Vec<Vec<Planned>>> =
+        designs.iter().map(|design| RUNS.map(|count| planned(design, count)).to_vec()).collect();
+    let asked: Vec<_> = candidates.iter().flatten().flatten().map(|(p, c)| (*p, c.clone(), None)).collect();
+    let (unseen, first) = extended(campaign, session, &asked);
     let prepared = Prepared::new(&unseen, responses)?;
     let predicted = Posterior::new(&prepared);
-    let shifts = [one, other].map(|cause| predicted.shifts_by(cause));
-    let now = [one, other].map(|cause| predicted.inclusion_of(cause).max(0.05));
+    let shifts: Vec<Vec<f64>> = causes.iter().map(|cause| predicted.shifts_by(cause)).collect();
+    let now: Vec<f64> = causes.iter().map(|cause| predicted.inclusion_of(cause).max(0.05)).collect();
+    let game = Game { campaign, responses, prepared: &prepared, causes, now, session };
     let mut best: Option<(f64, Experiment)> = None;
-    for (design, runs) in &candidates {
-        let rows = first..first + runs.len();
-        first = rows.end;
-        let shifts = [&shifts[0][rows.clone()], &shifts[1][rows]];
-        let game = Game { campaign, responses, prepared: &prepared, causes: [one, other], now, session };
-        let [chance, expected] = game.play(runs, shifts, settings.seed)?;
-        let minutes = minutes(runs);
-        // The cheapest that is likely to answer, else the likeliest.
-        let score = if chance >= ENOUGH { 2.0 - minutes / 1e5 } else { chance - minutes / 1e6 };
-        if best.as_ref().is_none_or(|(best, _)| score > *best) {
-            let what = words(campaign, design, &ends, &powders, runs.len());
-            let runs = runs.iter().map(|run| written(campaign, run)).collect();
-            let it = Experiment { what, runs, minutes, chance_of_resolution: chance, expected_posterior: expected };
-            best = Some((score, it));
+    let mut first = first;
+    for (design, sizes) in designs.iter().zip(&candidates) {
+        let mut is_enough = false;
+        for runs in sizes {
+            let rows = first..first + runs.len();
+            first = rows.end;
+            if is_enough {
+                continue; // More runs of the same cost more.
+            }
+            let shifts: Vec<&[f64]> = shifts.iter().map(|of| &of[rows.clone()]).collect();
+            let [chance, expected] = game.play(runs, &shifts, settings.seed)?;
+            is_enough = chance >= ENOUGH;
+            let minutes = minutes(runs);
+            // The cheapest that is likely to answer, else the likeliest.
+            let score = if is_enough { 2.0 - minutes / 1e5 } else { chance - minutes / 1e6 };
+            if best.as_ref().is_none_or(|(best, _)| score > *best) {
+                let what = words(campaign, design, &ends, &powders, runs.len());
+                let runs = runs.iter().map(|run| written(campaign, run)).collect();
+                let it = Experiment {
+                    what,
+                    runs,
+                    minutes,
+                    chance_of_resolution: Some(chance),
+                    expected_posterior: Some(expected),
+                };
+                best = Some((score, it));
+            }
         }
     }
     Ok(best.map(|(_, experiment)| experiment))
 }
 
+/// What can be varied: each covariate alone, each two against each other, and all.
+fn designs(ends: &[Ends]) -> Vec<Vec<&Ends>> {
+    let mut designs: Vec<Vec<&Ends>> = ends.iter().map(|end| vec![end]).collect();
+    for (k, one) in ends.iter().enumerate() {
+        designs.extend(ends[k + 1..].iter().map(|other| vec![one, other]));
+    }
+    if ends.len() > 2 {
+        designs.push(ends.iter().collect());
+    }
+    designs
+}
+
 /// Runs that would show a difference of this many degrees between low and high of what a cause acts through, in four of five cases at 5 %:
 /// `N = (2 (1.96 + 0.84) s / difference)^2` of two groups of N / 2 with SD s.
 pub(super) fn settling(campaign: &Campaign, prepared: &Prepared, cause: &Cause, seed: u64) -> Option<Experiment> {
-    let ends: Vec<(String, [Setting; 2])> =
-        cause.covariates().into_iter().filter_map(|name| Some((name.to_owned(), ends(campaign, name)?))).collect();
-    let design: Vec<&(String, [Setting; 2])> = ends.iter().collect();
+    let ends: Vec<Ends> = cause
+        .covariates()
+        .into_iter()
+        .filter_map(|name| Some((name.to_owned(), settings_of(campaign, name)?)))
+        .collect();
+    let design: Vec<&Ends> = ends.iter().collect();
     if design.is_empty() {
         return None;
     }
@@ -112,10 +141,10 @@ pub(super) fn settling(campaign: &Campaign, prepared: &Prepared, cause: &Cause, 
     let count = needed.div_ceil(cells) * cells;
     let runs = runs(campaign, &design, &ends, &powders, count, seed);
     let what = words(campaign, &design, &ends, &powders, runs.len());
-    let what = format!("{what}, to show a difference of {SETTLED_DEG} deg");
+    let what = format!("{what}, to show a difference of {SETTLED_DEG}°");
     let minutes = minutes(&runs);
     let runs = runs.iter().map(|run| written(campaign, run)).collect();
-    Some(Experiment { what, runs, minutes, chance_of_resolution: 0.8, expected_posterior: CLAIM })
+    Some(Experiment { what, runs, minutes, chance_of_resolution: Some(0.8), expected_posterior: Some(CLAIM) })
 }
 
 /// The powders that the found effect moves most.
@@ -131,13 +160,17 @@ fn responding(campaign: &Campaign, posterior: &Posterior<'_>) -> Vec<usize> {
     order
 }
 
-/// Low and high: the ends of what was seen, or the first two names.
-fn ends(campaign: &Campaign, covariate: &str) -> Option<[Setting; 2]> {
+/// Where a cause that takes time has not begun, whatever was seen.
+const BEGINNINGS: [(&str, f64); 2] = [("rest_min", 1.0), ("container_age_d", 0.0)];
+
+/// Low and high: the ends of what was seen, from the beginning where time is what acts; or the first two names.
+fn settings_of(campaign: &Campaign, covariate: &str) -> Option<[Setting; 2]> {
     match campaign.values(covariate)? {
         Values::Levels { names, .. } => (names.len() > 1).then_some([Setting::Level(0), Setting::Level(1)]),
         Values::Numbers(_) => {
-            let at = |share: f64| percentile(campaign, covariate, share).map(Setting::Number);
-            Some([at(0.02)?, at(0.98)?])
+            let [low, high] = [percentile(campaign, covariate, 0.02)?, percentile(campaign, covariate, 0.98)?];
+            let beginning = BEGINNINGS.iter().find(|it| it.0 == covariate).map_or(low, |it| it.1.min(low));
+            Some([beginning, high].map(Setting::Number))
         }
     }
 }
@@ -148,8 +181,8 @@ type Planned = (usize, Conditions);
 /// at its low end.
 fn runs(
     campaign: &Campaign,
-    design: &[&(String, [Setting; 2])],
-    all: &[(String, [Setting; 2])],
+    design: &[&Ends],
+    all: &[Ends],
     powders: &[usize],
     count: usize,
     seed: u64,
@@ -183,22 +216,24 @@ struct Game<'a> {
     campaign: &'a Campaign,
     responses: &'a Responses,
     prepared: &'a Prepared,
-    causes: [&'a Cause; 2],
+    causes: &'a [&'a Cause],
     /// How probable each is now.
-    now: [f64; 2],
+    now: Vec<f64>,
     session: usize,
 }
 
 impl Game<'_> {
-    /// How often the right cause holds the probability, and how much it holds on average. `shifts`: what either adds to each run.
-    fn play(&self, runs: &[Planned], shifts: [&[f64]; 2], seed: u64) -> Result<[f64; 2], FieldError> {
+    /// How often the right cause holds [`ANSWER`] of the candidates' probability, and how much it holds on average. `shifts`: what each cause adds
+    /// to each run.
+    fn play(&self, runs: &[Planned], shifts: &[&[f64]], seed: u64) -> Result<[f64; 2], FieldError> {
         let old = &self.prepared.observed;
         let mut rng = Pcg64::seed_from_u64(derive(seed, &[0x504c_4159]));
         let mut normal = || normal::quantile(rng.random::<f64>().clamp(1e-12, 1.0 - 1e-12));
         let repeat_deg = self.prepared.repeat_sd_deg(old);
-        let mut draw = |k: usize| -> Vec<f64> {
-            let day = DAY * repeat_deg * normal();
-            shifts[k % 2].iter().map(|shift| shift + day + repeat_deg * normal()).collect()
+        let right_in = |play: usize| play % self.causes.len();
+        let mut draw = |play: usize| -> Vec<f64> {
+            let (day, size) = (DAY * repeat_deg * normal(), 1.0 + SIZE_SD * normal());
+            shifts[right_in(play)].iter().map(|shift| size * shift + day + repeat_deg * normal()).collect()
         };
         let drawn: Vec<Vec<f64>> = (0..PLAYS).map(&mut draw).collect();
         let measured: Vec<_> = runs
@@ -212,18 +247,19 @@ impl Game<'_> {
             None => old[i],
             Some(new) => drawn[k][new],
         });
-        let of = |cause: &Cause| after.hypotheses.iter().find(|it| it.cause == *cause);
-        let [Some(one), Some(other)] = self.causes.map(of) else { return Ok([0.0, 0.5]) };
+        let of = |cause: &&Cause| after.hypotheses.iter().find(|it| it.cause == **cause);
+        let Some(judged) = self.causes.iter().map(of).collect::<Option<Vec<_>>>() else { return Ok([0.0, 0.5]) };
         let seen = after.seen(&all);
-        let odds = [one, other].map(|hypothesis| after.log_odds(hypothesis, &seen));
+        let odds: Vec<Vec<f64>> = judged.iter().map(|hypothesis| after.log_odds(hypothesis, &seen)).collect();
         let (mut resolved, mut expected, mut total) = (0.0, 0.0, 0.0);
-        for (k, (of_one, of_other)) in odds[0].iter().zip(&odds[1]).enumerate() {
-            let lead = of_one + one.prior.ln() - of_other - other.prior.ln();
-            let share = 1.0 / (1.0 + (if k % 2 == 0 { -lead } else { lead }).exp());
-            let weight = self.now[k % 2];
+        for play in 0..PLAYS {
+            let log: Vec<f64> = odds.iter().zip(&judged).map(|(of, it)| of[play] + it.prior.ln()).collect();
+            let right = right_in(play);
+            let share = 1.0 / log.iter().map(|it| (it - log[right]).exp()).sum::<f64>();
+            let weight = self.now[right];
             total += weight;
             expected += weight * share;
-            resolved += weight * f64::from(u8::from(share >= CLAIM));
+            resolved += weight * f64::from(u8::from(share >= ANSWER));
         }
         Ok([resolved / total, expected / total])
     }
@@ -254,14 +290,8 @@ fn written(campaign: &Campaign, (powder, conditions): &Planned) -> BTreeMap<Stri
     std::iter::once(("powder".to_owned(), campaign.powders[*powder].clone())).chain(settings).collect()
 }
 
-fn words(
-    campaign: &Campaign,
-    design: &[&(String, [Setting; 2])],
-    all: &[(String, [Setting; 2])],
-    powders: &[usize],
-    count: usize,
-) -> String {
-    let at = |(name, ends): &(String, [Setting; 2])| {
+fn words(campaign: &Campaign, design: &[&Ends], all: &[Ends], powders: &[usize], count: usize) -> String {
+    let at = |(name, ends): &Ends| {
         let (quantity, unit) = super::effects::quantity(name);
         format!("{quantity} {} and {}{unit}", shown(campaign, name, ends[0]), shown(campaign, name, ends[1]))
     };

@@ -125,11 +125,11 @@ fn fold(
     let prepared = Prepared::new(&rest, responses)?;
     let settings = Settings { simulations: SIMULATIONS, seed: derive(settings.seed, &[hidden[0] as u64]) };
     let never = |_: f64| ControlFlow::Continue(());
-    let screening = screen_prepared(&prepared, &rest, &settings, never);
-    let is_found = screening.is_some_and(|it| it.p_value <= SIGNIFICANCE);
     let posterior = Posterior::new(&prepared);
-    let predicted = posterior.predict(&rest);
     let shifts = posterior.shifts();
+    let screening = screen_prepared(&prepared, &rest, &shifts, &settings, never);
+    let is_found = screening.is_some_and(|it| it.p_value <= SIGNIFICANCE);
+    let predicted = posterior.predict(&rest);
     let angle = |i: usize| campaign.runs[i].repose_deg.unwrap_or(f64::NAN);
     let mean = |of: &dyn Fn(usize) -> f64| hidden.iter().map(|&i| of(i)).sum::<f64>() / hidden.len() as f64;
     let (mean_angle, mean_shift) = (mean(&angle), mean(&|i| shifts[i]));

@@ -71,10 +71,15 @@ pub(super) struct Hypothesis {
 }
 
 impl Hypothesis {
-    /// A cause with these courses, every powder its own deviation.
-    pub fn of(cause: Cause, courses: &[(String, Course)], powder: &[usize]) -> Self {
+    /// A cause with these courses, every powder its own deviation. What a simulator says of each powder counts where powders hardly deviate: powders
+    /// of one angle differ by as much as the effect, so where they deviate they do so from one another.
+    pub fn of(cause: Cause, courses: &[(String, Course)], powder: &[usize], response: Option<&[f64]>) -> Self {
         let each = || courses.iter().flat_map(|it| DEVIATIONS.map(|deviation| (it, deviation)));
-        let features = each().map(|((_, course), deviation)| course.with_powders(powder, deviation)).collect();
+        let features = each().map(|((_, course), deviation)| match response.filter(|_| deviation < 1.0) {
+            Some(response) => course.scaled(response, powder).with_powders(powder, deviation),
+            None => course.with_powders(powder, deviation),
+        });
+        let features = features.collect();
         let laws = each().map(|((law, _), _)| law.clone()).collect();
         Self { cause, features, laws, sign: None, prior: 1.0 }
     }
@@ -88,22 +93,17 @@ impl Hypothesis {
 /// What can be judged, and what cannot.
 pub(super) fn hypotheses(campaign: &Campaign, responses: &Responses) -> (Vec<Hypothesis>, Vec<Untestable>) {
     let powder = campaign.powder_of();
-    let hypothesis = |cause: Cause, courses: Vec<(String, Course)>, sign: Option<f64>, prior: f64| Hypothesis {
-        sign,
+    let hypothesis = |cause: Cause, courses: Vec<(String, Course)>, prior: f64| Hypothesis {
         prior,
-        ..Hypothesis::of(cause, &courses, &powder)
+        ..Hypothesis::of(cause, &courses, &powder, None)
     };
     let (mut judged, mut untestable) = (Vec::new(), Vec::new());
     for mechanism in Mechanism::ALL {
         match mechanism.courses(campaign) {
             Ok(courses) => {
-                let courses = match responses.get(&mechanism) {
-                    Some(response) => {
-                        courses.into_iter().map(|(law, course)| (law, course.scaled(response, &powder))).collect()
-                    }
-                    None => courses,
-                };
-                judged.push(hypothesis(Cause::Known(mechanism), courses, mechanism.sign(), mechanism.prior()));
+                let response = responses.get(&mechanism).map(Vec::as_slice);
+                let of = Hypothesis::of(Cause::Known(mechanism), &courses, &powder, response);
+                judged.push(Hypothesis { sign: mechanism.sign(), ..of });
             }
             Err(reason) => untestable.push(Untestable { mechanism, reason }),
         }
@@ -122,12 +122,12 @@ pub(super) fn hypotheses(campaign: &Campaign, responses: &Responses) -> (Vec<Hyp
         };
         if !courses.is_empty() {
             let prior = UNCATALOGUED_PRIOR[usize::from(!has_mechanism(name))];
-            judged.push(hypothesis(Cause::Unknown(name.clone()), courses, None, prior));
+            judged.push(hypothesis(Cause::Unknown(name.clone()), courses, prior));
         }
     }
     if campaign.sessions() >= SESSIONS_MIN {
         let session: Vec<f64> = campaign.runs.iter().map(|run| run.session as f64).collect();
-        judged.push(hypothesis(Cause::Unrecorded, smooth(&session, campaign), None, UNRECORDED_PRIOR));
+        judged.push(hypothesis(Cause::Unrecorded, smooth(&session, campaign), UNRECORDED_PRIOR));
     }
     (judged, untestable)
 }

@@ -1,4 +1,4 @@
-//! The whole of an investigation: from a campaign to a report.
+//! The whole of an investigation of angles: from a campaign to a report.
 
 use super::campaign::{Campaign, Run};
 use super::detectable::detectable;
@@ -24,14 +24,15 @@ use std::ops::ControlFlow;
 pub(super) const SIGNIFICANCE: f64 = 0.05;
 /// Inclusion probability from which a cause is claimed.
 pub(super) const CLAIM: f64 = 0.8;
-/// Inclusion probability from which a cause is claimed although another has nearly the same course.
-const CERTAIN: f64 = 0.95;
-/// Correlation of courses from which two causes look alike.
+/// Inclusion probability from which a cause is claimed although the campaign's covariates let another have nearly the same course: that the two
+/// are told apart at all is then a matter of their forms, which nobody knows.
+pub(super) const CERTAIN: f64 = 0.95;
+/// Correlation of courses from which two causes that share no covariate look alike.
 const LOOK_ALIKE: f64 = 0.9;
 /// Correlation of covariates that a reader should know of.
 const MOVED_TOGETHER: f64 = 0.8;
 /// Inclusion probability from which one of several possible causes is named.
-const WORTH_TELLING: f64 = 0.1;
+pub(super) const WORTH_TELLING: f64 = 0.1;
 
 /// Investigate a campaign.
 ///
@@ -39,15 +40,17 @@ const WORTH_TELLING: f64 = 0.1;
 /// |----------|---------|
 /// | `responses` | what a simulator says of how much each mechanism moves each powder |
 /// | `base` | version of the simulator that is judged |
+/// | `corrected` | p-value of these angles, given what else is judged |
 /// | `on_progress` | hears what is being done; `Break` stops, and there is no report |
 ///
 /// # Errors
 /// A setting out of bounds; a campaign whose runs say nothing of their noise.
-pub fn investigate(
+pub(super) fn angles(
     campaign: &Campaign,
     responses: &Responses,
     base: &str,
     settings: &Settings,
+    corrected: impl Fn(f64) -> f64,
     mut on_progress: impl FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Option<Report>, FieldError> {
     let mut step =
@@ -58,9 +61,10 @@ pub fn investigate(
         true => ControlFlow::Break(()),
         false => ControlFlow::Continue(()),
     };
-    let Some(screening) = screen_prepared(&prepared, campaign, &settings, judged) else { return Ok(None) };
     let posterior = Posterior::new(&prepared);
-    let judgement = Judgement::of(&prepared, &posterior, screening.p_value);
+    let screened = screen_prepared(&prepared, campaign, &posterior.shifts(), &settings, judged);
+    let Some(screening) = screened else { return Ok(None) };
+    let judgement = Judgement::of(&prepared, &posterior, corrected(screening.p_value));
     let mut report = blank(&screening, base);
     report.verdict = judgement.verdict;
     report.evidence = evidence(&prepared, &screening, &posterior);
@@ -92,7 +96,7 @@ pub fn investigate(
         return Ok(None);
     }
     report.suggested_experiment = match (judgement.to_tell_apart(), judgement.ranked.first()) {
-        (Some(pair), _) => experiment(campaign, responses, pair, report.verdict != Verdict::Ambiguous, &settings)?,
+        (Some(causes), _) => experiment(campaign, responses, &causes, report.verdict != Verdict::Ambiguous, &settings)?,
         (None, Some((likeliest, _))) if !is_found => settling(campaign, &prepared, likeliest, settings.seed),
         _ => None,
     };
@@ -130,16 +134,16 @@ pub fn predict(campaign: &Campaign, responses: &Responses) -> Result<Vec<Row>, F
 }
 
 /// What the posterior amounts to.
-struct Judgement {
-    verdict: Verdict,
+pub(super) struct Judgement {
+    pub(super) verdict: Verdict,
     /// The causes whose effects are told, most probable first.
-    told: Vec<Cause>,
+    pub(super) told: Vec<Cause>,
     /// All causes, most probable first, with their inclusion probability.
-    ranked: Vec<(Cause, f64)>,
+    pub(super) ranked: Vec<(Cause, f64)>,
 }
 
 impl Judgement {
-    fn of(prepared: &Prepared, posterior: &Posterior<'_>, p_value: f64) -> Self {
+    pub(super) fn of(prepared: &Prepared, posterior: &Posterior<'_>, p_value: f64) -> Self {
         let mut ranked: Vec<(Cause, f64)> =
             prepared.hypotheses.iter().map(|it| it.cause.clone()).zip(posterior.inclusion.iter().copied()).collect();
         ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -189,20 +193,23 @@ impl Judgement {
         }
     }
 
-    /// What an experiment should tell apart: the two most probable causes that differ in a setting.
-    fn to_tell_apart(&self) -> Option<[&Cause; 2]> {
-        let (one, others) = match self.verdict {
+    /// What an experiment should tell apart: the causes that it may be, or the one that it is and the next, if a setting differs.
+    pub(super) fn to_tell_apart(&self) -> Option<Vec<&Cause>> {
+        let mut causes: Vec<&Cause> = match self.verdict {
             Verdict::NoDiscrepancy => return None,
-            Verdict::Ambiguous => (self.told.first()?, &self.told[1..]),
-            _ => (self.told.first()?, &self.told[..0]),
+            Verdict::Ambiguous => self.told.iter().collect(),
+            _ => self.told.iter().take(1).collect(),
         };
-        let ranked = self.ranked.iter().map(|it| &it.0);
-        let other = others.iter().chain(ranked).find(|it| *it != one && !it.covariates().is_empty())?;
-        Some([one, other])
+        if causes.len() < 2 {
+            let next =
+                self.ranked.iter().map(|it| &it.0).find(|it| !causes.contains(it) && !it.covariates().is_empty());
+            causes.extend(next);
+        }
+        (causes.len() > 1).then_some(causes)
     }
 }
 
-/// Another catalogued cause that this design could hardly tell from this one: their courses go together.
+/// Another catalogued cause that this design could hardly tell from this one: it acts through other covariates, and their courses go together.
 fn look_alike(prepared: &Prepared, posterior: &Posterior<'_>, cause: &Cause) -> Option<Cause> {
     let common = |cause: &Cause| {
         let f = posterior.best_feature(cause)?;
@@ -211,9 +218,14 @@ fn look_alike(prepared: &Prepared, posterior: &Posterior<'_>, cause: &Cause) -> 
         Some(prepared.measured.iter().map(|&i| column[i]).collect::<Vec<f64>>())
     };
     let own = common(cause)?;
-    let others = prepared.hypotheses.iter().filter(|it| it.cause != *cause && matches!(it.cause, Cause::Known(_)));
+    let others =
+        prepared.hypotheses.iter().filter(|it| matches!(it.cause, Cause::Known(_)) && shares_none(&it.cause, cause));
     let alike = others.filter_map(|it| Some((it.cause.clone(), correlation(&own, &common(&it.cause)?).abs())));
     alike.filter(|it| it.1 >= LOOK_ALIKE).max_by(|a, b| a.1.total_cmp(&b.1)).map(|it| it.0)
+}
+
+fn shares_none(one: &Cause, other: &Cause) -> bool {
+    !one.covariates().iter().any(|name| other.covariates().contains(name))
 }
 
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
@@ -289,6 +301,8 @@ fn blank(screening: &Screening, base: &str) -> Report {
         },
         rows: Vec::new(),
         curves: Vec::new(),
+        numerics: None,
+        traces: None,
         simulator_runs: 0,
         wall_s: 0.0,
     }

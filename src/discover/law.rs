@@ -24,18 +24,18 @@ pub(super) fn law(campaign: &Campaign, prepared: &Prepared, covariate: &str) -> 
     let smooth =
         |law: String| Unexplained { covariate: Some(covariate.to_owned()), law, form_class: FormClass::Smooth };
     if levels(campaign, covariate).is_some() {
-        return smooth(format!("differs between the names of {covariate}"));
+        return smooth(format!("a number of its own for each {}", quantity(covariate).0));
     }
     let range = [0.0, 1.0].map(|share| percentile(campaign, covariate, share));
     let ([Some(low), Some(high)], Ok(values)) = (range, campaign.numbers(covariate)) else {
-        return smooth(format!("changes with {covariate}"));
+        return smooth(format!("a change with {}", quantity(covariate).0));
     };
     let classes = classes(campaign, &values, low, high);
     let powder = campaign.powder_of();
     let y = DMatrix::from_column_slice(prepared.observed.len(), 1, &prepared.observed);
     let seen = prepared.seen(&y);
     let odds = |courses: &[(String, Course)]| {
-        let hypothesis = Hypothesis::of(Cause::Unknown(covariate.to_owned()), courses, &powder);
+        let hypothesis = Hypothesis::of(Cause::Unknown(covariate.to_owned()), courses, &powder, None);
         prepared.log_odds(&hypothesis, &seen)[0]
     };
     let judged: Vec<f64> = classes.iter().map(|(_, courses)| odds(courses)).collect();

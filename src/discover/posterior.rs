@@ -1,7 +1,7 @@
 //! What is at work, if one or two causes are, and what that says of each run.
 //!
 //! ```text
-//! models      none (0.5) | one cause (0.4, by its prior) | two causes (0.1, by the product of theirs)
+//! models      none (0.5) | one cause (0.35, by its prior) | two causes (0.15, by the product of theirs)
 //! component   a model with a noise, a form and deviation for each of its causes, and an amplitude
 //! weight      prior of the model  x  evidence of the component  /  how many components the model has
 //! given a component, with a = (powder means, features):
@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// Probability before any data of no, one and two causes.
-const MODELS: [f64; 3] = [0.5, 0.4, 0.1];
+const MODELS: [f64; 3] = [0.5, 0.35, 0.15];
 /// Causes that are tried with every other.
 const LEADERS: usize = 3;
 /// Features of a cause that are tried with those of another.

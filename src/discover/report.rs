@@ -1,5 +1,7 @@
 //! What an investigation found, as its document has it.
 
+use super::extension::FitSet;
+use super::numerics::Dependence;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -15,13 +17,13 @@ pub struct Report {
     pub sentence: String,
     /// Whether anything is wrong, and whether it has a name.
     pub verdict: Verdict,
-    /// Chance of evidence as strong for any cause if nothing is wrong.
+    /// Chance of evidence as strong for any cause if nothing is wrong; of two channels the smaller, corrected for both (Holm).
     pub p_value: f64,
-    /// Where measured angles depart from the simulator.
+    /// Where measured angles and balance readings depart from the simulator.
     pub findings: Vec<Finding>,
     /// Causes of the catalogue, most probable first.
     pub causes: Vec<CauseReport>,
-    /// With verdict `ambiguous`: causes that this campaign cannot tell apart.
+    /// With verdict `ambiguous`: causes that these data cannot tell apart.
     pub ambiguous_between: Vec<String>,
     /// With verdict `unexplained`: what the departure depends on.
     pub unexplained: Option<Unexplained>,
@@ -39,16 +41,31 @@ pub struct Report {
     pub evidence: Vec<Evidence>,
     /// Causes of which this data cannot tell, and why.
     pub untestable: Vec<UntestableReport>,
-    /// How often as much is found where nothing is wrong.
+    /// How often as much is found where nothing is wrong: of angles, and of balance readings where there are no angles.
     pub null_check: NullCheck,
+    /// What balance readings say by themselves; absent where none were given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub traces: Option<TraceChannel>,
     /// Every row of the file, before and after.
     pub rows: Vec<Row>,
     /// The residuals' course over what was recorded, for the figures.
     pub curves: Vec<Curve>,
+    /// Whether angles of simulated heaps depend on how they are computed; absent where nothing was simulated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub numerics: Option<Numerics>,
     /// Simulations that this took.
     pub simulator_runs: u32,
     /// Time that this took, s; 0 where nobody measured it.
     pub wall_s: f64,
+}
+
+/// What is wrong with the simulator without any data.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Numerics {
+    /// The set whose heaps were poured.
+    pub set: FitSet,
+    /// How the angle depends on each thing about the computation.
+    pub dependences: Vec<Dependence>,
 }
 
 /// Whether anything is wrong, and whether it has a name.
@@ -79,21 +96,21 @@ pub enum Channel {
     Scatter,
 }
 
-/// A departure of measured angles from the simulator.
+/// A departure of measured angles, or of balance readings, from the simulator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Finding {
     /// What departs.
     pub channel: Channel,
     /// With what it changes; absent if nobody recorded it.
     pub covariate: Option<String>,
-    /// Powders whose own 95 % interval leaves out zero.
+    /// Powders whose own 95 % interval leaves out zero; none of balance readings, which are judged over all weighings together.
     pub powders: Vec<String>,
     /// Change from the 5th to the 95th percentile of the covariate, on average over powders; of names, from the first to the last in the
     /// alphabet, or between the two that differ most.
     pub effect: f64,
     /// 95 % interval.
     pub ci95: [f64; 2],
-    /// `deg`.
+    /// `deg`; of balance readings `mg`, or `%` of a shake's mass or of a reading's SD.
     pub unit: String,
     /// From where to where.
     pub span: String,
@@ -171,6 +188,20 @@ pub enum FormClass {
     Smooth,
 }
 
+impl FormClass {
+    /// As the document has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Linear => "linear",
+            Self::Power => "power",
+            Self::Threshold => "threshold",
+            Self::Saturating => "saturating",
+            Self::Periodic => "periodic",
+            Self::Smooth => "smooth",
+        }
+    }
+}
+
 /// An experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Experiment {
@@ -180,10 +211,12 @@ pub struct Experiment {
     pub runs: Vec<std::collections::BTreeMap<String, String>>,
     /// How long it takes.
     pub minutes: f64,
-    /// Probability that the winner's inclusion probability will pass 0.8.
-    pub chance_of_resolution: f64,
-    /// Mean inclusion probability of the right cause after it.
-    pub expected_posterior: f64,
+    /// Probability that the winner's inclusion probability will pass 0.8; absent where the experiment was not simulated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub chance_of_resolution: Option<f64>,
+    /// Mean inclusion probability of the right cause after it; absent where the experiment was not simulated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expected_posterior: Option<f64>,
 }
 
 /// Versions of the simulator.
@@ -280,7 +313,8 @@ pub struct Detectable {
 /// How well a cause explains the data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Evidence {
-    /// `unknown: <covariate>` is a smooth function of a covariate; `unrecorded` a wander over the sessions.
+    /// `unknown: <covariate>` is a smooth function of a covariate; `unrecorded` a wander over the sessions; `wander` one of balance readings
+    /// within weighings.
     pub cause: String,
     /// Family, if it is in the catalogue.
     pub family: Option<String>,
@@ -297,6 +331,27 @@ pub struct UntestableReport {
     pub mechanism: String,
     /// Why.
     pub reason: String,
+}
+
+/// Balance readings, judged by themselves.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct TraceChannel {
+    /// Whether anything is wrong with the simulated bench, and whether it has a name.
+    pub verdict: Verdict,
+    /// Chance of evidence as strong if nothing is wrong, not corrected for another channel.
+    pub p_value: f64,
+    /// Doses.
+    pub weighings: u32,
+    /// Logs of the empty pan or of a standard mass.
+    pub controls: u32,
+    /// Readings that were looked at.
+    pub readings: u32,
+    /// Shakes that were looked at.
+    pub shakes: u32,
+    /// How often as much is found where nothing is wrong.
+    pub null_check: NullCheck,
+    /// What would tell most of the balance readings.
+    pub suggested_experiment: Option<Experiment>,
 }
 
 /// Campaigns of the same design with nothing wrong.

@@ -20,6 +20,7 @@
 
 use super::campaign::Campaign;
 use super::catalogue::Mechanism;
+use super::extension::Hook;
 use super::hypothesis::Responses;
 use crate::stats::summary::mean;
 
@@ -100,6 +101,18 @@ pub fn responses(campaign: &Campaign) -> Responses {
         Some((mechanism, shares.iter().map(|share| share / scale).collect()))
     };
     Mechanism::ALL.into_iter().filter_map(of).collect()
+}
+
+/// Where the simulator has a mechanism, and which way it moves angles, up (1) or down (-1). Causes of the laboratory are of readings.
+pub(super) fn hook(mechanism: Mechanism) -> (Hook, f64) {
+    let Some(Table { name, shifts, .. }) = table(mechanism) else { return (Hook::Reading, 1.0) };
+    let name = (*name).to_owned();
+    let hook = match mechanism {
+        Mechanism::Temperature => Hook::Parameter(name),
+        Mechanism::FunnelHeight | Mechanism::BaseFriction => Hook::Heap(name),
+        _ => Hook::Extension(name),
+    };
+    (hook, shifts[2][1].signum())
 }
 
 /// The mechanism's amplitude that moves the angle of an average powder by this much, with its name and unit: linear between the simulated ones, and on

@@ -6,7 +6,8 @@
 //! ```
 //!
 //! The simulated campaigns have the design of this one (its powders, days, gaps and all), noise drawn from what the noise is known to be, and
-//! nothing wrong; the whole search is repeated on each. Many causes, and many forms of each, are thereby paid for.
+//! nothing wrong; the whole search is repeated on each. Many causes, and many forms of each, are thereby paid for. As many others are what
+//! this campaign's causes leave of it, with signs drawn anew, for angles may scatter more in some conditions than in others; the larger of both p-values counts.
 //!
 //! Source: evidences as in [`crate::stats::mixed_model`]. The largest of many statistics under its own null is the usual correction for
 //! looking at many; with repeats in days, exchangeable are days, of which there are too few to permute, so the null is simulated.
@@ -14,6 +15,7 @@
 use super::campaign::Campaign;
 use super::hypothesis::{Cause, Hypothesis, Responses, Untestable, hypotheses};
 use super::noise::{self, Noise};
+use super::posterior::Posterior;
 use crate::domain::FieldError;
 use crate::stats::mixed_model::{MixedModelError, Signature, Whitening, log_mean_exp};
 use nalgebra::DMatrix;
@@ -175,18 +177,28 @@ pub fn screen(campaign: &Campaign, responses: &Responses, settings: &Settings) -
     let settings = settings.checked()?;
     let prepared = Prepared::new(campaign, responses)?;
     let never = |_: f64| ControlFlow::Continue(());
-    screen_prepared(&prepared, campaign, &settings, never).ok_or_else(|| FieldError::new("measurements", "stopped"))
+    let explained = Posterior::new(&prepared).shifts();
+    screen_prepared(&prepared, campaign, &explained, &settings, never)
+        .ok_or_else(|| FieldError::new("measurements", "stopped"))
 }
 
-/// `on_cause` hears which share of the causes was judged; `Break` stops, and there is no screening.
+/// `explained`: what causes are thought to add to each run, degrees, of which the scatter is judged that is left; `on_cause` hears which share of the causes was judged; `Break` stops, and there is no screening.
 pub(super) fn screen_prepared(
     prepared: &Prepared,
     campaign: &Campaign,
+    explained: &[f64],
     settings: &Settings,
     mut on_cause: impl FnMut(f64) -> ControlFlow<()>,
 ) -> Option<Screening> {
     let Prepared { weights, noises, observed, hypotheses, .. } = prepared;
-    let all = noise::with_simulated(campaign, weights, noises, observed, settings.seed, settings.simulations);
+    let simulations = settings.simulations as usize;
+    let simulated = noise::with_simulated(campaign, weights, noises, observed, settings.seed, settings.simulations);
+    let left: Vec<f64> = prepared.measured.iter().zip(observed).map(|(&i, angle)| angle - explained[i]).collect();
+    let redrawn = noise::with_signs_redrawn(campaign, &left, settings.seed, settings.simulations);
+    let all = DMatrix::from_fn(observed.len(), 1 + 2 * simulations, |i, k| match k.checked_sub(1 + simulations) {
+        None => simulated[(i, k)],
+        Some(k) => redrawn[(i, k)],
+    });
     let seen = prepared.seen(&all);
     let mut log_odds = Vec::new();
     for (k, hypothesis) in hypotheses.iter().enumerate() {
@@ -197,9 +209,12 @@ pub(super) fn screen_prepared(
     }
     let scores = |k: usize| hypotheses.iter().zip(&log_odds).map(move |(it, of)| of[k] + it.prior.ln());
     let largest = |k: usize| scores(k).fold(f64::NEG_INFINITY, f64::max);
-    let mut null: Vec<f64> = (1..all.ncols()).map(largest).collect();
+    let p_in =
+        |null: &[f64]| (1 + null.iter().filter(|&&score| score >= largest(0)).count()) as f64 / (1 + null.len()) as f64;
+    let mut null: Vec<f64> = (1..=simulations).map(largest).collect();
+    let redrawn: Vec<f64> = (1 + simulations..all.ncols()).map(largest).collect();
+    let p_value = p_in(&null).max(p_in(&redrawn));
     null.sort_by(f64::total_cmp);
-    let as_large = null.iter().filter(|&&score| score >= largest(0)).count();
     let total = log_mean_exp(&scores(0).collect::<Vec<_>>()) + (hypotheses.len() as f64).ln();
     let judge = |(it, score): (&Hypothesis, f64)| Judged {
         cause: it.cause.clone(),
@@ -208,7 +223,6 @@ pub(super) fn screen_prepared(
     };
     let mut judged: Vec<Judged> = hypotheses.iter().zip(scores(0)).map(judge).collect();
     judged.sort_by(|a, b| b.probability.total_cmp(&a.probability));
-    let p_value = (1 + as_large) as f64 / all.ncols() as f64;
     let untestable = prepared.untestable.clone();
     Some(Screening { p_value, judged, untestable, statistic: largest(0), null })
 }

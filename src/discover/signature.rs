@@ -19,9 +19,15 @@ const SMOOTH_MIN: f64 = 1e-3;
 pub struct Course(DMatrix<f64>);
 
 impl Course {
-    /// A cause whose strength is known in each run; `None` if it is the same in all measured runs of each powder.
+    /// A cause whose strength is known in each run; `None` if it is the same in all measured runs of each powder. Where nothing was measured it goes
+    /// beyond what was by as much as that ranges over, and no further: of a form that hardly begins there, nobody knows how it goes on.
     pub fn of_strength(strength: &[f64], campaign: &Campaign) -> Option<Self> {
-        Self::standardised(DMatrix::from_column_slice(strength.len(), 1, strength), campaign)
+        let measured = campaign.measured();
+        let of = |pick: fn(f64, f64) -> f64, from: f64| measured.iter().map(|&i| strength[i]).fold(from, pick);
+        let (low, high) = (of(f64::min, f64::INFINITY), of(f64::max, f64::NEG_INFINITY));
+        let range = (high - low).max(0.0);
+        let within = DMatrix::from_fn(strength.len(), 1, |i, _| strength[i].clamp(low - range, high + range));
+        Self::standardised(within, campaign)
     }
 
     /// A wave of this period, nobody knows from where.

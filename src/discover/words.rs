@@ -1,7 +1,8 @@
 //! The report's sentences, made from its numbers.
 
 use super::effects::{quantity, rounded};
-use super::report::{Experiment, Finding, FormClass, Gain, Report, Verdict};
+use super::names;
+use super::report::{Experiment, Finding, Gain, Report, Verdict};
 
 /// The one sentence that a reader sees first.
 pub(super) fn sentence(report: &Report, law: Option<&str>) -> String {
@@ -20,9 +21,9 @@ fn nothing(report: &Report) -> String {
     let smallest = report.minimum_detectable.iter().min_by(|a, b| a.effect_deg.total_cmp(&b.effect_deg));
     let would = smallest.map_or(String::new(), |it| {
         format!(
-            " This design would have shown {} of {} deg in four of five campaigns; smaller effects cannot be ruled out.",
-            it.mechanism.replace('_', " "),
-            rounded(it.effect_deg)
+            " This design would have shown an effect of {}° by {} in four of five campaigns; smaller effects cannot be ruled out.",
+            rounded(it.effect_deg),
+            names::lower(&names::cause(&it.mechanism))
         )
     });
     format!(
@@ -35,10 +36,10 @@ fn percent(share: f64) -> String {
     rounded(100.0 * share)
 }
 
-/// `+2.4 deg [1.6, 3.1]`
+/// `+2.4° [1.6, 3.1]`
 fn sized(finding: &Finding) -> String {
     let [low, high] = finding.ci95;
-    format!("{:+.1} deg [{low:.1}, {high:.1}] {}", finding.effect, finding.span)
+    format!("{:+.1}° [{low:.1}, {high:.1}] {}", finding.effect, finding.span)
 }
 
 fn on(finding: &Finding, powders: usize) -> String {
@@ -51,29 +52,6 @@ fn on(finding: &Finding, powders: usize) -> String {
     }
 }
 
-/// What a mechanism is to a chemist.
-fn spoken(mechanism: &str) -> String {
-    match mechanism {
-        "rest_time" => "Time at rest",
-        "humid_ageing" => "Rest in humid air",
-        "container_age" => "The age of the opened container",
-        "charge" => "Charge in dry air",
-        "method_bias" => "The method of measuring",
-        "funnel_height" => "The height of the funnel",
-        "base_friction" => "The base plate",
-        "order" => "The place in the session",
-        "batch" => "The batch",
-        "operator" => "The operator",
-        name => return capital(&name.replace('_', " ")),
-    }
-    .to_owned()
-}
-
-fn capital(text: &str) -> String {
-    let mut letters = text.chars();
-    letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
-}
-
 fn cause(report: &Report, law: Option<&str>) -> String {
     let claimed = report.causes.iter().filter(|it| it.inclusion_probability >= super::investigate::CLAIM);
     let told: Vec<String> = claimed
@@ -81,7 +59,7 @@ fn cause(report: &Report, law: Option<&str>) -> String {
         .map(|(cause, finding)| {
             let powders = finding.by_powder.len();
             let piles = if finding.effect > 0.0 { "steeper" } else { "flatter" };
-            let name = spoken(&cause.mechanism);
+            let name = names::cause(&cause.mechanism);
             let how = match cause.mechanism.as_str() {
                 "method_bias" | "operator" | "batch" | "base_friction" => "changes how steep",
                 _ => "makes",
@@ -93,12 +71,25 @@ fn cause(report: &Report, law: Option<&str>) -> String {
             format!("{body}: {} (probability {:.0} %)", sized(finding), 100.0 * cause.inclusion_probability)
         })
         .collect();
-    let law = law.map_or(String::new(), |law| format!(" It grows most probably with {law}."));
+    let law = law.filter(|law| !law.starts_with("one number for each"));
+    let law = law.map_or(String::new(), |law| format!(" It grows most probably with {law}{}.", letters(report, law)));
     format!("{}.{law}", told.join("; and "))
 }
 
+/// What the letters of a law stand for: `, where h is the relative humidity`.
+fn letters(report: &Report, law: &str) -> String {
+    let covariates = report.findings.first().and_then(|finding| finding.covariate.as_deref()).unwrap_or_default();
+    let stands = |name: &str| {
+        let letter = names::symbol(name)?;
+        let mut words = law.split(|c: char| !c.is_alphanumeric());
+        words.any(|word| word == letter).then(|| format!("{letter} is the {}", quantity(name).0))
+    };
+    let stand: Vec<String> = covariates.split(" and ").filter_map(stands).collect();
+    if stand.is_empty() { String::new() } else { format!(", where {}", stand.join(" and ")) }
+}
+
 fn ambiguous(report: &Report) -> String {
-    let names: Vec<String> = report.ambiguous_between.iter().map(|it| it.replace('_', " ").to_lowercase()).collect();
+    let names: Vec<String> = report.ambiguous_between.iter().map(|it| names::lower(&names::cause(it))).collect();
     let size = report.findings.first().map_or(String::new(), |it| format!(": {}", sized(it)));
     format!(
         "Something makes powders pile differently than the simulation predicts{size}, and these data cannot tell which of {} it is.",
@@ -113,12 +104,8 @@ fn unexplained(report: &Report) -> String {
             .to_owned(),
         Some(covariate) => {
             let size = report.findings.first().map_or(String::new(), |it| format!(" ({})", sized(it)));
-            let class = match it.form_class {
-                FormClass::Smooth => String::new(),
-                class => format!(", of the class {}", format!("{class:?}").to_lowercase()),
-            };
             format!(
-                "The angle of repose depends on {}{size}, which no cause of the catalogue explains; its law: {}{class}.",
+                "The angle of repose depends on {}{size}, which no cause of the catalogue explains; its law: {}.",
                 quantity(covariate).0,
                 it.law
             )
@@ -130,7 +117,7 @@ fn gain(gain: &Gain) -> String {
     let it = &gain.held_out;
     let verdict = if gain.accepted { "" } else { ", which is not enough to accept it" };
     format!(
-        "On days left out the extension changes the error from {:.2} to {:.2} deg [gain {:.2} to {:.2}]{verdict}.",
+        "On days left out the extension changes the error from {:.2}° to {:.2}° [gain {:.2} to {:.2}]{verdict}.",
         it.rmse_before, it.rmse_after, it.ci95[0], it.ci95[1]
     )
 }

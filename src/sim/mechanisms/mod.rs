@@ -20,6 +20,7 @@ mod tests;
 
 use super::constraints::{V3, Vector};
 use super::lanes::{Lanes, Mask, WIDTH};
+use crate::domain::conditions::Patch;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
@@ -94,6 +95,21 @@ impl Extensions {
             return Err(FieldError::new("extension", message));
         };
         **slot = bounded(name, amplitude, 0.0, *upper, "")?;
+        Ok(self)
+    }
+
+    /// The same with the amplitudes that conditions add, each at most the largest that makes sense.
+    ///
+    /// # Errors
+    /// A name that no mechanism has.
+    pub fn patched(mut self, patch: &Patch) -> Result<Self, FieldError> {
+        for (name, more) in &patch.amplitudes {
+            let (now, upper) = match self.amplitudes().into_iter().find(|(known, ..)| known == name) {
+                Some((_, now, upper)) => (*now, upper),
+                None => (0.0, 0.0),
+            };
+            self = self.with(name, (now + more).min(upper))?;
+        }
         Ok(self)
     }
 
