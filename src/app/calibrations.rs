@@ -2,7 +2,9 @@
 
 use super::jobs::{corrupt, stored};
 use super::{App, Error, Result};
+use crate::discover::Extended;
 use crate::domain::FieldError;
+use crate::domain::conditions::{Conditions, Under};
 use crate::domain::job::JobKind;
 use crate::domain::observable::Observation;
 use crate::domain::powder::Flowability;
@@ -12,6 +14,7 @@ use crate::store::jobs::{Job, JobRow};
 use crate::store::page::{Page, PageQuery, SERIES_LIMIT_MAX};
 use crate::store::trials::Trial;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// What to calibrate: a powder, or a bare angle of repose. Everything else has a default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -46,6 +49,13 @@ pub struct CalibrationRequest {
     pub observations: Option<Vec<Observation>>,
     /// Grains of the heaps that verify the sets, 100 to 100000; default as many as in the others. Not for the method `sequential`.
     pub verify_particles: Option<u32>,
+    /// Extended version of the simulator, `sv-…`; default the base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simulator: Option<String>,
+    /// Under which the target was measured, as `{"relative_humidity_pct": 55}`; it is carried over to the version's reference. Default: the angle
+    /// that the version predicts there, of a powder of its campaign.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub conditions: Conditions,
 }
 
 /// Most observations of a calibration.
@@ -60,6 +70,9 @@ pub struct Calibration {
     pub powder: Option<String>,
     /// What it aims at.
     pub target: Flowability,
+    /// The extended version of the simulator, and the conditions that were given; absent of the base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub under: Option<Under>,
     /// What else was measured.
     pub observations: Vec<Observation>,
     /// Every setting of the search and of the heap experiment.
@@ -76,6 +89,11 @@ impl App {
     /// `Invalid`; `Conflict` (`measurement_missing`) for a powder that nobody has measured.
     pub async fn start_calibration(&self, request: CalibrationRequest) -> Result<(Job, bool)> {
         let (powder, target) = self.target_of(&request).await?;
+        let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
+        let target = match &extended {
+            Some((under, extended)) => at_reference(target, powder.as_deref(), under, extended)?,
+            None => target,
+        };
         let defaults = Settings::of(request.method.unwrap_or(Method::Emulator));
         let particles = request.particles.unwrap_or(defaults.particles);
         let settings = Settings {
@@ -93,7 +111,8 @@ impl App {
         let settings = Settings { trials_max, ..settings }.checked()?;
         let design = (settings.method == Method::Emulator).then(|| Design::with_particles(settings.particles));
         let observations = self.observations_of(&request, settings.method).await?;
-        let spec = CalibrationSpec { powder, target, observations, settings, design, simulator: SIMULATOR.to_owned() };
+        let (under, simulator) = (extended.map(|it| it.0), SIMULATOR.to_owned());
+        let spec = CalibrationSpec { powder, target, observations, settings, design, under, simulator };
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Calibration(spec)).await?)
     }
 
@@ -175,12 +194,34 @@ impl App {
     }
 }
 
+/// The angle at the reference of a version, where the extended simulator is its base.
+fn at_reference(
+    measured: Flowability,
+    powder: Option<&str>,
+    under: &Under,
+    extended: &Extended,
+) -> Result<Flowability> {
+    if !under.conditions.is_empty() {
+        let shift_deg = extended.shift_deg(powder, &under.conditions).map_err(Error::Invalid)?;
+        return Ok(Flowability::new(measured.repose_deg - shift_deg, measured.sd_deg, measured.n)?);
+    }
+    let predicted = extended.powders.iter().find(|it| Some(it.powder.as_str()) == powder);
+    predicted.map(|it| it.repose).ok_or_else(|| {
+        let advice = format!(
+            "are needed: the campaign of `{}` did not measure this; say under which conditions it was measured",
+            under.simulator
+        );
+        FieldError::new("conditions", advice).into()
+    })
+}
+
 fn calibration(row: JobRow) -> Result<Calibration> {
     let JobSpec::Calibration(spec) = stored(&row.spec)? else { return Err(corrupt("a calibration's specification")) };
     Ok(Calibration {
         job: row.job,
         powder: spec.powder,
         target: spec.target,
+        under: spec.under,
         observations: spec.observations,
         settings: serde_json::to_value(spec.settings).map_err(|error| Error::Internal(error.into()))?,
         result: row.result.as_deref().map(stored).transpose()?,

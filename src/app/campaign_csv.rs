@@ -11,11 +11,11 @@
 //! An empty cell is a missing value, never zero. A column of names that hardly repeat says nothing and is left out.
 
 use super::check::Check;
-use super::csv_file::{Cells, CsvFile, REFUSALS_MAX, Refused, at, number};
+use super::csv_file::{Cells, CsvFile, REFUSALS_MAX, Refused, at, number, within, yes_or_no};
 use super::{Error, Result};
-use crate::discover::{Campaign, Covariate, Run, Values, repeats_of};
+use crate::discover::{Campaign, Covariate, LEVELS_MAX, Run, Values, repeats_of};
+use crate::domain::FieldError;
 use crate::domain::powder::{Flowability, powder_id};
-use crate::domain::{FieldError, bounded};
 use std::collections::HashMap;
 use time::Date;
 use time::macros::format_description;
@@ -26,8 +26,6 @@ const RUNS_MAX: usize = 2000;
 pub(super) const REPEATS_MAX: u32 = 1000;
 /// Most columns; each one that FLIP does not know is one more cause to judge.
 const COLUMNS_MAX: usize = 60;
-/// Most different names in a column that is looked at.
-const LEVELS_MAX: usize = 50;
 /// Longest name that is one; what is longer is prose.
 const NAME_CHARS_MAX: usize = 100;
 /// Largest number in a column without bounds of its own: its square must be one too.
@@ -126,7 +124,7 @@ fn line(cells: &Cells<'_>, covariates: &[String], required: &[&str]) -> Refused<
     for column in NAMES.into_iter().chain(["session"]).filter(|column| cells.holds(column)) {
         check.text(&format!("row[{row}].{column}"), cells.text(column), NAME_CHARS_MAX);
     }
-    if !["", "camera", "manual"].contains(&cells.text("method")) {
+    if !["", "camera", "automated", "manual"].contains(&cells.text("method")) {
         check.keep::<()>(Err(at(row, "method", format!("must be camera or manual, got `{}`", cells.text("method")))));
     }
     if cells.holds("ioniser_on") && yes_or_no(cells.text("ioniser_on")).is_none() {
@@ -136,6 +134,8 @@ fn line(cells: &Cells<'_>, covariates: &[String], required: &[&str]) -> Refused<
     check.refusals()?;
     let cell = |column: &String| match column.as_str() {
         "ioniser_on" => yes_or_no(cells.text(column)).unwrap_or_default().to_owned(),
+        // As `flip measurements export` writes it.
+        "method" if cells.text(column) == "automated" => "camera".to_owned(),
         _ => cells.text(column).to_owned(),
     };
     Ok(Line {
@@ -165,18 +165,6 @@ fn angle(cells: &Cells<'_>) -> std::result::Result<Option<Flowability>, FieldErr
         (None, Some(_)) => {
             refused("repose_sd_deg", "belongs to a summary: fill `n` too, or leave it empty for a single run")
         }
-    }
-}
-
-fn within(cells: &Cells<'_>, column: &str, lower: f64, upper: f64, unit: &str) -> std::result::Result<f64, FieldError> {
-    bounded(&format!("row[{}].{column}", cells.row), cells.number(column)?, lower, upper, unit)
-}
-
-fn yes_or_no(text: &str) -> Option<&'static str> {
-    match text.to_ascii_lowercase().as_str() {
-        "1" | "true" | "yes" => Some("yes"),
-        "0" | "false" | "no" => Some("no"),
-        _ => None,
     }
 }
 
@@ -222,8 +210,9 @@ fn values(name: &str, cells: &[&str], lines: &[Line]) -> Option<Values> {
     let mut names = filled.clone();
     names.sort_unstable();
     names.dedup();
-    let hardly_repeat = !NAMES.contains(&name) && 2 * names.len() > filled.len();
-    if hardly_repeat || names.len() > LEVELS_MAX || !names.iter().all(is_name) {
+    // A column that a cause needs is kept, so that the report can say why the cause cannot be told.
+    let says_nothing = 2 * names.len() > filled.len() || names.len() > LEVELS_MAX;
+    if (says_nothing && !NAMES.contains(&name)) || !names.iter().all(is_name) {
         return None;
     }
     let of: Vec<Option<usize>> = cells.iter().map(|cell| names.binary_search(cell).ok()).collect();

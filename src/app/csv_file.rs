@@ -4,7 +4,7 @@
 
 use super::check::Check;
 use super::{Error, Result};
-use crate::domain::FieldError;
+use crate::domain::{FieldError, bounded};
 use std::collections::HashMap;
 
 /// Most rows of a file.
@@ -57,18 +57,46 @@ impl Cells<'_> {
         number(cell).ok_or_else(wrong)
     }
 
-    /// The number of repeats in the cell, none where it is empty. `5.0` is five: a table with gaps writes it so.
+    /// The number of repeats in the cell, none where it is empty.
     ///
     /// # Errors
     /// Anything but a whole number.
     pub fn repeats(&self, column: &str) -> std::result::Result<Option<u32>, FieldError> {
+        self.whole(column, "repeats")
+    }
+
+    /// The number of `what` in the cell, none where it is empty. `5.0` is five: a table with gaps writes it so.
+    ///
+    /// # Errors
+    /// Anything but a whole number.
+    pub fn whole(&self, column: &str, what: &str) -> std::result::Result<Option<u32>, FieldError> {
         if !self.holds(column) {
             return Ok(None);
         }
         let cell = self.text(column);
         let whole = number(cell).filter(|n| n.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(n));
-        let wrong = || at(self.row, column, format!("must be a whole number of repeats, got `{cell}`"));
+        let wrong = || at(self.row, column, format!("must be a whole number of {what}, got `{cell}`"));
         whole.map(|n| Some(n as u32)).ok_or_else(wrong)
+    }
+}
+
+/// The number in a cell, if it is within bounds.
+pub(super) fn within(
+    cells: &Cells<'_>,
+    column: &str,
+    lower: f64,
+    upper: f64,
+    unit: &str,
+) -> std::result::Result<f64, FieldError> {
+    bounded(&format!("row[{}].{column}", cells.row), cells.number(column)?, lower, upper, unit)
+}
+
+/// Yes and no as laboratories write them.
+pub(super) fn yes_or_no(text: &str) -> Option<&'static str> {
+    match text.to_ascii_lowercase().as_str() {
+        "1" | "true" | "yes" => Some("yes"),
+        "0" | "false" | "no" => Some("no"),
+        _ => None,
     }
 }
 

@@ -2,7 +2,9 @@
 
 use super::check::Check;
 use super::jobs::{corrupt, stored};
+use super::trainings::without_sets;
 use super::{App, Error, Result};
+use crate::domain::conditions::{Conditions as Day, Under};
 use crate::domain::job::JobKind;
 use crate::domain::powder::PUBLISHED;
 use crate::domain::{FieldError, bounded};
@@ -47,6 +49,12 @@ pub struct EvaluationRequest {
     pub extensions: BTreeMap<String, f64>,
     /// Seed; default 1.
     pub seed: Option<u64>,
+    /// Extended version of the simulator, `sv-…`; default the base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simulator: Option<String>,
+    /// Of the version on the bench, each within what its campaign saw, as `{"relative_humidity_pct": 65}`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub conditions: Day,
 }
 
 /// An evaluation: its job, what it runs, and once it has succeeded the errors.
@@ -70,6 +78,9 @@ pub struct Evaluation {
     pub max_shakes: u32,
     /// What was on the spoon.
     pub conditions: Conditions,
+    /// The extended version of the simulator, and the conditions that were given; absent of the base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub under: Option<Under>,
     /// Seed.
     pub seed: u64,
     /// The errors; absent until it has succeeded.
@@ -83,6 +94,8 @@ impl App {
     /// `Invalid`; `Conflict` (`calibration_missing`).
     pub async fn start_evaluation(&self, request: EvaluationRequest) -> Result<(Job, bool)> {
         let conditions = checked(&request)?;
+        let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
+        let simulator = extended.as_ref().map(|(under, _)| under.simulator.as_str());
         let policy = self.policy_to_evaluate(request.policy.as_deref()).await?;
         let targets_mg = request.targets_mg.unwrap_or_else(|| TARGETS_MG.to_vec());
         let powders = match request.powders {
@@ -92,9 +105,12 @@ impl App {
         let mut subjects = Vec::new();
         for (k, id) in powders.iter().enumerate() {
             let id = self.powder_of(&format!("powders[{k}]"), id).await?.id;
-            let sets = self.sets_to_weigh(&id, &policy).await?;
+            let day = extended.as_ref().map(|(under, extended)| extended.at(Some(&id), &under.conditions));
+            let patch = day.transpose().map_err(Error::Invalid)?.unwrap_or_default();
+            let sets = self.sets_to_weigh(&id, &policy, simulator).await?;
             within_the_spoon(&id, &targets_mg, &sets, &conditions)?;
-            subjects.push(EvaluationPowder { powder: id, sets: sets.into_iter().map(|set| set.id).collect() });
+            let sets = sets.into_iter().map(|set| set.id).collect();
+            subjects.push(EvaluationPowder { powder: id, sets, patch });
         }
         let mut controllers = request.controllers.unwrap_or_else(|| CONTROLLERS.map(str::to_owned).to_vec());
         if request.policy.is_some() && !controllers.iter().any(|name| name == "policy") {
@@ -111,6 +127,7 @@ impl App {
             readability_mg: request.readability_mg.unwrap_or(1.0),
             max_shakes: request.max_shakes.unwrap_or(10),
             conditions,
+            under: extended.map(|it| it.0),
             seed: request.seed.unwrap_or(1),
             simulator: SIMULATOR.to_owned(),
         };
@@ -128,11 +145,16 @@ impl App {
     }
 
     /// The sets that stand for a powder: those of its newest calibration that the policy has not met, if there are any.
-    async fn sets_to_weigh(&self, powder: &str, policy: &Policy) -> Result<Vec<CalibratedSet>> {
-        let sets = self.calibrated_sets(Some(powder), 0.0).await?.ok_or_else(|| {
+    async fn sets_to_weigh(
+        &self,
+        powder: &str,
+        policy: &Policy,
+        simulator: Option<&str>,
+    ) -> Result<Vec<CalibratedSet>> {
+        let sets = self.calibrated_sets(Some(powder), 0.0, simulator).await?.ok_or_else(|| {
             let advice = format!(
-                "powder `{powder}` has no parameter set: run `flip calibrate --powder {powder}` or POST \
-                 /v1/calibrations, and evaluate when it has succeeded"
+                "powder {} or POST /v1/calibrations, and evaluate when it has succeeded",
+                without_sets(powder, simulator)
             );
             Error::conflict("calibration_missing", advice)
         })?;
@@ -219,6 +241,7 @@ fn evaluation(row: JobRow) -> Result<Evaluation> {
         readability_mg: spec.readability_mg,
         max_shakes: spec.max_shakes,
         conditions: spec.conditions,
+        under: spec.under,
         seed: spec.seed,
         result: row.result.as_deref().map(stored).transpose()?,
     })

@@ -1,36 +1,56 @@
-//! Investigations: what measured angles say that the calibrated simulator does not.
+//! Investigations: what measured angles and balance readings say that the calibrated simulator does not.
 
 use super::check::Check;
 use super::jobs::{corrupt, stored};
-use super::{App, Error, Result, campaign_csv};
+use super::{App, Error, Result, campaign_csv, trace_csv};
 use crate::discover::report::{Report, Row, Verdict};
-use crate::discover::{self, Settings};
+use crate::discover::{self, Campaign, FitSet, Settings};
+use crate::domain::FieldError;
 use crate::domain::job::JobKind;
+use crate::domain::parameters::ParameterSet;
 use crate::domain::powder::Method;
-use crate::jobs::{InvestigationSpec, JobSpec, SIMULATOR};
+use crate::jobs::{Heaps, InvestigationSpec, JobSpec, SIMULATOR};
 use crate::store::jobs::{Job, JobRow};
-use crate::store::page::{Page, PageQuery};
+use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
+use crate::store::parameter_sets::CalibratedSet;
 use crate::store::powders::Measurement;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// Columns without which a row is no run.
 const REQUIRED: [&str; 2] = ["powder", "repose_deg"];
 /// Campaigns in which nothing is wrong that are simulated when no number is named: p-values down to 0.002.
 const SIMULATIONS: u32 = 499;
+/// Heaps that are simulated when no number is named: a minute or two.
+const BUDGET_RUNS: u32 = 60;
+/// Most heaps.
+const BUDGET_RUNS_MAX: u32 = 10_000;
+/// Frictions that pile at these angles with a cohesion of 0.3, for powders where nothing is calibrated; `docs/repose_grid.csv`.
+const UNCALIBRATED: [[f64; 2]; 7] =
+    [[0.163, 27.8], [0.325, 30.2], [0.488, 32.5], [0.65, 36.1], [0.812, 38.7], [0.975, 41.6], [1.137, 43.8]];
 
 /// What to investigate. Everything has a default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct InvestigationRequest {
-    /// The runs as CSV text, one a row; default every stored measurement of an angle of repose.
+    /// The runs as CSV text, one a row; default every stored measurement of an angle of repose, or none beside `traces_csv`.
     ///
     /// Columns: `powder` and `repose_deg`, with `repose_sd_deg` and `n` a summary of n runs; of what was recorded, `session` (the day),
     /// `order_in_session`, `method` (camera, manual), `operator`, `batch`, `plate`, `relative_humidity_pct`, `temperature_c`, `rest_min`,
     /// `container_age_d`, `funnel_height_mm`, `base_diameter_mm`, `poured_mass_g`, `flow_time_s`, `vibration_rms_m_s2`, `ioniser_on`, and any
     /// other column. An empty cell is a missing value. A refusal names the cell, such as `row[2].repose_deg`; the header is row 1.
     pub measurements_csv: Option<String>,
+    /// Balance readings of weighings as CSV text, one a row; default none.
+    ///
+    /// Columns: `weighing_id`, `t_s` and `balance_mg`; of what was recorded, `stable`, `powder`, `session` (the day), `shake_index` (shakes so
+    /// far), `shake_mm`, `spoon_pitch_deg`, `spoon_fill_mg`, `target_mg`, `relative_humidity_pct`, `vibration_rms_m_s2`, and `kind`: `dose`, or of
+    /// a control log `zero` (the empty pan) or `standard` (a standard mass). An empty cell is a missing value.
+    pub traces_csv: Option<String>,
     /// Campaigns in which nothing is wrong to compare with, 99 to 9999; default 499.
     pub simulations: Option<u32>,
+    /// Most heaps to simulate, 0 to 10000; default 60. They criticise the simulator's own numerics and, where an extension is accepted, find and verify
+    /// its amplitude; with 0 that is read off a table and not verified.
+    pub budget_runs: Option<u32>,
     /// Seed; default 1.
     pub seed: Option<u64>,
 }
@@ -40,16 +60,21 @@ pub struct InvestigationRequest {
 pub struct Investigation {
     /// The job; the investigation has the same id.
     pub job: Job,
-    /// Powder ids, in the order of the file.
+    /// Powder ids, in the order of the files.
     pub powders: Vec<String>,
     /// Runs, the repeats behind summaries counted.
     pub runs: u32,
-    /// Days.
+    /// Days of the runs.
     pub sessions: u32,
-    /// What was recorded and is looked at; a column of names that hardly repeat is not.
+    /// Weighings whose balance readings it looks at, controls counted.
+    #[serde(default)]
+    pub weighings: u32,
+    /// What was recorded; a column of names that hardly repeat is left out. The report says of what nothing can be told, and why.
     pub covariates: Vec<String>,
     /// Campaigns in which nothing is wrong that it compares with.
     pub simulations: u32,
+    /// Most heaps that it may simulate.
+    pub budget_runs: u32,
     /// Seed.
     pub seed: u64,
     /// Version of the simulator that is judged.
@@ -73,15 +98,56 @@ impl App {
         let mut check = Check::default();
         let simulations = request.simulations.unwrap_or(SIMULATIONS);
         let settings = check.keep(Settings { seed: request.seed.unwrap_or(1), simulations }.checked());
+        let budget_runs = request.budget_runs.unwrap_or(BUDGET_RUNS);
+        check.count("budget_runs", budget_runs, 0, BUDGET_RUNS_MAX);
         check.done()?;
         let Some(settings) = settings else { unreachable!("checked above") };
         let csv = match request.measurements_csv {
-            Some(csv) => csv,
-            None => as_runs(&self.store().all_measurements(None).await?),
+            None if request.traces_csv.is_none() => Some(as_runs(&self.store().all_measurements(None).await?)),
+            csv => csv,
         };
-        let campaign = campaign_csv::read(&csv, &REQUIRED)?.checked()?;
-        let spec = InvestigationSpec { campaign, settings, method: discover::VERSION, simulator: SIMULATOR.to_owned() };
+        let runs = |csv: String| -> Result<Campaign> { Ok(campaign_csv::read(&csv, &REQUIRED)?.checked()?) };
+        let campaign = csv.map(runs).transpose()?;
+        let traces = request.traces_csv.map(|csv| trace_csv::read(&csv).map_err(of_traces)).transpose()?;
+        let heaps = match (&campaign, budget_runs) {
+            (Some(campaign), 1..) => Some(Heaps { budget_runs, sets: self.stand_ins(campaign).await? }),
+            _ => None,
+        };
+        let (method, simulator) = (discover::VERSION, SIMULATOR.to_owned());
+        let spec = InvestigationSpec { campaign, traces, settings, heaps, method, simulator };
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Investigation(spec)).await?)
+    }
+
+    /// A parameter set for each measured powder: its own, else that of a calibrated powder as steep, else an uncalibrated one.
+    async fn stand_ins(&self, campaign: &Campaign) -> Result<Vec<(FitSet, ParameterSet)>> {
+        let mut known: Vec<(String, CalibratedSet)> = Vec::new();
+        let every = PageQuery::first(LIST_LIMIT_MAX).window(LIST_LIMIT_MAX)?;
+        for powder in self.store().powders(every).await?.items {
+            let sets = self.calibrated_sets(Some(&powder.id), 0.0, None).await?.unwrap_or_default();
+            known.extend(sets.into_iter().next().map(|set| (powder.id, set)));
+        }
+        let mut stands = Vec::new();
+        for (k, powder) in campaign.powders.iter().enumerate() {
+            let angles = campaign.runs.iter().filter(|run| run.powder == k).filter_map(|run| run.repose_deg);
+            let (sum, count) = angles.fold((0.0, 0), |(sum, count), angle| (sum + angle, count + 1));
+            if count == 0 {
+                continue;
+            }
+            let distance = |deg: f64| (deg - sum / f64::from(count)).abs();
+            let own = known.iter().find(|it| it.0 == *powder);
+            let nearest = || known.iter().min_by(|a, b| distance(a.1.repose_deg).total_cmp(&distance(b.1.repose_deg)));
+            let (parameters, source) = match own.or_else(nearest) {
+                Some((of, set)) => (set.parameters, format!("calibrated for {of}")),
+                None => {
+                    let by = |a: &&[f64; 2], b: &&[f64; 2]| distance(a[1]).total_cmp(&distance(b[1]));
+                    let [friction, deg] = *UNCALIBRATED.iter().min_by(by).unwrap_or(&UNCALIBRATED[0]);
+                    let set = ParameterSet::default().with("friction", friction)?.with("cohesion", 0.3)?;
+                    (set, format!("uncalibrated, of about {deg} deg"))
+                }
+            };
+            stands.push((FitSet { powder: powder.clone(), set: parameters.id(), source }, parameters));
+        }
+        Ok(stands)
     }
 
     /// One investigation.
@@ -130,6 +196,18 @@ pub fn predictions_csv(rows: &[Row]) -> String {
     text
 }
 
+/// The file of angles may have the same rows and columns: what is refused of the other says so.
+fn of_traces(error: Error) -> Error {
+    let named = |it: FieldError| match it.field.as_str() {
+        "traces" => it,
+        field => FieldError::new(format!("traces.{field}"), it.message),
+    };
+    match error {
+        Error::Invalid(all) => Error::Invalid(all.into_iter().map(named).collect()),
+        error => error,
+    }
+}
+
 /// Stored measurements as a campaign's file: nobody recorded their days.
 fn as_runs(measurements: &[Measurement]) -> String {
     let mut text = String::from("powder,method,repose_deg,repose_sd_deg,n\n");
@@ -156,14 +234,22 @@ fn without_report(row: JobRow) -> Result<Investigation> {
         return Err(corrupt("an investigation's specification"));
     };
     let found: Option<Glance> = row.result.as_deref().map(stored).transpose()?;
-    let InvestigationSpec { campaign, settings, simulator, .. } = spec;
+    let InvestigationSpec { campaign, traces, settings, heaps, simulator, .. } = spec;
+    let none = || Campaign { powders: Vec::new(), runs: Vec::new(), covariates: Vec::new() };
+    let (campaign, weighings) = (campaign.unwrap_or_else(none), traces.map_or(Vec::new(), |traces| traces.weighings));
+    let mut powders = campaign.powders;
+    let sessions = campaign.runs.iter().map(|run| run.session).collect::<BTreeSet<_>>().len();
+    let weighed = weighings.iter().filter_map(|weighing| weighing.powder.as_ref());
+    weighed.for_each(|powder| powders.extend((!powders.contains(powder)).then(|| powder.clone())));
     Ok(Investigation {
         job: row.job,
         runs: campaign.runs.len() as u32,
-        sessions: campaign.sessions() as u32,
+        sessions: sessions as u32,
+        weighings: weighings.len() as u32,
         covariates: campaign.covariates.into_iter().map(|covariate| covariate.name).collect(),
-        powders: campaign.powders,
+        powders,
         simulations: settings.simulations,
+        budget_runs: heaps.map_or(0, |heaps| heaps.budget_runs),
         seed: settings.seed,
         simulator,
         verdict: found.as_ref().map(|found| found.verdict),

@@ -1,11 +1,14 @@
 //! Versions of the simulator: what investigations extended it by, and what it predicts then.
 
+use super::current_simulator::{BASE, CURRENT};
 use super::jobs::{corrupt, stored};
 use super::{App, Error, Result, campaign_csv};
-use crate::discover::report::{Report, Row};
+use crate::discover::Extended;
+use crate::discover::report::{Channel, Report, Row};
 use crate::discover::{Campaign, predict, responses};
 use crate::domain::FieldError;
-use crate::jobs::JobSpec;
+use crate::domain::conditions::{Conditions, Under};
+use crate::jobs::{JobSpec, SIMULATOR};
 use crate::store::page::{Page, PageQuery};
 use crate::store::simulators::SimulatorVersion;
 use serde::{Deserialize, Serialize};
@@ -29,12 +32,50 @@ impl App {
         self.store().simulator(id).await?.ok_or_else(|| Error::not_found("simulator version", id))
     }
 
-    /// Angles of rows that nobody measured, by the simulator as it was and by an extended version.
+    /// What a request says of the simulator; without, and as `base`, it is the base, as `current` the one that was taken into use.
+    ///
+    /// # Errors
+    /// `Invalid`: a version that is not there, of another simulator, or one that nothing can be simulated with; conditions without a version.
+    pub(super) async fn extended(
+        &self,
+        simulator: Option<&str>,
+        conditions: &Conditions,
+    ) -> Result<Option<(Under, Extended)>> {
+        let current = match simulator {
+            Some(CURRENT) => Some(self.current_simulator().await?.simulator),
+            _ => None,
+        };
+        let Some(id) = current.as_deref().or(simulator).filter(|name| ![BASE, SIMULATOR].contains(name)) else {
+            let advice = "are those of an extended version: name it with `simulator`, or leave them out";
+            return if conditions.is_empty() { Ok(None) } else { Err(FieldError::new("conditions", advice).into()) };
+        };
+        let refuse = |message: String| Err(FieldError::new("simulator", message).into());
+        let Some(version) = self.store().simulator(id).await? else {
+            return refuse(format!(
+                "there is no version `{id}`: GET /v1/simulators or `flip discover versions` lists them, `base` is the one without any"
+            ));
+        };
+        if version.base != SIMULATOR {
+            return refuse(format!(
+                "`{id}` extends simulator {}, and this is {SIMULATOR}: investigate again to make one that extends it",
+                version.base
+            ));
+        }
+        let Ok(extended) = serde_json::from_value::<Extended>(version.body) else {
+            return refuse(format!(
+                "`{id}` holds nothing to simulate: its cause was not recorded, or an earlier release made it; record more or investigate again"
+            ));
+        };
+        Ok(Some((Under { simulator: id.to_owned(), conditions: conditions.clone() }, extended)))
+    }
+
+    /// Angles of rows that nobody measured, by the simulator as it was and by an extended version; `current` is
+    /// the one that is.
     ///
     /// # Errors
     /// `NotFound`; `Invalid`: a file by row and column, or one without what the version's causes act through.
     pub async fn predict(&self, version: &str, measurements_csv: &str) -> Result<Vec<Row>> {
-        let version = self.simulator(version).await?;
+        let version = self.extended_simulator(version).await?;
         let new = campaign_csv::read(measurements_csv, &["powder"])?;
         let made = self.store().job(&version.investigation).await?.ok_or_else(|| corrupt("an investigation"))?;
         let JobSpec::Investigation(spec) = stored(&made.spec)? else {
@@ -42,7 +83,8 @@ impl App {
         };
         let report: Option<Report> = made.result.as_deref().map(stored).transpose()?;
         lacking(&report.ok_or_else(|| corrupt("an investigation's report"))?, &new, &version.id)?;
-        let joined = spec.campaign.joined(&new);
+        let campaign = spec.campaign.ok_or_else(|| corrupt("a version's campaign"))?;
+        let joined = campaign.joined(&new);
         let rows = tokio::task::spawn_blocking(move || predict(&joined, &responses(&joined))).await;
         Ok(rows.map_err(|error| Error::Internal(error.into()))??)
     }
@@ -50,7 +92,9 @@ impl App {
 
 /// A version that needs a covariate says nothing of rows without.
 fn lacking(report: &Report, new: &Campaign, version: &str) -> Result<()> {
-    let needed = report.findings.iter().filter_map(|finding| finding.covariate.as_deref());
+    // Balance readings make no version: what they depart with is not asked for.
+    let angles = report.findings.iter().filter(|finding| finding.channel != Channel::Trace);
+    let needed = angles.filter_map(|finding| finding.covariate.as_deref());
     let needed = needed.flat_map(|covariates| covariates.split(" and "));
     let lacks = |name: &&str| !new.covariates.iter().any(|covariate| covariate.name == *name);
     match needed.filter(lacks).collect::<Vec<_>>().as_slice() {

@@ -2,8 +2,10 @@
 
 use super::check::Check;
 use super::evaluations::unmet;
+use super::trainings::without_sets;
 use super::{App, Error, Result};
 use crate::domain::bench::Tick;
+use crate::domain::conditions::Conditions;
 use crate::domain::seed::derive;
 use crate::domain::weighing::WeighRequest;
 use crate::domain::{FieldError, bounded};
@@ -18,6 +20,7 @@ use rand::TryRng;
 use rand::rngs::SysRng;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 
 /// Smallest target, mg: below the finest display there is nothing to weigh by.
 const TARGET_MG_MIN: f64 = 0.1;
@@ -38,6 +41,12 @@ pub struct WeighingRequest {
     pub policy: Option<String>,
     /// Seed of the simulated bench; default one of its own for each weighing.
     pub seed: Option<u64>,
+    /// Extended version of the simulator, `sv-…`; default the base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simulator: Option<String>,
+    /// Of the version on the simulated bench, each within what its campaign saw, as `{"relative_humidity_pct": 65}`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub conditions: Conditions,
 }
 
 /// A mass with its unit.
@@ -98,11 +107,16 @@ impl App {
         let (target_mg, tolerance) = masses(&request)?;
         let powder = self.powder_of("powder", &request.powder).await?.id;
         let every = PageQuery::first(LIST_LIMIT_MAX).window(LIST_LIMIT_MAX)?;
-        let sets = self.store().parameter_sets(Some(&powder), every).await?.items;
+        let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
+        let day = extended.as_ref().map(|(under, extended)| extended.at(Some(&powder), &under.conditions));
+        let patch = day.transpose().map_err(Error::Invalid)?.unwrap_or_default();
+        let under = extended.map(|it| it.0);
+        let simulator = under.as_ref().map(|under| under.simulator.as_str());
+        let sets = self.store().sets_under(&powder, simulator, every).await?.items;
         let Some(capacity_mg) = spoon_holds_mg(sets.iter().map(|set| &set.parameters)) else {
             let advice = format!(
-                "`{powder}` has no parameter set yet: run `flip calibrate --powder {powder}` or POST /v1/calibrations, \
-                 and weigh when it has succeeded"
+                "{} or POST /v1/calibrations, and weigh when it has succeeded",
+                without_sets(&powder, simulator)
             );
             return Err(Error::conflict("calibration_missing", advice));
         };
@@ -122,7 +136,9 @@ impl App {
         let set = choose_set(sets, &policy, seed);
         let (tolerance_lower_mg, tolerance_upper_mg) = tolerance;
         let policy = policy.id;
-        Ok((WeighRequest { powder, target_mg, tolerance_lower_mg, tolerance_upper_mg, policy, seed }, set))
+        let request =
+            WeighRequest { powder, target_mg, tolerance_lower_mg, tolerance_upper_mg, policy, seed, under, patch };
+        Ok((request, set))
     }
 
     async fn policy_for(&self, powder: &str, named: Option<&str>) -> Result<Policy> {

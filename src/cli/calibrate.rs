@@ -2,6 +2,7 @@
 
 use super::failure::Failure;
 use super::session::with_app;
+use super::simulator::{SimulatorArguments, words};
 use super::table::table;
 use super::watch::Watch;
 use super::{Common, FIRST_PAGE, observe};
@@ -10,6 +11,7 @@ use crate::app::{
     Posterior,
 };
 use crate::domain::FieldError;
+use crate::domain::conditions::Under;
 use crate::domain::observable::Observation;
 use crate::domain::parameters::ParameterSet;
 use clap::ValueEnum;
@@ -45,6 +47,8 @@ pub(super) struct Arguments {
     /// `flow_time:mass_g=50,orifice_mm=2.54,mean=62,sd=2,n=5`; may be repeated. Left out, what is registered for the powder.
     #[arg(long, value_name = "KIND:SETTING=VALUE,...")]
     observation: Vec<String>,
+    #[command(flatten)]
+    extended: SimulatorArguments,
     #[command(flatten)]
     search: Search,
 }
@@ -117,8 +121,10 @@ struct Document {
 struct Powder {
     powder: String,
     method: CalibrationMethod,
-    /// The measured angle that the sets reproduce, degrees.
+    /// The measured angle that the sets reproduce, degrees; under an extended version of the simulator that at its reference.
     target_deg: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    under: Option<Under>,
     /// Whether there are as many sets as were asked for; if not, the next two say why.
     reached: bool,
     /// The parameter whose bound is in the way.
@@ -178,6 +184,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     }
     let typed: Vec<Observation> =
         arguments.observation.iter().map(|text| observe::observation(text)).collect::<Result<_, _>>()?;
+    let conditions = arguments.extended.conditions()?;
     let observations = (!typed.is_empty()).then_some(typed);
     let done = with_app(common, async |app| {
         let targets = targets(app, arguments).await?;
@@ -188,7 +195,9 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         }
         let requests = targets.into_iter().map(|target| {
             let request = request(&target, Some(&search), common.seed);
-            (target, CalibrationRequest { observations: observations.clone(), ..request })
+            let (simulator, conditions) = (arguments.extended.simulator.clone(), conditions.clone());
+            let request = CalibrationRequest { observations: observations.clone(), simulator, conditions, ..request };
+            (target, request)
         });
         let mut done = Vec::new();
         for calibration in calibrate_each(app, &Watch::new(), requests.collect()).await? {
@@ -209,9 +218,13 @@ pub(super) async fn calibrate(
     watch: &Watch,
     targets: &[Target],
     search: Option<&Search>,
+    simulator: Option<&str>,
     seed: u64,
 ) -> Result<Vec<Calibration>, Failure> {
-    let requests = targets.iter().map(|target| (target.clone(), request(target, search, seed)));
+    let requests = targets.iter().map(|target| {
+        let simulator = simulator.map(str::to_owned);
+        (target.clone(), CalibrationRequest { simulator, ..request(target, search, seed) })
+    });
     calibrate_each(app, watch, requests.collect()).await
 }
 
@@ -292,6 +305,7 @@ fn powder(calibration: Calibration, posterior: Option<Posterior>) -> Result<Powd
         powder: calibration.powder.unwrap_or_default(),
         method: serde_json::from_value(method).map_err(|error| anyhow::anyhow!(error))?,
         target_deg: calibration.target.repose_deg,
+        under: calibration.under,
         reached: result.reached,
         limiting_parameter: result.shortfall.as_ref().and_then(|shortfall| shortfall.limiting_parameter.clone()),
         nearest_repose_deg: result.shortfall.as_ref().map(|shortfall| shortfall.nearest_repose_deg),
@@ -356,6 +370,9 @@ fn text(document: &Document) -> String {
     ];
     let mut text = table(&header, &document.powders.iter().map(row).collect::<Vec<_>>());
     for p in &document.powders {
+        if let Some(under) = &p.under {
+            let _ = write!(text, "\n{:.2} deg: at the reference of {}", p.target_deg, words(under));
+        }
         if let (Some(particles), Some(shift)) = (p.verify_particles, p.size_shift_deg) {
             let _ = write!(
                 text,

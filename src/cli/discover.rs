@@ -1,4 +1,4 @@
-//! `flip discover`: what measured angles say that the simulator does not.
+//! `flip discover`: what measured angles and balance readings say that the simulator does not.
 
 use super::failure::Failure;
 use super::measurements::read;
@@ -6,7 +6,10 @@ use super::session::{with_app, with_reader};
 use super::table::table;
 use super::watch::Watch;
 use super::{Common, FIRST_PAGE};
-use crate::app::{App, InvestigationRequest, Report, SimulatorVersion, predictions_csv, report_html};
+use crate::app::{
+    App, CURRENT, ChosenSimulator, CurrentSimulator, InvestigationRequest, Report, SimulatorVersion, names,
+    predictions_csv, report_html,
+};
 use crate::domain::FieldError;
 use anyhow::Context;
 use serde::Serialize;
@@ -31,15 +34,21 @@ pub(super) struct Arguments {
 enum Action {
     /// Angles of new rows by an extended simulator, as CSV on the standard output.
     Predict {
-        /// Version of the simulator, `sv-…`, that an investigation made.
-        #[arg(long, value_name = "VERSION")]
+        /// Version of the simulator, `sv-…`, that an investigation made; without it the current one.
+        #[arg(long, value_name = "VERSION", default_value = CURRENT)]
         simulator: String,
         /// Rows as a CSV file: powder, and what the version's causes act through.
         #[arg(long, value_name = "FILE")]
         measurements: PathBuf,
     },
-    /// List the simulator's versions, newest first.
+    /// List the simulator's versions, newest first, and say which one is current.
     Versions,
+    /// Make a version current, which is taken where none is named; or roll back to another one or to the base.
+    Use {
+        /// Version, `sv-…`, or `base`.
+        #[arg(value_name = "VERSION")]
+        simulator: String,
+    },
 }
 
 /// What to investigate.
@@ -51,13 +60,18 @@ struct CampaignArguments {
     /// order_in_session, method (camera, manual), operator, batch, plate, relative_humidity_pct, temperature_c, rest_min, container_age_d,
     /// funnel_height_mm, base_diameter_mm, poured_mass_g, flow_time_s, vibration_rms_m_s2, ioniser_on, and any other column. An empty cell is
     /// a missing value.
-    #[arg(long, value_name = "FILE", required = true)]
+    #[arg(long, value_name = "FILE", required_unless_present = "traces")]
     measurements: Option<PathBuf>,
-    /// Balance readings of weighings as a CSV file: not read yet, so it is refused.
+    /// Balance readings of weighings as a CSV file, one reading a row; with angles of repose or without.
+    ///
+    /// Columns: weighing_id, t_s and balance_mg; of what was recorded, stable, powder, session (the day), shake_index (shakes so far), shake_mm,
+    /// spoon_pitch_deg, spoon_fill_mg, target_mg, relative_humidity_pct, vibration_rms_m_s2, and kind: dose, or of a control log zero (the
+    /// empty pan) or standard (a standard mass). An empty cell is a missing value.
     #[arg(long, value_name = "FILE")]
     traces: Option<PathBuf>,
-    /// Most new heaps to simulate. None are so far, whatever the number: causes are judged and named by the measurements.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    /// Most heaps to simulate, 0 to 10000: they criticise the simulator's own numerics, and find and verify the amplitude of an accepted extension. With
+    /// 0 it is read off a table and not verified.
+    #[arg(long, value_name = "N", default_value_t = 60, allow_negative_numbers = true)]
     budget_runs: u32,
     /// Campaigns in which nothing is wrong to compare with, 99 to 9999.
     #[arg(long, value_name = "N", default_value_t = 499, allow_negative_numbers = true)]
@@ -77,8 +91,15 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             common.print(&rows, || predictions_csv(&rows))
         }
         Some(Action::Versions) => {
-            let versions = with_reader(common, async |app| Ok(app.simulators(FIRST_PAGE).await?.items))?;
-            common.print(&versions, || versions_text(&versions))
+            let (versions, current) = with_reader(common, async |app| {
+                Ok((app.simulators(FIRST_PAGE).await?.items, app.current_simulator().await?))
+            })?;
+            common.print(&versions, || format!("{}\n\n{}", versions_text(&versions), current_text(&current)))
+        }
+        Some(Action::Use { simulator }) => {
+            let chosen = ChosenSimulator { simulator: simulator.clone() };
+            let current = with_app(common, async |app| Ok(app.choose_simulator(&chosen).await?))?;
+            common.print(&current, || current_text(&current))
         }
     }
 }
@@ -94,16 +115,23 @@ fn versions_text(versions: &[SimulatorVersion]) -> String {
     }
 }
 
+fn current_text(current: &CurrentSimulator) -> String {
+    let CurrentSimulator { simulator, chosen_at, before, .. } = current;
+    let since = chosen_at.map_or_else(String::new, |at| format!(" since {at}"));
+    let before = before.as_ref().map_or_else(String::new, |before| format!(", before that {before}"));
+    format!("current: {simulator}{since}{before}")
+}
+
 fn discover(common: &Common, arguments: &CampaignArguments) -> Result<(), Failure> {
-    if arguments.traces.is_some() {
-        return Err(FieldError::new("traces", "are not read yet: leave `--traces` out").into());
-    }
-    let (Some(measurements), Some(out)) = (&arguments.measurements, &arguments.out) else {
-        return Err(FieldError::new("measurements", "and `--out` are required").into());
+    let Some(out) = &arguments.out else {
+        return Err(FieldError::new("out", "is required").into());
     };
+    let text_of = |name, path: &Option<PathBuf>| path.as_ref().map(|path| read(name, path)).transpose();
     let request = InvestigationRequest {
-        measurements_csv: Some(read("measurements", measurements)?),
+        measurements_csv: text_of("measurements", &arguments.measurements)?,
+        traces_csv: text_of("traces", &arguments.traces)?,
         simulations: Some(arguments.simulations),
+        budget_runs: Some(arguments.budget_runs),
         seed: Some(common.seed),
     };
     let report = with_app(common, async |app| investigate(app, request, out).await)?;
@@ -149,20 +177,20 @@ fn text(report: &Report, out: &Path) -> String {
     );
     let causes = report.causes.iter().take(CAUSES_SHOWN).map(|cause| {
         let probability = format!("{:.2}", cause.inclusion_probability);
-        vec![cause.mechanism.clone(), cause.family.clone(), probability, list(&cause.powders)]
+        vec![names::cause(&cause.mechanism), cause.family.clone(), probability, list(&cause.powders)]
     });
     let findings = report.findings.iter().map(|finding| {
         let [lower, upper] = finding.ci95;
         vec![
             word(&finding.channel),
             finding.covariate.clone().unwrap_or_else(|| "not recorded".to_owned()),
-            format!("{:+.2} {}", finding.effect, finding.unit),
+            names::with_unit(&format!("{:+.2}", finding.effect), &finding.unit),
             format!("{lower:+.2} to {upper:+.2}"),
             finding.span.clone(),
             list(&finding.powders),
         ]
     });
-    let untestable = report.untestable.iter().map(|it| vec![it.mechanism.clone(), it.reason.clone()]);
+    let untestable = report.untestable.iter().map(|it| vec![names::cause(&it.mechanism), it.reason.clone()]);
     let parts = [
         report.sentence.clone(),
         decision,

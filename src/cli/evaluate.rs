@@ -5,12 +5,14 @@ use super::calibrate::{Target, calibrate};
 use super::failure::Failure;
 use super::parameters;
 use super::session::with_app;
+use super::simulator::{SimulatorArguments, words};
 use super::table::table;
 use super::train::require_policy;
 use super::watch::Watch;
 use crate::app::{
     App, Conditions, Error, Evaluation, EvaluationRequest, EvaluationResult, EvaluationRow, EvaluationSummary,
 };
+use crate::domain::conditions::Under;
 use crate::domain::powder::{PUBLISHED, PUBLISHED_DOSES_OVERALL_MG, published_mae_mg};
 use serde::Serialize;
 
@@ -44,6 +46,8 @@ pub(super) struct Arguments {
     /// A mechanism that no training has and its amplitude, as in `rotation=1`; may be repeated. `flip repose` has the same.
     #[arg(long, value_name = "NAME=AMPLITUDE")]
     extension: Vec<String>,
+    #[command(flatten)]
+    extended: SimulatorArguments,
 }
 
 /// The document of `flip evaluate`.
@@ -54,6 +58,8 @@ struct Document {
     readability_mg: f64,
     max_shakes: u32,
     conditions: Conditions,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    under: Option<Under>,
     seed: u64,
     rows: Vec<EvaluationRow>,
     summary: Vec<EvaluationSummary>,
@@ -71,6 +77,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         readability_mg: evaluation.readability_mg,
         max_shakes: evaluation.max_shakes,
         conditions: evaluation.conditions,
+        under: evaluation.under,
         seed: evaluation.seed,
         rows,
         summary,
@@ -90,6 +97,8 @@ async fn evaluate(app: &App, common: &Common, arguments: &Arguments) -> Result<E
         max_shakes: Some(arguments.max_shakes),
         particles: arguments.particles,
         extensions: parameters::amplitudes(&arguments.extension)?,
+        simulator: arguments.extended.simulator.clone(),
+        conditions: arguments.extended.conditions()?,
         seed: Some(common.seed),
     };
     let (job, _) = match app.start_evaluation(request.clone()).await {
@@ -99,7 +108,7 @@ async fn evaluate(app: &App, common: &Common, arguments: &Arguments) -> Result<E
             let published = || PUBLISHED.map(|powder| powder.id.to_owned()).into();
             let powders = request.powders.clone().unwrap_or_else(published);
             let targets: Vec<Target> = powders.into_iter().map(Target::Powder).collect();
-            calibrate(app, &watch, &targets, None, common.seed).await?;
+            calibrate(app, &watch, &targets, None, request.simulator.as_deref(), common.seed).await?;
             app.start_evaluation(request).await?
         }
         started => started?,
@@ -188,9 +197,10 @@ fn setting(document: &Document) -> String {
         true => "no extension".to_owned(),
         false => format!("extensions {}", extensions.join(", ")),
     };
+    let under = document.under.as_ref().map_or_else(String::new, |under| format!("{}; ", words(under)));
     format!(
         "Simulation: no powder was weighed. Policy {}; a balance that shows steps of {} mg; at most {} steps a dose; {} grains on \
-         the spoon, {extensions}; seed {}.",
+         the spoon, {extensions}; {under}seed {}.",
         document.policy, document.readability_mg, document.max_shakes, document.conditions.particles, document.seed
     )
 }
@@ -241,6 +251,7 @@ mod tests {
             readability_mg: 0.1,
             max_shakes: 30,
             conditions: Conditions::named(Some(1500), &extensions).unwrap(),
+            under: None,
             seed: 7,
             rows: vec![row],
             summary: vec![summary],

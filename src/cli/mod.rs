@@ -21,6 +21,7 @@ mod policy;
 mod repose;
 mod serve;
 mod session;
+mod simulator;
 mod table;
 mod token;
 mod train;

@@ -4,9 +4,11 @@ use super::Common;
 use super::calibrate::{Target as CalibrationTarget, calibrate};
 use super::failure::Failure;
 use super::session::with_app;
+use super::simulator::{SimulatorArguments, words};
 use super::train::require_policy;
 use super::watch::Watch;
 use crate::app::{App, Error, Target, Tolerance, Weighing, WeighingRequest};
+use crate::domain::conditions::{Conditions, Under};
 use crate::domain::weighing::{Outcome, WeighingState};
 use serde::Serialize;
 use std::time::Duration;
@@ -29,6 +31,8 @@ pub(super) struct Arguments {
     /// Policy id [default: the one with the smallest evaluated error on the powder, the shipped one if none is evaluated].
     #[arg(long, value_name = "ID")]
     policy: Option<String>,
+    #[command(flatten)]
+    extended: SimulatorArguments,
 }
 
 /// The document of `flip weigh`.
@@ -47,13 +51,17 @@ struct Document {
     seconds: Option<f64>,
     policy: String,
     parameter_set: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    under: Option<Under>,
     seed: u64,
 }
 
 /// Weigh one dose and print how it ended.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let request = request(&arguments.powder, arguments.target_mg, arguments.tolerance_mg);
-    let request = WeighingRequest { policy: arguments.policy.clone(), seed: Some(common.seed), ..request };
+    let (simulator, conditions) = (arguments.extended.simulator.clone(), arguments.extended.conditions()?);
+    let policy = arguments.policy.clone();
+    let request = WeighingRequest { policy, seed: Some(common.seed), simulator, conditions, ..request };
     // A fresh key: asking on the command line again means another dose.
     let key = uuid::Uuid::now_v7().to_string();
     let weighing = with_app(common, async |app| weigh(app, &Watch::new(), request, &key).await)?;
@@ -68,6 +76,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         seconds: weighing.seconds,
         policy: weighing.policy,
         parameter_set: weighing.parameter_set,
+        under: weighing.under,
         seed: weighing.seed,
     };
     match weighing.error {
@@ -84,6 +93,8 @@ pub(super) fn request(powder: &str, target_mg: f64, tolerance_mg: f64) -> Weighi
         tolerance: Tolerance { lower: tolerance_mg, upper: tolerance_mg, unit: "mg".into() },
         policy: None,
         seed: None,
+        simulator: None,
+        conditions: Conditions::new(),
     }
 }
 
@@ -95,7 +106,7 @@ pub(super) async fn weigh(app: &App, watch: &Watch, request: WeighingRequest, ke
             require_policy(app, request.policy.as_deref()).await?;
             watch.say(&format!("{message}: calibrating first"));
             let target = CalibrationTarget::Powder(request.powder.clone());
-            calibrate(app, watch, &[target], None, request.seed.unwrap_or(1)).await?;
+            calibrate(app, watch, &[target], None, request.simulator.as_deref(), request.seed.unwrap_or(1)).await?;
             app.start_weighing(request, key).await.map_err(in_flags)?
         }
         started => started.map_err(in_flags)?,
@@ -127,7 +138,7 @@ fn text(document: &Document) -> String {
     let outcome = serde_json::to_value(document.outcome).ok();
     format!(
         "outcome    {}\ntarget     {:.2} mg\ndispensed  {}\nreading    {}\nerror      {}\nshakes     {}\nseconds    {:.1}\n\
-         policy     {}",
+         policy     {}{}",
         outcome.as_ref().and_then(|value| value.as_str()).unwrap_or("unknown"),
         document.target_mg,
         mg(document.dispensed_mg),
@@ -135,6 +146,7 @@ fn text(document: &Document) -> String {
         mg(document.error_mg),
         document.shakes.unwrap_or_default(),
         document.seconds.unwrap_or_default(),
-        document.policy
+        document.policy,
+        document.under.as_ref().map_or_else(String::new, |under| format!("\nbench      {}", words(under)))
     )
 }

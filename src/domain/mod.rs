@@ -1,6 +1,7 @@
 //! The nouns: powders, parameter sets, readings, actions, weighings, jobs. No I/O, no clock, no async.
 
 pub mod bench;
+pub mod conditions;
 pub mod job;
 pub mod observable;
 pub mod parameters;

@@ -1,5 +1,6 @@
 //! A weighing: what was asked, and how it ended.
 
+use super::conditions::{Patch, Under};
 use serde::{Deserialize, Serialize};
 
 /// What a checked request asks for, all masses in mg.
@@ -17,6 +18,12 @@ pub struct WeighRequest {
     pub policy: String,
     /// Seed of the simulated bench.
     pub seed: u64,
+    /// The extended version of the simulator on the bench, and its conditions; none of the base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub under: Option<Under>,
+    /// What the conditions change about the powder.
+    #[serde(default, skip_serializing_if = "Patch::is_none")]
+    pub patch: Patch,
 }
 
 /// How a weighing ended. Names are the API's.

@@ -278,6 +278,9 @@ impl LaneThread {
             let set =
                 self.store.parameter_set(&weighing.parameter_set).await?.ok_or_else(|| missing("parameter set"))?;
             let balance = balance::Settings::default();
+            let spoon = dispense::Settings::default();
+            let extensions = spoon.extensions.patched(&weighing.patch);
+            let extensions = extensions.map_err(|error| store::Error::Corrupt(error.to_string()))?;
             let policy = policy::decode(&policy).map_err(|error| store::Error::Corrupt(error.to_string()))?;
             Ok(Pouring {
                 order: Order {
@@ -289,8 +292,8 @@ impl LaneThread {
                 controller: policy.controller,
                 rules: policy.manifest.rules,
                 balance,
-                spoon: dispense::Settings::default(),
-                set: set.parameters,
+                spoon: dispense::Settings { extensions, ..spoon },
+                set: weighing.patch.powder(&set.parameters),
                 seed: weighing.seed,
             })
         })

@@ -232,6 +232,7 @@ fn finish(
                 repose_sd_deg: set.repose_sd_deg,
                 runs: set.runs,
                 error_deg: set.verified_error_deg,
+                simulator: spec.under.as_ref().map(|under| under.simulator.clone()),
             };
             tx.insert_parameter_set(context.id(), spec.powder.as_deref(), position, &new).await?;
         }

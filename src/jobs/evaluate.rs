@@ -8,7 +8,7 @@ use crate::domain::parameters::ParameterSet;
 use crate::policy::{
     self, Controller, Dispenser, Fuzzy, Kind, Paced, Pid, Policy, Response, Rules, Schedule, ScheduledStep,
 };
-use crate::sim::balance;
+use crate::sim::{balance, dispense};
 use crate::store;
 use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
 use crate::train::evaluate::{Contender, Dose, Plan, Row, Subject, Summary, evaluate};
@@ -36,8 +36,12 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
     let plan = plan(context, spec, &policy)?;
     let rules = Rules { steps_max: spec.max_shakes, ..policy.manifest.rules };
     let doses = Doses::resume(context, &plan)?;
-    let weigh_once = |controller: &Controller, set: &ParameterSet, target_mg: f64, seed: u64| {
+    let weigh_once = |controller: &Controller, subject: &Subject, set: &ParameterSet, target_mg: f64, seed: u64| {
         doses.known_or(controller, set, target_mg, seed, || {
+            let patch = spec.powders.iter().find(|it| it.powder == subject.powder).map(|it| &it.patch);
+            let patch = patch.cloned().unwrap_or_default();
+            let usual = spec.conditions.spoon();
+            let extensions = usual.extensions.patched(&patch).map_err(|error| JobError::Fail(error.to_string()))?;
             let pouring = Pouring {
                 order: Order {
                     target_mg,
@@ -48,8 +52,8 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
                 controller: controller.clone(),
                 rules,
                 balance: balance::Settings { readability_mg: spec.readability_mg, ..balance::Settings::default() },
-                spoon: spec.conditions.spoon(),
-                set: *set,
+                spoon: dispense::Settings { extensions, ..usual },
+                set: patch.powder(set),
                 seed,
             };
             let poured = (context.functions.pour)(&pouring, &mut |_| {}, &AtomicBool::new(false));
@@ -83,7 +87,8 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
 /// and in the frame that the policy was made for, say which policy weighs best.
 fn about<'a>(spec: &'a EvaluationSpec, policy: &Policy, rules: &Rules, controller: &str) -> Option<&'a str> {
     let usual_balance = spec.readability_mg == balance::Settings::default().readability_mg;
-    let usual = |of: &Policy| spec.conditions.are_usual() && usual_balance && *rules == of.manifest.rules;
+    let is_base = spec.under.is_none();
+    let usual = |of: &Policy| is_base && spec.conditions.are_usual() && usual_balance && *rules == of.manifest.rules;
     let shipped = policy::shipped();
     match controller {
         POLICY => usual(policy).then_some(spec.policy.as_str()),
@@ -95,7 +100,7 @@ fn about<'a>(spec: &'a EvaluationSpec, policy: &Policy, rules: &Rules, controlle
     }
 }
 
-fn load_policy(context: &JobContext, id: &str) -> Result<Policy, JobError> {
+pub(super) fn load_policy(context: &JobContext, id: &str) -> Result<Policy, JobError> {
     let bytes = context.read(context.store.policy_bytes(id))?;
     let bytes = bytes.ok_or_else(|| JobError::Fail(format!("there is no policy `{id}`")))?;
     policy::decode(&bytes).map_err(|error| JobError::Fail(error.to_string()))

@@ -1,31 +1,55 @@
-//! The investigation job: what a campaign says that the calibrated simulator does not.
+//! The investigation job: what a campaign, or a bench's balance, says that the calibrated simulator does not.
 //!
 //! Nothing is saved on the way: judged again, a campaign gives the same report.
 
 use super::calibrate::unless;
 use super::context::{JobContext, JobError};
+use super::heaps::Pourer;
 use super::spec::InvestigationSpec;
+use crate::discover::investigate;
 use crate::discover::report::{CauseReport, Gain, Report, Unexplained};
-use crate::discover::{investigate, responses};
+use crate::discover::{Extended, extend, responses};
+use crate::domain::job::Progress;
 use serde::Serialize;
 use std::time::Instant;
 
+/// Progress at which the judgement of a job that also simulates begins and ends.
+const JUDGED: [f64; 2] = [0.15, 0.75];
+
 pub(super) fn perform(context: &JobContext, spec: &InvestigationSpec) -> Result<(), JobError> {
-    let InvestigationSpec { campaign, settings, simulator, .. } = spec;
+    let InvestigationSpec { campaign, traces, settings, simulator, .. } = spec;
     let began = Instant::now();
+    let pourer = Pourer::of(context, spec);
+    let numerics = match &pourer {
+        Some(pourer) => pourer.numerics([0.0, JUDGED[0]])?,
+        None => None,
+    };
+    let [from, until] = if pourer.is_some() { JUDGED } else { [0.0, 1.0] };
     let mut unsaved = None;
-    let report = investigate(campaign, &responses(campaign), simulator, settings, |progress| {
-        unless(context.report(progress), &mut unsaved, context)
+    let report = investigate(campaign.as_ref(), traces.as_ref(), simulator, settings, |progress| {
+        let fraction = from + (until - from) * progress.fraction;
+        let progress = Progress { fraction, message: progress.message.clone() };
+        unless(context.report(&progress), &mut unsaved, context)
     });
     if let Some(error) = unsaved {
         return Err(error.into());
     }
     let mut report = report.map_err(|error| JobError::Fail(error.to_string()))?.ok_or(JobError::Stopped)?;
-    report.wall_s = began.elapsed().as_secs_f64();
+    report.numerics = numerics;
     let accepted = report.gain.as_ref().is_some_and(|gain| gain.accepted);
     let version = accepted.then(|| spec.version());
     report.simulator_version.extended.clone_from(&version);
-    let body = serde_json::to_string(&Extension::of(&report)).map_err(|error| JobError::Fail(error.to_string()))?;
+    let mut extended = match campaign.as_ref().filter(|_| accepted) {
+        Some(of) => extend(of, &responses(of), &report).map_err(|error| JobError::Fail(error.to_string()))?,
+        None => None,
+    };
+    if let (Some(pourer), Some(extended)) = (&pourer, &mut extended) {
+        pourer.fit(extended, &mut report, [JUDGED[1], 1.0])?;
+    }
+    report.simulator_runs = pourer.map_or(0, |pourer| pourer.poured());
+    report.wall_s = began.elapsed().as_secs_f64();
+    let body =
+        serde_json::to_string(&Body::of(&report, extended)).map_err(|error| JobError::Fail(error.to_string()))?;
     context.succeed(&report, async |tx| match &version {
         Some(version) => tx.insert_simulator(version, simulator, context.id(), &body).await,
         None => Ok(()),
@@ -35,19 +59,22 @@ pub(super) fn perform(context: &JobContext, spec: &InvestigationSpec) -> Result<
 
 /// What a version of the simulator says of itself.
 #[derive(Serialize)]
-struct Extension<'a> {
+struct Body<'a> {
     sentence: &'a str,
     /// The causes that were claimed; empty where the law of an unknown extends the simulator.
     causes: Vec<&'a CauseReport>,
     unexplained: &'a Option<Unexplained>,
     gain: &'a Option<Gain>,
     verified: bool,
+    /// What the simulator simulates; absent where nothing that was recorded explains the departure.
+    #[serde(flatten)]
+    extended: Option<Extended>,
 }
 
-impl<'a> Extension<'a> {
-    fn of(report: &'a Report) -> Self {
+impl<'a> Body<'a> {
+    fn of(report: &'a Report, extended: Option<Extended>) -> Self {
         let Report { sentence, causes, unexplained, gain, .. } = report;
         let causes = causes.iter().filter(|cause| cause.confidence_level > 1).collect();
-        Self { sentence, causes, unexplained, gain, verified: report.simulator_version.verified }
+        Self { sentence, causes, unexplained, gain, verified: report.simulator_version.verified, extended }
     }
 }

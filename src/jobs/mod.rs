@@ -18,6 +18,7 @@ pub mod calibrate;
 mod conditions;
 mod context;
 pub mod evaluate;
+mod heaps;
 mod investigate;
 mod lanes;
 mod lease;
@@ -32,7 +33,7 @@ mod worker;
 pub use conditions::Conditions;
 pub use context::JobError;
 pub use spec::{
-    CalibrationSpec, EvaluationPowder, EvaluationSpec, InvestigationSpec, JobSpec, SIMULATOR, TrainingSpec,
+    CalibrationSpec, EvaluationPowder, EvaluationSpec, Heaps, InvestigationSpec, JobSpec, SIMULATOR, TrainingSpec,
 };
 
 use crate::domain::observable::Observable;

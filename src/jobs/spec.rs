@@ -2,9 +2,12 @@
 
 use super::conditions::Conditions;
 use crate::calibrate;
-use crate::discover::{self, Campaign};
+use crate::discover::traces::Traces;
+use crate::discover::{self, Campaign, FitSet};
+use crate::domain::conditions::{Patch, Under};
 use crate::domain::job::JobKind;
 use crate::domain::observable::Observation;
+use crate::domain::parameters::ParameterSet;
 use crate::domain::powder::Flowability;
 use crate::policy::{Kind, Schedule};
 use crate::sim;
@@ -45,6 +48,9 @@ pub struct CalibrationSpec {
     /// The design of the emulator it reads sets off; none with a method that has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub design: Option<calibrate::Design>,
+    /// The extended version at whose reference the target is; none of the base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub under: Option<Under>,
     /// Version of the simulator: [`SIMULATOR`].
     pub simulator: String,
 }
@@ -85,6 +91,9 @@ pub struct EvaluationSpec {
     /// What is on the spoon; left out where it is usual, so that an evaluation of before has the same text.
     #[serde(default, skip_serializing_if = "Conditions::are_usual")]
     pub conditions: Conditions,
+    /// The extended version on the bench, and its conditions; none of the base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub under: Option<Under>,
     /// Seed.
     pub seed: u64,
     /// Version of the simulator: [`SIMULATOR`].
@@ -98,19 +107,38 @@ pub struct EvaluationPowder {
     pub powder: String,
     /// Ids of the sets that stand for it.
     pub sets: Vec<String>,
+    /// What the conditions change about it.
+    #[serde(default, skip_serializing_if = "Patch::is_none")]
+    pub patch: Patch,
 }
 
 /// An investigation to carry out.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InvestigationSpec {
-    /// What was measured, and what was recorded beside it.
-    pub campaign: Campaign,
+    /// Angles of repose, and what was recorded beside them; none where balance readings alone are judged.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub campaign: Option<Campaign>,
+    /// What a balance showed during weighings; left out where there is nothing, so that a specification of before has the same text.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub traces: Option<Traces>,
     /// How it is judged.
     pub settings: discover::Settings,
+    /// Heaps that it may simulate; none without.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub heaps: Option<Heaps>,
     /// What judges: [`discover::VERSION`]. Another one may find something else.
     pub method: u32,
     /// Version of the simulator: [`SIMULATOR`].
     pub simulator: String,
+}
+
+/// What an investigation simulates.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Heaps {
+    /// Most heaps, at least one.
+    pub budget_runs: u32,
+    /// A set for each powder of the campaign.
+    pub sets: Vec<(FitSet, ParameterSet)>,
 }
 
 impl InvestigationSpec {

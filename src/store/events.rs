@@ -7,14 +7,14 @@ use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 use tokio::sync::watch;
 
-/// Something that happened to a job or a weighing.
+/// Something that happened to a job or a weighing, or a choice of the current simulator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Event {
     /// Position in the order of all events; the `id:` of a server-sent event.
     pub seq: i64,
-    /// `job:<id>` or `weighing:<id>`.
+    /// `job:<id>`, `weighing:<id>` or `simulator`.
     pub topic: String,
-    /// `state`, `progress`, `trial` or `episode` of a job; `state` or `tick` of a weighing.
+    /// `state`, `progress`, `trial` or `episode` of a job; `state` or `tick` of a weighing; `current` of the simulator.
     pub kind: String,
     /// What happened; the fields depend on the kind.
     #[schema(value_type = Object)]

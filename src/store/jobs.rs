@@ -86,12 +86,20 @@ impl Store {
         row.as_ref().map(job_row).transpose()
     }
 
-    /// The newest calibration of a powder, or of a bare angle (exactly), that has succeeded.
-    pub(crate) async fn newest_calibration(&self, powder: Option<&str>, repose_deg: f64) -> Result<Option<String>> {
+    /// The newest calibration of a powder, or of a bare angle (exactly), that has succeeded under this version of the simulator, none being the
+    /// base.
+    pub(crate) async fn newest_calibration(
+        &self,
+        powder: Option<&str>,
+        repose_deg: f64,
+        simulator: Option<&str>,
+    ) -> Result<Option<String>> {
         let sql = "SELECT id FROM job WHERE kind = 'calibration' AND state = 'succeeded' \
                    AND spec ->> '$.calibration.powder' IS ?1 \
-                   AND (?1 IS NOT NULL OR spec ->> '$.calibration.target.repose_deg' = ?2) ORDER BY seq DESC LIMIT 1";
-        Ok(sqlx::query_scalar(sql).bind(powder).bind(repose_deg).fetch_optional(&self.reader).await?)
+                   AND (?1 IS NOT NULL OR spec ->> '$.calibration.target.repose_deg' = ?2) \
+                   AND spec ->> '$.calibration.under.simulator' IS ?3 ORDER BY seq DESC LIMIT 1";
+        let query = sqlx::query_scalar(sql).bind(powder).bind(repose_deg).bind(simulator);
+        Ok(query.fetch_optional(&self.reader).await?)
     }
 }
 

@@ -5,6 +5,7 @@
 
 pub mod artifacts;
 pub mod counts;
+pub mod current_simulator;
 pub mod evaluations;
 pub mod events;
 pub mod jobs;

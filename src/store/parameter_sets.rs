@@ -27,6 +27,9 @@ pub struct CalibratedSet {
     pub runs: u32,
     /// Simulated minus measured angle, absolute, degrees.
     pub error_deg: f64,
+    /// The extended version of the simulator at whose reference it piles so; absent for the base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simulator: Option<String>,
     /// When it was stored.
     pub created_at: Timestamp,
 }
@@ -39,6 +42,7 @@ pub(crate) struct NewSet {
     pub repose_sd_deg: Option<f64>,
     pub runs: u32,
     pub error_deg: f64,
+    pub simulator: Option<String>,
 }
 
 impl Store {
@@ -54,6 +58,19 @@ impl Store {
                 sqlx::query(sql).bind(window.before()).bind(window.rows())
             }
         };
+        window.page_of(&query.fetch_all(&self.reader).await?, calibrated_set)
+    }
+
+    /// Sets of a powder that were calibrated under a version of the simulator, none being the base, newest first.
+    pub(crate) async fn sets_under(
+        &self,
+        powder: &str,
+        simulator: Option<&str>,
+        window: Window,
+    ) -> Result<Page<CalibratedSet>> {
+        let sql =
+            "SELECT * FROM parameter_set WHERE powder = ?3 AND simulator IS ?4 AND seq < ?1 ORDER BY seq DESC LIMIT ?2";
+        let query = sqlx::query(sql).bind(window.before()).bind(window.rows()).bind(powder).bind(simulator);
         window.page_of(&query.fetch_all(&self.reader).await?, calibrated_set)
     }
 
@@ -83,8 +100,8 @@ impl Tx {
         set: &NewSet,
     ) -> Result<()> {
         let sql = "INSERT INTO parameter_set \
-                   (id, powder, calibration, position, parameters, repose_deg, repose_sd_deg, runs, error_deg, created_at) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)";
+                   (id, powder, calibration, position, parameters, repose_deg, repose_sd_deg, runs, error_deg, created_at, \
+                   simulator) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)";
         sqlx::query(sql)
             .bind(set.parameters.id())
             .bind(powder)
@@ -96,6 +113,7 @@ impl Tx {
             .bind(set.runs)
             .bind(set.error_deg)
             .bind(now().unix_ms())
+            .bind(&set.simulator)
             .execute(&mut *self.inner)
             .await?;
         Ok(())
@@ -112,6 +130,7 @@ fn calibrated_set(row: &SqliteRow) -> Result<CalibratedSet> {
         repose_sd_deg: row.plain("repose_sd_deg")?,
         runs: row.count("runs")?,
         error_deg: row.plain("error_deg")?,
+        simulator: row.plain("simulator")?,
         created_at: row.time("created_at")?,
     })
 }

@@ -21,6 +21,8 @@ pub(super) trait Columns {
     fn word<T: DeserializeOwned>(&self, column: &str) -> Result<T>;
     /// A JSON document.
     fn json<T: DeserializeOwned>(&self, column: &str) -> Result<T>;
+    /// A JSON document, where there is one.
+    fn maybe_json<T: DeserializeOwned>(&self, column: &str) -> Result<Option<T>>;
 }
 
 impl Columns for SqliteRow {
@@ -47,8 +49,13 @@ impl Columns for SqliteRow {
     }
 
     fn json<T: DeserializeOwned>(&self, column: &str) -> Result<T> {
-        let text: String = self.plain(column)?;
-        serde_json::from_str(&text).map_err(|error| Error::Corrupt(format!("{column}: {error}")))
+        self.maybe_json(column)?.ok_or_else(|| Error::Corrupt(format!("{column} is empty")))
+    }
+
+    fn maybe_json<T: DeserializeOwned>(&self, column: &str) -> Result<Option<T>> {
+        let text: Option<String> = self.plain(column)?;
+        let read = |text: String| serde_json::from_str(&text);
+        text.map(read).transpose().map_err(|error| Error::Corrupt(format!("{column}: {error}")))
     }
 }
 

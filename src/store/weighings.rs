@@ -1,9 +1,10 @@
 //! Weighings: the intent is committed before any motion, the outcome after it; nothing is ever poured twice.
 
 use super::page::{Page, Window};
-use super::row::{Columns, word};
+use super::row::{Columns, json, word};
 use super::{Result, Store, Tx};
 use crate::domain::bench::Tick;
+use crate::domain::conditions::{Patch, Under};
 use crate::domain::timestamp::Timestamp;
 use crate::domain::weighing::{Outcome, WeighRequest, WeighingState};
 use serde::{Deserialize, Serialize};
@@ -29,6 +30,12 @@ pub struct Weighing {
     pub parameter_set: String,
     /// Seed of the simulated bench.
     pub seed: u64,
+    /// The extended version of the simulator on the bench, and its conditions; absent of the base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub under: Option<Under>,
+    /// What the conditions change about the powder.
+    #[serde(default, skip_serializing_if = "Patch::is_none")]
+    pub patch: Patch,
     /// Where it stands.
     pub state: WeighingState,
     /// How it ended.
@@ -155,8 +162,8 @@ impl Tx {
     /// Store an intent.
     pub(crate) async fn insert_weighing(&mut self, intent: &Intent, now: Timestamp) -> Result<Weighing> {
         let sql = "INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, \
-                   tolerance_upper_mg, policy, parameter_set, seed, state, created_at) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, 'planned', ?11) RETURNING *";
+                   tolerance_upper_mg, policy, parameter_set, seed, state, created_at, under, patch) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, 'planned', ?11, ?12, ?13) RETURNING *";
         let request = &intent.request;
         let row = sqlx::query(sql)
             .bind(&intent.id)
@@ -170,6 +177,8 @@ impl Tx {
             .bind(&intent.parameter_set)
             .bind(request.seed.cast_signed())
             .bind(now.unix_ms())
+            .bind(request.under.as_ref().map(json).transpose()?)
+            .bind(Some(&request.patch).filter(|patch| !patch.is_none()).map(json).transpose()?)
             .fetch_one(&mut *self.inner)
             .await?;
         self.announce_weighing(&row).await
@@ -264,6 +273,8 @@ fn weighing(row: &SqliteRow) -> Result<Weighing> {
         policy: row.plain("policy")?,
         parameter_set: row.plain("parameter_set")?,
         seed: row.plain::<i64>("seed")?.cast_unsigned(),
+        under: row.maybe_json("under")?,
+        patch: row.maybe_json("patch")?.unwrap_or_default(),
         state: row.word("state")?,
         outcome: row.plain::<Option<String>>("outcome")?.is_some().then(|| row.word("outcome")).transpose()?,
         dispensed_mg: row.plain("dispensed_mg")?,

@@ -1,6 +1,6 @@
 //! `flip.v1.Calibrations`.
 
-use super::convert::{all, given, named, observation, page};
+use super::convert::{all, conditions, given, named, observation, page};
 use super::proto::*;
 use super::{Service, read, write};
 use crate::app::CalibrationRequest;
@@ -15,7 +15,8 @@ impl calibrations_server::Calibrations for Service {
         let request = write(request)?;
         let method = named::<CalibrationMethod, _>("method", request.method)?;
         let StartCalibrationRequest { powder, repose_deg, sd_deg, n, sets, tolerance_deg, particles, .. } = request;
-        let StartCalibrationRequest { trials_max, verify_repeats, readings, seed, verify_particles, .. } = request;
+        let StartCalibrationRequest { trials_max, verify_repeats, readings, seed, verify_particles, simulator, .. } =
+            request;
         let observations = request.observations.into_iter().enumerate();
         let observations: Vec<_> =
             observations.map(|(k, wire)| observation(&format!("observations[{k}]"), wire)).collect::<Result<_, _>>()?;
@@ -34,6 +35,8 @@ impl calibrations_server::Calibrations for Service {
             seed,
             observations: given(observations),
             verify_particles,
+            simulator,
+            conditions: conditions(request.conditions),
         };
         Ok(Response::new(self.app.start_calibration(request).await?.into()))
     }

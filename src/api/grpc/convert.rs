@@ -5,6 +5,7 @@ use crate::app;
 use crate::app::PageQuery;
 use crate::domain::FieldError;
 use crate::domain::bench::Tick;
+use crate::domain::conditions::{Condition, Conditions, Under};
 use crate::domain::job::{JobKind, JobState};
 use crate::domain::observable::{Observable, Observation};
 use crate::domain::parameters::{Parameter, ParameterSet};
@@ -102,7 +103,11 @@ same_fields! {
         target: Some(c.target.into()),
         settings_json: c.settings.to_string(),
         observations: all(c.observations),
+        under: c.under.map(Into::into),
         result: c.result.map(Into::into),
+    }
+    u: Under => Under { simulator } {
+        conditions: u.conditions.into_iter().map(|(name, condition)| (name, condition.to_string())).collect(),
     }
     r: app::CalibrationResult => CalibrationResult {
         evaluations verification_runs mean_error_deg sd_error_deg verified_error_deg reached size_shift_deg
@@ -179,6 +184,7 @@ same_fields! {
         result: e.result.map(Into::into),
         particles: e.conditions.particles,
         extensions: e.conditions.amplitudes().into_iter().collect(),
+        under: e.under.map(Into::into),
     }
     r: app::EvaluationResult => EvaluationResult {} {
         rows: all(r.rows),
@@ -194,17 +200,26 @@ same_fields! {
         ci95_upper_mg: s.ci95[1],
     }
     i: app::Investigation => Investigation {
-        powders runs sessions covariates simulations seed simulator p_value sentence
+        powders runs sessions weighings covariates simulations seed simulator p_value sentence
     } {
         job: Some(i.job.into()),
         verdict: i.verdict.map(|verdict| proto::Verdict::from(verdict).into()),
         // Numbers, text and lists: nothing in it is refused by JSON.
         report_json: i.report.and_then(|report| serde_json::to_string(&report).ok()),
     }
+    v: app::SimulatorVersion => SimulatorVersion { id base investigation } {
+        body_json: v.body.to_string(),
+        created_at: at(v.created_at),
+    }
+    r: app::Row => PredictedRow { row powder before_deg before_sd_deg after_deg after_sd_deg } {}
+    c: app::CurrentSimulator => CurrentSimulator { simulator base before } {
+        chosen_at: c.chosen_at.and_then(at),
+    }
     w: app::Weighing => Weighing {
         id powder target_mg tolerance_lower_mg tolerance_upper_mg policy parameter_set seed
         dispensed_mg reading_mg error_mg shakes seconds error
     } {
+        under: w.under.map(Into::into),
         state: proto::WeighingState::from(w.state).into(),
         outcome: w.outcome.map(|outcome| proto::Outcome::from(outcome).into()),
         created_at: at(w.created_at),
@@ -307,6 +322,11 @@ pub fn all<T: Into<W>, W>(items: Vec<T>) -> Vec<W> {
 /// `None` for an empty list: proto3 cannot tell the two apart, and no list of ours may be empty.
 pub fn given<T>(items: Vec<T>) -> Option<Vec<T>> {
     if items.is_empty() { None } else { Some(items) }
+}
+
+/// Conditions as they come over the wire, numbers as text.
+pub fn conditions(typed: std::collections::HashMap<String, String>) -> Conditions {
+    typed.into_iter().map(|(name, value)| (name, Condition::typed(&value))).collect()
 }
 
 /// The page asked for; the first one if none is.

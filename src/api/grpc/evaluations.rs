@@ -1,6 +1,6 @@
 //! `flip.v1.Evaluations`.
 
-use super::convert::{all, given, page};
+use super::convert::{all, conditions, given, page};
 use super::proto::*;
 use super::{Service, read, write};
 use crate::app::EvaluationRequest;
@@ -24,6 +24,8 @@ impl evaluations_server::Evaluations for Service {
             particles: asked.particles,
             extensions: asked.extensions.into_iter().collect(),
             seed: asked.seed,
+            simulator: asked.simulator,
+            conditions: conditions(asked.conditions),
         };
         Ok(Response::new(self.app.start_evaluation(request).await?.into()))
     }

@@ -12,8 +12,9 @@ impl investigations_server::Investigations for Service {
         &self,
         request: Request<StartInvestigationRequest>,
     ) -> Result<Response<StartJobResponse>, Status> {
-        let StartInvestigationRequest { measurements_csv, simulations, seed } = write(request)?;
-        let request = InvestigationRequest { measurements_csv, simulations, seed };
+        let StartInvestigationRequest { measurements_csv, traces_csv, simulations, seed, budget_runs } =
+            write(request)?;
+        let request = InvestigationRequest { measurements_csv, traces_csv, simulations, budget_runs, seed };
         Ok(Response::new(self.app.start_investigation(request).await?.into()))
     }
 

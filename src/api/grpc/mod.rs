@@ -7,6 +7,7 @@ mod investigations;
 mod jobs;
 mod policies;
 mod powders;
+mod simulators;
 pub mod status;
 mod trainings;
 mod weighings;
@@ -27,6 +28,7 @@ use proto::investigations_server::InvestigationsServer;
 use proto::jobs_server::JobsServer;
 use proto::policies_server::PoliciesServer;
 use proto::powders_server::PowdersServer;
+use proto::simulators_server::SimulatorsServer;
 use proto::trainings_server::TrainingsServer;
 use proto::weighings_server::WeighingsServer;
 use tokio_util::sync::CancellationToken;
@@ -43,7 +45,7 @@ pub mod proto {
 const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/flip.v1.bin"));
 
 /// Names that the health service knows; the empty one is the whole service.
-const SERVICES: [&str; 9] = [
+const SERVICES: [&str; 10] = [
     "",
     "flip.v1.Powders",
     "flip.v1.Calibrations",
@@ -51,6 +53,7 @@ const SERVICES: [&str; 9] = [
     "flip.v1.Policies",
     "flip.v1.Evaluations",
     "flip.v1.Investigations",
+    "flip.v1.Simulators",
     "flip.v1.Weighings",
     "flip.v1.Jobs",
 ];
@@ -88,6 +91,7 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         .add_service(limited!(PoliciesServer))
         .add_service(limited!(EvaluationsServer))
         .add_service(limited!(InvestigationsServer))
+        .add_service(limited!(SimulatorsServer))
         .add_service(limited!(WeighingsServer))
         .add_service(limited!(JobsServer))
         .into_axum_router()

@@ -1,6 +1,6 @@
 //! `flip.v1.Weighings`.
 
-use super::convert::{all, page};
+use super::convert::{all, conditions, page};
 use super::proto::*;
 use super::{EventStream, Service, after, read, watch, write};
 use crate::app;
@@ -22,6 +22,8 @@ impl weighings_server::Weighings for Service {
             tolerance: tolerance(asked.tolerance)?,
             policy: asked.policy,
             seed: asked.seed,
+            simulator: asked.simulator,
+            conditions: conditions(asked.conditions),
         };
         let (weighing, replayed) = self.app.start_weighing(request, &asked.idempotency_key).await?;
         Ok(Response::new(StartWeighingResponse { weighing: Some(weighing.into()), replayed }))

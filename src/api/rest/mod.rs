@@ -59,6 +59,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(investigations::download_predictions))
         .routes(routes!(investigations::get_report_page))
         .routes(routes!(simulators::list_simulators))
+        .routes(routes!(simulators::get_current_simulator, simulators::choose_simulator))
         .routes(routes!(simulators::get_simulator))
         .routes(routes!(simulators::predict))
         .routes(routes!(weighings::list_weighings, weighings::start_weighing))

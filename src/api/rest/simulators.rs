@@ -1,11 +1,11 @@
-//! `/v1/simulators`: versions of the simulator that investigations made.
+//! `/v1/simulators`: versions of the simulator that investigations made, and which of them is current.
 
 use super::csv_file;
 use super::extract::{Input, Path, Query};
 use super::list::{ListParams, respond};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::app::{App, Page, PredictionRequest, SimulatorVersion, predictions_csv};
+use crate::app::{App, ChosenSimulator, CurrentSimulator, Page, PredictionRequest, SimulatorVersion, predictions_csv};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
@@ -34,11 +34,31 @@ pub async fn get_simulator(
     Ok(Json(app.simulator(&id).await?))
 }
 
+/// The version that is taken where none is named: the base until somebody has chosen.
+#[utoipa::path(get, path = "/v1/simulators/current", tag = "investigations",
+    responses((status = 200, description = "The current version", body = CurrentSimulator)))]
+pub async fn get_current_simulator(_: Viewer, State(app): State<App>) -> Result<Json<CurrentSimulator>, Problem> {
+    Ok(Json(app.current_simulator().await?))
+}
+
+/// Make a version current, or roll back to another or to the base.
+///
+/// Versions themselves never change. To choose what is current already changes nothing.
+#[utoipa::path(put, path = "/v1/simulators/current", tag = "investigations", request_body = ChosenSimulator,
+    responses((status = 200, description = "The current version", body = CurrentSimulator)))]
+pub async fn choose_simulator(
+    _: Operator,
+    State(app): State<App>,
+    Input(chosen): Input<ChosenSimulator>,
+) -> Result<Json<CurrentSimulator>, Problem> {
+    Ok(Json(app.choose_simulator(&chosen).await?))
+}
+
 /// Predict the angles of rows that nobody measured.
 ///
 /// Columns of the answer as in an investigation's `predict.csv`.
 #[utoipa::path(post, path = "/v1/simulators/{id}/predictions", tag = "investigations",
-    request_body = PredictionRequest, params(("id" = String, Path, description = "Version, `sv-…`")),
+    request_body = PredictionRequest, params(("id" = String, Path, description = "Version, `sv-…`, or `current`")),
     responses((status = 200, description = "A row for each row", body = String, content_type = "text/csv")))]
 pub async fn predict(
     _: Operator,

@@ -4,6 +4,7 @@
 //! mod.rs         the page: sentence and verdict first, provenance last
 //! sections.rs    what stands between them
 //! gain.rs        before and after
+//! traces.rs      what balance readings say by themselves
 //! figures.rs     SVG
 //! words.rs       names, numbers and units; everything from a file is escaped there
 //! style.css      light, dark, phone and paper
@@ -14,14 +15,15 @@
 mod figures;
 mod gain;
 mod sections;
+mod traces;
 mod words;
 
 #[cfg(test)]
 mod tests;
 
 use crate::discover::Report;
-use crate::discover::report::{FormClass, Verdict};
-use words::{cause, chance, column, counted, duration, listed, lower, text};
+use crate::discover::report::{Channel, Verdict};
+use words::{cause, chance, column, counted, duration, form, listed, lower, text};
 
 /// Content security policy: the page's own style, and nothing else.
 pub const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
@@ -35,6 +37,7 @@ pub fn html(report: &Report) -> String {
         sections::residuals(report),
         sections::evidence(report),
         sections::by_powder(report),
+        traces::traces(report),
         gain::before_after(report),
         sections::blind_spots(report),
         sections::null_check(report),
@@ -82,6 +85,15 @@ fn first(report: &Report) -> String {
 }
 
 fn meaning(report: &Report) -> String {
+    let has_traces = report.traces.as_ref().is_some_and(|it| it.verdict != Verdict::NoDiscrepancy);
+    let has_angles = !has_traces
+        || report.findings.iter().any(|it| it.channel != Channel::Trace)
+        || report.unexplained.as_ref().is_some_and(|it| it.covariate.is_some());
+    let what = match (has_angles, has_traces) {
+        (true, false) => "The measured angles",
+        (false, _) => "The balance readings",
+        (true, true) => "The measured angles and the balance readings",
+    };
     match report.verdict {
         Verdict::NoDiscrepancy => {
             "These data do not show that the simulation is wrong. That is no proof that it is right: \
@@ -89,9 +101,10 @@ fn meaning(report: &Report) -> String {
                 .to_owned()
         }
         Verdict::Cause => {
-            "The measured angles depart from the simulation, and the catalogue has a cause that explains how. \
-                           A good explanation is not a proof: only an experiment that changes the cause is."
-                .to_owned()
+            format!(
+                "{what} depart from the simulation, and the catalogue has a cause that explains how. \
+                 A good explanation is not a proof: only an experiment that changes the cause is."
+            )
         }
         Verdict::Ambiguous => {
             let names: Vec<String> = report
@@ -105,9 +118,7 @@ fn meaning(report: &Report) -> String {
             };
             let next =
                 if report.suggested_experiment.is_some() { " The experiment below would tell most." } else { "" };
-            format!(
-                "The measured angles depart from the simulation, but this campaign cannot tell between {between}.{next}"
-            )
+            format!("{what} depart from the simulation, but these data cannot tell between {between}.{next}")
         }
         Verdict::Unexplained => {
             let law = report.unexplained.as_ref().map_or(String::new(), |it| {
@@ -115,21 +126,10 @@ fn meaning(report: &Report) -> String {
                     Some(name) => format!("It depends on <strong>{}</strong>", text(&lower(&column(name).0))),
                     None => "Nothing that was recorded explains it".to_owned(),
                 };
-                format!(" {on}. Its law ({}): {}.", form(it.form_class), text(it.law.trim_end_matches('.')))
+                format!(" {on}. Its law ({}): {}.", form(it.form_class.name()), text(it.law.trim_end_matches('.')))
             });
-            format!("The measured angles depart from the simulation, and no cause of the catalogue explains how.{law}")
+            format!("{what} depart from the simulation, and no cause of the catalogue explains how.{law}")
         }
-    }
-}
-
-fn form(class: FormClass) -> &'static str {
-    match class {
-        FormClass::Linear => "a straight line",
-        FormClass::Power => "a power",
-        FormClass::Threshold => "a step",
-        FormClass::Saturating => "towards a limit",
-        FormClass::Periodic => "a wave",
-        FormClass::Smooth => "smooth, of no simpler form",
     }
 }
 
@@ -150,6 +150,9 @@ fn provenance(report: &Report) -> String {
         ("Simulations", report.simulator_runs.to_string()),
         ("Simulated campaigns without an effect", report.null_check.campaigns.to_string()),
     ];
+    if let Some(numerics) = &report.numerics {
+        facts.push(("The simulator's own numerics", words::numerics(numerics)));
+    }
     if !report.rows.is_empty() {
         let powders = counted(figures::powders(&report.rows).len(), "powder");
         facts.push(("Rows with an angle", format!("{measured} <small>of {}, {powders}</small>", report.rows.len())));

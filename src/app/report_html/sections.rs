@@ -1,9 +1,10 @@
 //! The parts of a report below its sentence. A part without anything to say is empty.
 
 use super::figures::{self, bar};
+use super::traces::is_of_traces;
 use super::words::{
-    cause, chance, column, column_with_unit, counted, decimals_of, duration, interval, lower, num, parameter, percent,
-    signed, span, text, with_unit, words,
+    cause, chance, column, column_with_unit, counted, decimals_of, duration, interval, level, lower, num, parameter,
+    percent, signed, span, text, with_unit, words,
 };
 use crate::discover::Mechanism;
 use crate::discover::report::{CauseReport, Channel, Experiment, Finding, PowderEffect, Report, Verdict};
@@ -99,10 +100,8 @@ pub fn evidence(report: &Report) -> String {
     let finite = |it: &f64| it.is_finite();
     let weights = || report.evidence.iter().map(|it| it.log10_evidence).filter(finite);
     let (low, high) = (weights().fold(0.0, f64::min), weights().fold(1.0, f64::max));
-    let judged: String = report
-        .evidence
-        .iter()
-        .map(|it| {
+    let bars_of = |of_traces: bool| -> String {
+        let line = |it: &crate::discover::report::Evidence| {
             let class = if it.log10_evidence < 0.0 { "against" } else { "weight" };
             let family = it.family.as_deref().map_or(String::new(), |family| text(&lower(&words(family))));
             row(
@@ -114,8 +113,9 @@ pub fn evidence(report: &Report) -> String {
                         + &format!("<span class=\"number\">{}</span>", percent(it.inclusion_probability)),
                 ],
             )
-        })
-        .collect();
+        };
+        report.evidence.iter().filter(|it| is_of_traces(&it.cause) == of_traces).map(line).collect()
+    };
     let untestable: String = report
         .untestable
         .iter()
@@ -128,14 +128,20 @@ pub fn evidence(report: &Report) -> String {
             )
         })
         .collect();
-    if judged.is_empty() && untestable.is_empty() {
+    let (angles, traces) = (bars_of(false), bars_of(true));
+    if angles.is_empty() && traces.is_empty() && untestable.is_empty() {
         return String::new();
     }
-    let bars = table(
-        "evidence",
-        &[">Cause and its family", "Evidence (log10)", "Probability"],
-        &format!("{judged}{untestable}"),
-    );
+    let bars = |rows: &str| table("evidence", &[">Cause and its family", "Evidence (log10)", "Probability"], rows);
+    let bars = match (angles.as_str(), traces.as_str()) {
+        (_, "") => bars(&format!("{angles}{untestable}")),
+        ("", _) => bars(&format!("{traces}{untestable}")),
+        _ => format!(
+            "<h3>Angles of repose</h3>{}<h3>Balance readings</h3>{}",
+            bars(&angles),
+            bars(&format!("{traces}{untestable}"))
+        ),
+    };
     section(
         "How well each cause explains the data",
         "Evidence: 0 is noise alone, 1 explains the data ten times as well, 2 a hundred times; below 0 noise alone does better. \
@@ -157,11 +163,6 @@ fn causes(report: &Report) -> String {
 }
 
 fn told(it: &CauseReport) -> String {
-    let level = match it.confidence_level {
-        1 => "its pattern is in the data",
-        2 => "the simulator extended by it predicts better what it was not fitted to",
-        _ => "an intervention confirmed it",
-    };
     let powders: Vec<String> = it.powders.iter().map(|name| text(&lower(&words(name)))).collect();
     let shown = match powders.as_slice() {
         [] => String::new(),
@@ -178,15 +179,16 @@ fn told(it: &CauseReport) -> String {
     };
     let parameters: String = it.parameters.iter().map(parameter).collect();
     format!(
-        "<li><strong>{}</strong>, {}. Level {} of 3: {level}.{shown}{parameters}</li>",
+        "<li><strong>{}</strong>, {}. Level {} of 3: {}.{shown}{parameters}</li>",
         text(&cause(&it.mechanism)),
         percent(it.inclusion_probability),
-        it.confidence_level
+        it.confidence_level,
+        level(it.confidence_level)
     )
 }
 
 pub fn by_powder(report: &Report) -> String {
-    let findings = &report.findings;
+    let findings: Vec<&Finding> = report.findings.iter().filter(|it| it.channel != Channel::Trace).collect();
     if findings.is_empty() {
         return String::new();
     }
@@ -211,7 +213,7 @@ pub fn by_powder(report: &Report) -> String {
             line(&text(&words(powder)), &cells(&of))
         })
         .collect();
-    let headings: Vec<String> = findings.iter().map(heading).collect();
+    let headings: Vec<String> = findings.iter().map(|it| heading(it)).collect();
     let mut columns = vec![">Powder"];
     columns.extend(headings.iter().map(String::as_str));
     section(
@@ -259,6 +261,10 @@ pub fn blind_spots(report: &Report) -> String {
 }
 
 pub fn null_check(report: &Report) -> String {
+    // Balance readings have their own.
+    if report.traces.as_ref().is_some_and(|it| it.null_check == report.null_check) {
+        return String::new();
+    }
     let check = &report.null_check;
     let mut content = String::new();
     if check.campaigns > 0 {
@@ -287,18 +293,20 @@ pub fn null_check(report: &Report) -> String {
 
 pub fn experiment(report: &Report) -> String {
     let Some(it) = &report.suggested_experiment else { return String::new() };
+    section("The next experiment", "What would tell most. Do the runs in this order.", &experiment_card(it))
+}
+
+pub(super) fn experiment_card(it: &Experiment) -> String {
+    let share = |what: &str, of: Option<f64>, note: &str| {
+        of.map_or(String::new(), |of| format!("<div><dt>{what}</dt><dd>{}{note}</dd></div>", percent(of)))
+    };
     let facts = format!(
-        "<dl class=\"facts\"><div><dt>Time it takes</dt><dd>{}</dd></div><div><dt>Chance that it settles the cause</dt><dd>{}</dd>\
-         </div><div><dt>Probability of the right cause after it</dt><dd>{} <small>on average</small></dd></div></dl>",
+        "<dl class=\"facts\"><div><dt>Time it takes</dt><dd>{}</dd></div>{}{}</dl>",
         duration(60.0 * it.minutes),
-        percent(it.chance_of_resolution),
-        percent(it.expected_posterior)
+        share("Chance that it settles the cause", it.chance_of_resolution, ""),
+        share("Probability of the right cause after it", it.expected_posterior, " <small>on average</small>")
     );
-    section(
-        "The next experiment",
-        "What would tell most. Do the runs in this order.",
-        &format!("<div class=\"card\"><p><strong>{}</strong></p>{facts}</div>{}", text(&it.what), runs(it)),
-    )
+    format!("<div class=\"card\"><p><strong>{}</strong></p>{facts}</div>{}", text(&it.what), runs(it))
 }
 
 fn runs(experiment: &Experiment) -> String {

@@ -1,12 +1,13 @@
 use super::figures::Scale;
 use super::html;
 use super::words::{cause, chance, column_with_unit, duration, interval, num, percent, signed, span, with_unit};
-use crate::discover::Report;
+use crate::discover::numerics::{Dependence, Varied};
 use crate::discover::report::{
     CauseReport, Channel, Coverage, Curve, Detectable, Evidence, Experiment, Finding, FormClass, Gain, HeldOut,
-    LogScore, NullCheck, ParameterReport, PowderEffect, Row, SCHEMA_VERSION, SimulatorVersions, Unexplained,
+    LogScore, NullCheck, Numerics, ParameterReport, PowderEffect, Row, SCHEMA_VERSION, SimulatorVersions, Unexplained,
     UntestableReport, Verdict, WeighingGain,
 };
+use crate::discover::{FitSet, Report};
 use std::collections::BTreeMap;
 
 /// Nothing but a verdict.
@@ -30,6 +31,8 @@ fn bare(verdict: Verdict) -> Report {
         null_check: NullCheck { campaigns: 0, statistic: 0.0, threshold95: 0.0 },
         rows: Vec::new(),
         curves: Vec::new(),
+        numerics: None,
+        traces: None,
         simulator_runs: 0,
         wall_s: 0.0,
     }
@@ -81,8 +84,8 @@ fn full(verdict: Verdict, word: &str) -> Report {
             what: owned(),
             runs: vec![BTreeMap::from([("powder".to_owned(), owned()), (owned(), owned())])],
             minutes: 90.0,
-            chance_of_resolution: 0.88,
-            expected_posterior: 0.92,
+            chance_of_resolution: Some(0.88),
+            expected_posterior: Some(0.92),
         }),
         simulator_version: SimulatorVersions { base: owned(), extended: Some(owned()), verified: true },
         gain: Some(Gain {
@@ -128,6 +131,19 @@ fn full(verdict: Verdict, word: &str) -> Report {
             },
         ],
         rows,
+        numerics: Some(Numerics {
+            set: FitSet { powder: owned(), set: owned(), source: owned() },
+            dependences: vec![
+                Dependence {
+                    varied: Varied::SettlingTime,
+                    slope_deg: -0.81,
+                    ci99: [-1.2, -0.42],
+                    is_defect: true,
+                    runs: 9,
+                },
+                Dependence { varied: Varied::Substep, slope_deg: 0.11, ci99: [-0.5, 0.7], is_defect: false, runs: 6 },
+            ],
+        }),
         simulator_runs: 160,
         wall_s: 900.0,
         ..bare(verdict)

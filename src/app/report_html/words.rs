@@ -1,4 +1,9 @@
-//! How a report writes names and numbers. Everything that comes from a file passes through [`text`].
+//! How a report writes names and numbers. Everything that comes from a file passes through [`text`], names too: they come unescaped.
+
+pub use crate::discover::names::{cause, column, form, level, lower, parameter, with_unit, words};
+
+use crate::discover::numerics::{Dependence, Varied};
+use crate::discover::report::Numerics;
 
 /// Text as HTML: nothing in it is markup, and no control character is left.
 pub fn text(raw: &str) -> String {
@@ -16,6 +21,27 @@ pub fn text(raw: &str) -> String {
         }
     }
     out
+}
+
+/// What simulated heaps say of how they are computed, on one line.
+pub fn numerics(of: &Numerics) -> String {
+    let told = |it: &Dependence| {
+        let (what, per) = match it.varied {
+            Varied::SettlingTime => ("settling time", "a decade"),
+            Varied::Substep => ("substep", "a doubling"),
+            Varied::Particles => ("grains", "a doubling"),
+        };
+        let verdict = match (it.is_defect, it.varied) {
+            (true, Varied::SettlingTime) => ": heaps creep",
+            (true, _) => ": a defect",
+            (false, _) => "",
+        };
+        let ends = it.ci99.map(|end| signed(end, 1));
+        format!("{what} {} deg {per} [{}, {}]{verdict}", signed(it.slope_deg, 1), ends[0], ends[1])
+    };
+    let all: Vec<String> = of.dependences.iter().map(told).collect();
+    let heaps: u32 = of.dependences.iter().map(|it| it.runs).sum();
+    format!("{} <small>{heaps} heaps of {}, 99 % intervals</small>", all.join("; "), text(&of.set.source))
 }
 
 /// At most so many letters.
@@ -83,15 +109,6 @@ pub fn percent(share: f64) -> String {
     }
 }
 
-/// Degrees stand at their number, other units after a space. `unit` is HTML.
-pub fn with_unit(number: &str, unit: &str) -> String {
-    match unit {
-        "" | "1" => number.to_owned(),
-        "deg" | "°" => format!("{number}°"),
-        unit => format!("{number} {unit}"),
-    }
-}
-
 /// Seconds, or minutes, or hours.
 pub fn duration(seconds: f64) -> String {
     match seconds {
@@ -99,57 +116,6 @@ pub fn duration(seconds: f64) -> String {
         s if s < 7200.0 => format!("{} min", num(s / 60.0, 0)),
         s => format!("{} h", num(s / 3600.0, 1)),
     }
-}
-
-/// `sodium_bicarbonate` as words; not escaped yet.
-pub fn words(name: &str) -> String {
-    let spaced = name.replace(['_', '-'], " ");
-    let mut letters = spaced.chars();
-    match letters.next() {
-        Some(first) => first.to_uppercase().chain(letters).collect(),
-        None => spaced,
-    }
-}
-
-/// Endings of columns, longest first, and their units.
-const UNITS: [(&str, &str); 18] = [
-    ("_m_s2", "m/s²"),
-    ("_pct", "%"),
-    ("_deg", "°"),
-    ("_min", "min"),
-    ("_hpa", "hPa"),
-    ("_kpa", "kPa"),
-    ("_mm", "mm"),
-    ("_um", "µm"),
-    ("_mg", "mg"),
-    ("_ms", "ms"),
-    ("_pa", "Pa"),
-    ("_hz", "Hz"),
-    ("_c", "°C"),
-    ("_d", "d"),
-    ("_g", "g"),
-    ("_h", "h"),
-    ("_s", "s"),
-    ("_v", "V"),
-];
-
-/// Columns whose names are not the words that a chemist would use.
-const COLUMNS: [(&str, &str); 6] = [
-    ("rest_min", "Time at rest"),
-    ("container_age_d", "Time since opening"),
-    ("vibration_rms_m_s2", "Vibration (rms)"),
-    ("plate", "Base plate"),
-    ("ioniser_on", "Ioniser"),
-    ("method", "Method of measuring"),
-];
-
-/// What a column holds, and in which unit; not escaped yet.
-pub fn column(name: &str) -> (String, &'static str) {
-    let unit = UNITS.iter().find(|(ending, _)| name.len() > ending.len() && name.ends_with(ending));
-    let stem = unit.map_or(name, |(ending, _)| name.strip_suffix(ending).unwrap_or(name));
-    let label =
-        COLUMNS.iter().find(|(column, _)| *column == name).map_or_else(|| words(stem), |(_, it)| (*it).to_owned());
-    (label, unit.map_or("", |(_, unit)| unit))
 }
 
 /// `Relative humidity (%)`; not escaped yet.
@@ -160,52 +126,9 @@ pub fn column_with_unit(name: &str) -> String {
     }
 }
 
-/// Causes whose names are not the words that a chemist would use.
-const CAUSES: [(&str, &str); 14] = [
-    ("rest_time", "Consolidation at rest"),
-    ("densification", "Densification by shaking"),
-    ("humid_ageing", "Ageing at rest in humid air"),
-    ("container_age", "Ageing since opening"),
-    ("batch", "Batch or grain size"),
-    ("polydispersity", "Spread of grain sizes"),
-    ("rolling_resistance", "Grain shape (rolling resistance)"),
-    ("charge", "Electrostatic charge"),
-    ("balance_static", "Charge at the balance"),
-    ("spoon_holdup", "Powder held up on the spoon"),
-    ("method_bias", "Bias of the measuring method"),
-    ("operator", "Operator"),
-    ("base_friction", "Friction of the base plate"),
-    ("order", "Order in the session"),
-];
-
-/// A cause in words; not escaped yet.
-pub fn cause(name: &str) -> String {
-    if let Some(covariate) = name.strip_prefix("unknown: ") {
-        return format!("Unknown cause, with {}", lower(&column(covariate).0));
-    }
-    match name {
-        "unrecorded" => "Unknown cause, with nothing recorded".to_owned(),
-        name => CAUSES.iter().find(|(cause, _)| *cause == name).map_or_else(|| words(name), |(_, it)| (*it).to_owned()),
-    }
-}
-
-/// A fitted number in words; not escaped yet.
-pub fn parameter(name: &str) -> String {
-    match name {
-        "effect_5_95" => "Change from the 5th to the 95th percentile".to_owned(),
-        name => words(name),
-    }
-}
-
 /// From where to where, without the condition that stands above it; not escaped yet.
 pub fn span<'a>(span: &'a str, label: &str) -> &'a str {
     span.strip_suffix(&lower(label)).map_or(span, str::trim_end)
-}
-
-/// Begins small, for the middle of a sentence.
-pub fn lower(phrase: &str) -> String {
-    let mut letters = phrase.chars();
-    letters.next().map_or_else(String::new, |first| first.to_lowercase().chain(letters).collect())
 }
 
 /// `a`, `a and b`, `a, b and c`.

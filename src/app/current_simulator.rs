@@ -1,0 +1,86 @@
+//! Which version of the simulator is taken where none is named. Versions never change: to roll back is to choose another.
+
+use super::{App, Result};
+use crate::domain::FieldError;
+use crate::domain::timestamp::Timestamp;
+use crate::jobs::SIMULATOR;
+use crate::store::current_simulator::Choice;
+use crate::store::simulators::SimulatorVersion;
+use serde::{Deserialize, Serialize};
+
+/// The simulator that no investigation extended.
+pub const BASE: &str = "base";
+/// Whichever version is current.
+pub const CURRENT: &str = "current";
+
+/// The version that is taken where none is named.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct CurrentSimulator {
+    /// `base`, or a version, `sv-…`.
+    pub simulator: String,
+    /// Name of the base, as versions that extend it have it.
+    pub base: String,
+    /// When it was chosen; absent while nobody has, and the base is current.
+    pub chosen_at: Option<Timestamp>,
+    /// What was current before, and can be chosen again; absent while nobody has chosen.
+    pub before: Option<String>,
+}
+
+/// Which version to take from now on where none is named.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ChosenSimulator {
+    /// `base`, or a version, `sv-…`.
+    pub simulator: String,
+}
+
+impl App {
+    /// The current version: the base until somebody has chosen.
+    pub async fn current_simulator(&self) -> Result<CurrentSimulator> {
+        let choices = self.store().simulator_choices().await?;
+        let name = |choice: &Choice| choice.version.clone().unwrap_or_else(|| BASE.to_owned());
+        let newest = choices.first();
+        Ok(CurrentSimulator {
+            simulator: newest.map_or_else(|| BASE.to_owned(), name),
+            base: SIMULATOR.to_owned(),
+            chosen_at: newest.map(|newest| newest.chosen_at),
+            before: newest.map(|_| choices.get(1).map_or_else(|| BASE.to_owned(), name)),
+        })
+    }
+
+    /// Make a version current, or the base. Chosen again, it stays as it is.
+    ///
+    /// # Errors
+    /// `Invalid`: no such version; `Unavailable` where the data folder was opened to read only.
+    pub async fn choose_simulator(&self, chosen: &ChosenSimulator) -> Result<CurrentSimulator> {
+        let version = (chosen.simulator != BASE).then_some(chosen.simulator.as_str());
+        if let Some(id) = version.filter(|id| *id != SIMULATOR)
+            && self.store().simulator(id).await?.is_none()
+        {
+            let advice =
+                format!("must be `{BASE}` or a version that is there, got `{id}`: `flip discover versions` lists them");
+            return Err(FieldError::new("simulator", advice).into());
+        }
+        let mut tx = self.store().write().await?;
+        tx.choose_simulator(version.filter(|id| *id != SIMULATOR)).await?;
+        tx.commit().await?;
+        self.current_simulator().await
+    }
+
+    /// The version with this id; of `current` the one that is.
+    ///
+    /// # Errors
+    /// `NotFound`; `Invalid` for `current` while that is the base, which knows no cause.
+    pub(super) async fn extended_simulator(&self, id: &str) -> Result<SimulatorVersion> {
+        if id != CURRENT {
+            return self.simulator(id).await;
+        }
+        match self.current_simulator().await?.simulator {
+            base if base == BASE => {
+                let advice = "is the base now, which has one angle for each powder whatever the conditions: name a version, `sv-…`";
+                Err(FieldError::new("simulator", advice).into())
+            }
+            version => self.simulator(&version).await,
+        }
+    }
+}

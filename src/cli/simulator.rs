@@ -1,0 +1,47 @@
+//! Which version of the simulator, and under which conditions: flags that several commands share.
+
+use crate::domain::FieldError;
+use crate::domain::conditions::{Condition, Conditions, Under};
+use std::fmt::Write;
+
+/// A version of the simulator as typed.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(super) struct SimulatorArguments {
+    /// Extended version of the simulator, `sv-…`, that `flip discover` made [default: base].
+    #[arg(long, value_name = "VERSION")]
+    pub(super) simulator: Option<String>,
+    /// What it was like, as in `relative_humidity_pct=65` or `batch=B2`; may be repeated. When calibrating, under which the angle was measured; when
+    /// training, what is held; when evaluating or weighing, on the bench.
+    #[arg(long, value_name = "NAME=VALUE", requires = "simulator")]
+    condition: Vec<String>,
+}
+
+impl SimulatorArguments {
+    /// The conditions; of one name the last counts.
+    ///
+    /// # Errors
+    /// A flag without a name and a value.
+    pub(super) fn conditions(&self) -> Result<Conditions, FieldError> {
+        let condition = |flag: &String| match flag.split_once('=') {
+            Some((name, value)) if !name.is_empty() && !value.is_empty() => {
+                Ok((name.to_owned(), Condition::typed(value)))
+            }
+            _ => {
+                let advice = format!(
+                    "must be a name, an equals sign and a value, as in `relative_humidity_pct=65`, got `{flag}`"
+                );
+                Err(FieldError::new("condition", advice))
+            }
+        };
+        self.condition.iter().map(condition).collect()
+    }
+}
+
+/// As a line of text says it.
+pub(super) fn words(under: &Under) -> String {
+    let mut text = format!("simulator {}", under.simulator);
+    for (name, condition) in &under.conditions {
+        let _ = write!(text, ", {name} {condition}");
+    }
+    text
+}
