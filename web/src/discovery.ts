@@ -1,36 +1,14 @@
 /** The words of an investigation: columns, causes, verdicts. */
 import type { Curve, Finding, Report } from './api/types'
 import { num, words } from './format'
+import names from './names.json'
 
-/** Endings of columns, longest first, and their units. */
-const UNITS: [string, string][] = [['_m_s2', 'm/s²'], ['_pct', '%'], ['_deg', '°'], ['_min', 'min'], ['_hpa', 'hPa'], ['_kpa', 'kPa'], ['_mm', 'mm'], ['_um', 'µm'], ['_mg', 'mg'], ['_ms', 'ms'], ['_pa', 'Pa'], ['_hz', 'Hz'], ['_c', '°C'], ['_d', 'd'], ['_g', 'g'], ['_h', 'h'], ['_s', 's'], ['_v', 'V']]
-/** Columns whose names are not the words that a chemist would use. */
-const COLUMNS: Record<string, string> = {
-  rest_min: 'Time at rest',
-  container_age_d: 'Time since opening',
-  vibration_rms_m_s2: 'Vibration (rms)',
-  plate: 'Base plate',
-  ioniser_on: 'Ioniser',
-  method: 'Method of measuring',
-}
-const CAUSES: Record<string, string> = {
-  rest_time: 'Consolidation at rest',
-  densification: 'Densification by shaking',
-  humid_ageing: 'Ageing at rest in humid air',
-  container_age: 'Ageing since opening',
-  batch: 'Batch or grain size',
-  polydispersity: 'Spread of grain sizes',
-  rolling_resistance: 'Grain shape (rolling resistance)',
-  charge: 'Electrostatic charge',
-  balance_static: 'Charge at the balance',
-  spoon_holdup: 'Powder held up on the spoon',
-  method_bias: 'Bias of the measuring method',
-  base_friction: 'Friction of the base plate',
-  order: 'Order in the session',
-  unrecorded: 'Unknown cause, with nothing recorded',
-}
-const FORMS: Record<string, string> = { linear: 'a straight line', power: 'a power', threshold: 'a step', saturating: 'towards a limit', periodic: 'a wave', smooth: 'smooth, of no simpler form' }
-const LEVELS = ['', 'its pattern is in the data', 'the simulator extended by it predicts better what it was not fitted to', 'an intervention confirmed it']
+/** Made from the service's own names, which its reports use: `names.rs`. */
+const UNITS = names.units as [string, string][]
+const COLUMNS: Record<string, string> = names.columns
+const CAUSES: Record<string, string> = names.causes
+const FORMS: Record<string, string> = names.forms
+const PARAMETERS: Record<string, string> = names.parameters
 
 /** What a column holds, and in which unit. */
 export function columnOf(name: string): { label: string; unit: string } {
@@ -42,15 +20,15 @@ export function columnName(name: string): string {
   const { label, unit } = columnOf(name)
   return unit ? `${label} (${unit})` : label
 }
-const lower = (phrase: string) => phrase.charAt(0).toLowerCase() + phrase.slice(1)
+export const lower = (phrase: string) => phrase.charAt(0).toLowerCase() + phrase.slice(1)
 
 export function causeName(name: string): string {
   const covariate = name.startsWith('unknown: ') ? name.slice(9) : ''
   return covariate ? `Unknown cause, with ${lower(columnOf(covariate).label)}` : (CAUSES[name] ?? words(name))
 }
 /** A fitted number in words. */
-export const parameterName = (name: string) => (name === 'effect_5_95' ? 'Change from the 5th to the 95th percentile' : words(name))
-export const levelName = (level: number) => LEVELS[level] ?? ''
+export const parameterName = (name: string) => PARAMETERS[name] ?? words(name)
+export const levelName = (level: number) => names.levels[level - 1] ?? ''
 
 /** What a finding changes with, and from where to where. */
 export function findingName({ covariate, span }: Finding): string {
@@ -72,7 +50,10 @@ export const withUnit = (number: string, unit: string) => (unit === 'deg' || uni
 
 /** What a verdict means and what it does not. */
 export function meaning(report: Report): string {
-  const depart = 'The measured angles depart from the simulation'
+  const angles = report.findings.some((finding) => finding.channel !== 'trace')
+  const readings = report.traces != null && report.traces.verdict !== 'no_discrepancy'
+  const what = !readings ? 'measured angles' : angles ? 'measured angles and the balance readings' : 'balance readings'
+  const depart = `The ${what} depart from the simulation`
   switch (report.verdict) {
     case 'no_discrepancy':
       return 'These data do not show that the simulation is wrong. That is no proof that it is right: see below which effects this campaign would have found, and which it cannot show.'

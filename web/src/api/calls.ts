@@ -66,6 +66,11 @@ export const startInvestigation = (request: T.InvestigationRequest) => body(clie
 /** What the simulator predicts of every row of the file, before and after. */
 export const predictions = (id: string): Promise<string> => body(client.GET('/v1/investigations/{id}/predict.csv', { params: at(id), parseAs: 'text' }))
 
+export const simulators = (query: Query = {}) => body(client.GET('/v1/simulators', { params: { query } }))
+export const currentSimulator = () => body(client.GET('/v1/simulators/current'))
+/** Makes a version current, or the base. Asked again for the same, nothing changes. */
+export const chooseSimulator = (simulator: string) => body(client.PUT('/v1/simulators/current', { body: { simulator } }))
+
 export const weighings = (query: Query = {}) => body(client.GET('/v1/weighings', { params: { query } }))
 export const weighing = (id: string) => body(client.GET('/v1/weighings/{id}', { params: at(id) }))
 /** The same key with the same request never pours twice. */
