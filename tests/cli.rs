@@ -126,7 +126,7 @@ fn validate_prints_what_it_measured_and_knows_its_checks_by_name() {
 #[test]
 fn bad_input_exits_2_and_names_the_field() {
     let folder = tempfile::tempdir().unwrap();
-    let cases: [(&[&str], &str); 32] = [
+    let cases: [(&[&str], &str); 33] = [
         (&["repose", "--friction", "1.31"], "friction: must be a number from 0 to 1.3"),
         (&["repose", "--cohesion", "NaN"], "cohesion: must be a number from 0 to 1.2"),
         (&["repose", "--particle-diameter-mm", "-1"], "particle_diameter_mm"),
@@ -157,7 +157,8 @@ fn bad_input_exits_2_and_names_the_field() {
         (&["policy", "infer", "--file", "gone.safetensors", "--stdin"], "file: gone.safetensors"),
         (&["discover", "--measurements", "nowhere.csv", "--out", "found"], "measurements: nowhere.csv cannot be read"),
         (&["discover", "--measurements", "m.csv"], "--out"),
-        (&["discover", "--measurements", "m.csv", "--traces", "t.csv", "--out", "found"], "traces: are not read yet"),
+        (&["discover", "--traces", "nowhere.csv", "--out", "found"], "traces: nowhere.csv cannot be read"),
+        (&["discover", "--out", "found"], "--measurements"),
         (&["evaluate", "--extension", "rotation"], "extension: must be a name, an equals sign and a number"),
     ];
     for (arguments, named) in cases {
@@ -239,7 +240,9 @@ fn discover_writes_the_same_files_on_any_number_of_threads() {
         let (data, out) =
             (folder.path().join(format!("data{threads}")), folder.path().join(format!("a/found{threads}")));
         let (file, out_name) = (file.to_str().unwrap(), out.to_str().unwrap());
-        let arguments = ["discover", "--measurements", file, "--simulations", "99", "--out", out_name, "--json"];
+        let (budget, simulations) = (["--budget-runs", "40"], ["--simulations", "99"]);
+        let arguments =
+            [&["discover", "--measurements", file, "--out", out_name, "--json"][..], &budget, &simulations].concat();
         let output = command(&data, &arguments).env("RAYON_NUM_THREADS", threads).output().unwrap();
         expect_status(&output, 0);
         let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
@@ -262,6 +265,46 @@ fn discover_writes_the_same_files_on_any_number_of_threads() {
     assert_eq!(predicted.lines().next(), Some("row,powder,before_deg,before_sd_deg,after_deg,after_sd_deg"));
     assert_eq!(predicted.lines().count(), 73);
     assert!(predicted.lines().nth(3).unwrap().starts_with("4,flour_7,3"), "{predicted}");
+}
+
+#[test]
+fn what_discover_accepts_is_a_simulator_that_other_commands_take() {
+    let folder = tempfile::tempdir().unwrap();
+    let (data, out) = (folder.path().join("data"), folder.path().join("found"));
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/campaigns/humidity.csv");
+    let out = out.to_str().unwrap();
+    let few = ["--simulations", "99", "--budget-runs", "10"];
+    let report =
+        document(&flip(&data, &[&["discover", "--measurements", file, "--out", out, "--json"][..], &few].concat()));
+    // Two powders, five heaps each: ten are too few to criticise the numerics as well.
+    assert_eq!((&report["simulator_runs"], report.get("numerics")), (&json!(10), None), "{}", report["sentence"]);
+    let version = report["simulator_version"]["extended"].as_str().expect("accepted");
+
+    let quick = ["--method", "sequential", "--sets", "1", "--particles", "600", "--tolerance-deg", "4", "--json"];
+    let calibrate = [&["calibrate", "--powder", "sand", "--simulator", version][..], &quick].concat();
+    let powder = document(&flip(&data, &calibrate))["powders"][0].clone();
+    assert_eq!(powder["under"], json!({"simulator": version}));
+    // On the driest day, not on the average one of 28.5 deg.
+    assert!((25.0..28.2).contains(&powder["target_deg"].as_f64().unwrap()), "{powder}");
+
+    let bench = ["--simulator", version, "--condition", "relative_humidity_pct=60"];
+    let evaluate = ["evaluate", "--powders", "sand", "--targets-mg", "5", "--controllers", "fixed", "--repeats", "1"];
+    let evaluated = document(&flip(&data, &[&evaluate[..], &bench, &["--json"]].concat()));
+    let conditions = json!({"relative_humidity_pct": 60.0});
+    assert_eq!(evaluated["under"], json!({"simulator": version, "conditions": conditions}));
+    let weigh = ["weigh", "--powder", "sand", "--target-mg", "5"];
+    let weighed = document(&flip(&data, &[&weigh[..], &bench, &["--json"]].concat()));
+    assert_eq!(weighed["under"]["conditions"], conditions);
+
+    let refused = |arguments: &[&str], named: &str| {
+        let output = flip(&data, arguments);
+        expect_status(&output, 2);
+        assert!(stderr(&output).contains(named), "{named}: {}", stderr(&output));
+    };
+    refused(&[&weigh[..], &bench[..2]].concat(), "conditions.relative_humidity_pct: is missing");
+    refused(&[&weigh[..], &bench[2..]].concat(), "--simulator");
+    refused(&[&weigh[..], &["--simulator", "sv-0"]].concat(), "there is no version `sv-0`");
+    refused(&[&weigh[..], &["--simulator", version, "--condition", "wet"]].concat(), "relative_humidity_pct=65");
 }
 
 #[test]
@@ -310,6 +353,85 @@ fn discover_prints_a_text_and_refuses_a_bad_file_before_anything_is_written() {
         document(&flip(&data, &["jobs", "--kind", "investigation", "--json"]))["items"].as_array().unwrap().len(),
         1
     );
+    a_version_is_used_and_rolled_back(&data, &file);
+}
+
+/// On a data folder with one version of the simulator, and the file that made it.
+fn a_version_is_used_and_rolled_back(data: &Path, file: &Path) {
+    let versions = document(&flip(data, &["discover", "versions", "--json"]));
+    let version = versions[0]["id"].as_str().unwrap();
+    let predict = ["discover", "predict", "--measurements", file.to_str().unwrap()];
+    let refused = flip(data, &predict);
+    expect_status(&refused, 2);
+    assert!(stderr(&refused).contains("simulator: is the base now"), "{}", stderr(&refused));
+    let none = flip(data, &["discover", "use", "sv-0"]);
+    expect_status(&none, 2);
+    assert!(stderr(&none).contains("simulator: must be `base` or a version"), "{}", stderr(&none));
+    for (chosen, before) in [(version, "base"), (version, "base"), ("base", version), (version, "base")] {
+        let now = document(&flip(data, &["discover", "use", chosen, "--json"]));
+        assert_eq!((&now["simulator"], &now["before"]), (&json!(chosen), &json!(before)));
+    }
+    let text = String::from_utf8(flip(data, &["discover", "versions"]).stdout).unwrap();
+    assert!(text.contains(&format!("current: {version} since ")) && text.contains(", before that base"), "{text}");
+    let by_current = flip(data, &predict);
+    expect_status(&by_current, 0);
+    assert_eq!(by_current.stdout, flip(data, &[&predict[..], &["--simulator", version]].concat()).stdout);
+}
+
+/// Sixteen weighings of six shakes, eight readings each, and a log of the empty pan, by a balance that drifts by this many mg/s.
+fn weighings(drift: f64) -> String {
+    let mut text = String::from("weighing_id,t_s,balance_mg,shake_index,kind\n");
+    let noise = |reading: u32| f64::from((reading * 7919 + reading * reading * 31) % 101) / 500.0 - 0.1;
+    for reading in 0..16 * 56_u32 {
+        let (weighing, k) = (reading / 56, reading % 56);
+        let (shake, t) = (k / 8, 0.5 * f64::from(k));
+        let load = f64::from(shake) * (1.5 + 0.02 * f64::from((weighing * 37 + shake * 11) % 23));
+        text += &format!("w{weighing},{t},{:.2},{shake},dose\n", load + drift * t + noise(reading));
+    }
+    let empty = |k: u32| format!("z,{k},{:.2},,zero\n", drift * f64::from(k) + noise(1000 + k));
+    text + &(0..60).map(empty).collect::<String>()
+}
+
+#[test]
+fn discover_reads_balance_readings_alone_and_refuses_a_bad_file_by_row_and_column() {
+    let folder = tempfile::tempdir().unwrap();
+    let (data, file, out) = (folder.path().join("data"), folder.path().join("t.csv"), folder.path().join("found"));
+    let (traces, folder_out) = (file.to_str().unwrap(), out.to_str().unwrap());
+    let arguments = ["discover", "--traces", traces, "--simulations", "99", "--out", folder_out];
+    let few: String = weighings(0.0).lines().take(20).map(|line| format!("{line}\n")).collect();
+    for (text, named) in [
+        (weighings(0.0).replacen("w0,1.5,", "w0,0.5,", 1), "traces.row[5].t_s: runs backwards in weighing `w0`"),
+        (weighings(0.0).replacen("w0,1.5,", "w0,1.5 s,", 1), "traces.row[5].t_s: must be a number"),
+        (weighings(0.0).replacen("balance_mg", "mass", 1), "traces.balance_mg: is missing in the header"),
+        (few, "traces: 19 readings say nothing: at least 30 are needed"),
+    ] {
+        std::fs::write(&file, text).unwrap();
+        let output = flip(&data, &arguments);
+        expect_status(&output, 2);
+        assert!(stderr(&output).contains(named), "{named}: {}", stderr(&output));
+    }
+    assert!(!out.exists());
+    assert_eq!(document(&flip(&data, &["jobs", "--json"]))["items"], json!([]));
+
+    std::fs::write(&file, weighings(0.03)).unwrap();
+    let report = document(&flip(&data, &[&arguments[..], &["--json"]].concat()));
+    assert_eq!(
+        (&report["verdict"], &report["causes"][0]["mechanism"]),
+        (&"cause".into(), &"balance_drift".into()),
+        "{report}"
+    );
+    let finding = &report["findings"][0];
+    assert_eq!((&finding["channel"], &finding["unit"]), (&"trace".into(), &"mg".into()));
+    let rate = &report["causes"][0]["parameters"][1];
+    assert_eq!((&rate["name"], &rate["unit"]), (&"rate".into(), &"mg/s".into()));
+    let [low, high] = [0, 1].map(|k| rate["ci95"][k].as_f64().unwrap());
+    assert!(low < 0.03 && 0.03 < high && low > 0.02 && high < 0.04, "{rate}");
+    assert_eq!((&report["traces"]["weighings"], &report["traces"]["controls"]), (&16.into(), &1.into()));
+    let jobs = document(&flip(&data, &["jobs", "--kind", "investigation", "--json"]));
+    assert_eq!(jobs["items"].as_array().unwrap().len(), 1, "the same again is the same job");
+    let page = std::fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(page.contains("<h2>Balance readings</h2>") && page.contains("the balance drifts"), "{page}");
+    assert_eq!(std::fs::read_to_string(out.join("predict.csv")).unwrap().lines().count(), 1, "there are no angles");
 }
 
 #[test]

@@ -27,6 +27,17 @@ fn the_committed_document_is_the_one_the_code_makes() {
 }
 
 #[test]
+fn the_page_has_the_names_that_the_code_has() {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/web/src/names.json");
+    let made = serde_json::to_string_pretty(&flip::app::names::table()).unwrap() + "\n";
+    if std::env::var_os("UPDATE").is_some() {
+        std::fs::write(file, &made).unwrap();
+    }
+    let committed = std::fs::read_to_string(file).unwrap_or_default();
+    assert!(committed == made, "web/src/names.json is out of date: UPDATE=1 cargo test --release --test api document");
+}
+
+#[test]
 fn every_operation_says_what_it_does_takes_and_answers() {
     let mut ids = Vec::new();
     for (method, path, operation) in operations() {

@@ -39,6 +39,7 @@ fn salt(target_mg: f64, key: &str) -> proto::StartWeighingRequest {
         policy: None,
         idempotency_key: key.into(),
         seed: Some(7),
+        ..Default::default()
     }
 }
 
@@ -222,9 +223,17 @@ async fn health_and_reflection_know_every_service() {
     };
     let names: Vec<_> = services.service.into_iter().map(|service| service.name).collect();
     let mut health = HealthClient::new(channel);
-    for name in
-        ["Powders", "Calibrations", "Trainings", "Policies", "Evaluations", "Investigations", "Weighings", "Jobs"]
-    {
+    for name in [
+        "Powders",
+        "Calibrations",
+        "Trainings",
+        "Policies",
+        "Evaluations",
+        "Investigations",
+        "Simulators",
+        "Weighings",
+        "Jobs",
+    ] {
         let name = format!("flip.v1.{name}");
         assert!(names.contains(&name), "{name} in {names:?}");
         let check = tonic_health::pb::HealthCheckRequest { service: name.clone() };

@@ -11,7 +11,7 @@ use tonic::{Code, Request};
 
 const PATH: &str = "/v1/investigations";
 
-async fn post(service: &Service, body: &Value) -> Response {
+pub async fn post(service: &Service, body: &Value) -> Response {
     let request = service.request("POST", PATH).bearer_auth(service.token(Role::Operator).await);
     request.json(body).send().await.unwrap()
 }
@@ -20,7 +20,7 @@ async fn get(service: &Service, path: &str) -> Value {
     service.get(path).await.json().await.unwrap()
 }
 
-async fn as_operator<T>(service: &Service, message: T) -> Request<T> {
+pub async fn as_operator<T>(service: &Service, message: T) -> Request<T> {
     let mut request = Request::new(message);
     let token = format!("Bearer {}", service.token(Role::Operator).await);
     request.metadata_mut().insert("authorization", token.parse().unwrap());
@@ -28,7 +28,7 @@ async fn as_operator<T>(service: &Service, message: T) -> Request<T> {
 }
 
 /// Twelve days of their own humidity, three runs each of salt and sugar, which pile steeper in damp air: 5 deg from 30 to 70 %, repeats of 1 deg.
-fn humid_campaign() -> String {
+pub fn humid_campaign() -> String {
     let mut text = String::from("powder,repose_deg,session,relative_humidity_pct,operator,remark\n");
     let mut state = 1_u64;
     let mut uniform = || {
@@ -49,7 +49,7 @@ fn humid_campaign() -> String {
 }
 
 /// The investigation once its job has ended well.
-async fn finished(service: &Service, id: &str) -> Value {
+pub async fn finished(service: &Service, id: &str) -> Value {
     for _ in 0..1200 {
         let found = get(service, &format!("{PATH}/{id}")).await;
         match found["job"]["state"].as_str().unwrap() {
@@ -129,6 +129,71 @@ async fn what_is_stored_is_a_campaign_too() {
     assert_eq!(found["report"]["rows"].as_array().unwrap().len(), 10);
 }
 
+/// Ten weighings of five shakes, six readings each, with nothing wrong, as the file has them.
+fn weighings() -> String {
+    let reading = |k: u32| {
+        let (weighing, shake) = (k / 36, k % 36 / 6);
+        let noise = f64::from((k * 7919 + k * k * 31) % 101) / 500.0 - 0.1;
+        let load = f64::from(shake) * (1.4 + 0.03 * f64::from((weighing * 5 + shake * 3) % 13));
+        format!("w{weighing},{},{:.2},{shake},salt\n", k % 36, load + noise)
+    };
+    "weighing_id,t_s,balance_mg,shake_index,powder\n".to_owned() + &(0..360).map(reading).collect::<String>()
+}
+
+#[tokio::test]
+async fn balance_readings_are_judged_alone_and_beside_angles() {
+    let service = Service::start().await;
+    let start = async |body: &Value| {
+        let started = post(&service, body).await;
+        assert_eq!(started.status(), 202);
+        started.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned()
+    };
+    let alone = start(&json!({ "traces_csv": weighings(), "simulations": 99 })).await;
+    let both =
+        start(&json!({ "measurements_csv": humid_campaign(), "traces_csv": weighings(), "simulations": 99 })).await;
+    let mut client = InvestigationsClient::connect(service.url("")).await.unwrap();
+    let request =
+        proto::StartInvestigationRequest { traces_csv: Some(weighings()), simulations: Some(99), ..Default::default() };
+    let again = client.start_investigation(as_operator(&service, request).await).await.unwrap().into_inner();
+    assert_eq!((again.created, again.job.unwrap().id), (false, alone.clone()), "the same over gRPC is the same job");
+
+    let found = finished(&service, &alone).await;
+    assert_eq!((&found["powders"], &found["runs"], &found["weighings"]), (&json!(["salt"]), &json!(0), &json!(10)));
+    let report = &found["report"];
+    assert_eq!((&report["rows"], &report["findings"]), (&json!([]), &json!([])), "{report}");
+    assert_eq!(report["traces"]["shakes"], json!(50));
+    assert_eq!(report["p_value"], report["traces"]["p_value"], "one channel needs no correction");
+    let untestable = report["untestable"].as_array().unwrap().iter().find(|it| it["mechanism"] == "vibration_noise");
+    assert_eq!(untestable.unwrap()["reason"], "vibration_rms_m_s2 was not recorded");
+
+    let found = finished(&service, &both).await;
+    let report = &found["report"];
+    assert_eq!(report["findings"][0]["channel"], "repose");
+    assert_eq!((&report["traces"]["verdict"], &report["verdict"]), (&json!("no_discrepancy"), &json!("cause")));
+    // Of 100 sets each, the strongest of one: twice 0.01.
+    assert_eq!(report["p_value"], json!(0.02));
+    let named = |list: &str, key: &str, name: &str| report[list].as_array().unwrap().iter().any(|it| it[key] == name);
+    assert!(named("evidence", "cause", "balance_drift") && named("evidence", "cause", "humidity"));
+    assert!(!named("causes", "mechanism", "balance_drift"), "nothing is wrong with the balance");
+    let sentence = report["sentence"].as_str().unwrap();
+    assert!(
+        sentence.starts_with("Humidity makes") && sentence.contains("Balance readings show no discrepancy"),
+        "{sentence}"
+    );
+    // The version that the angles made asks for what the angles depart with, and for nothing of the balance.
+    let version = report["simulator_version"]["extended"].as_str().unwrap();
+    let ask = json!({ "measurements_csv": "powder,relative_humidity_pct\nsalt,32\n" });
+    let path = format!("/v1/simulators/{version}/predictions");
+    let answer = service
+        .request("POST", &path)
+        .bearer_auth(service.token(Role::Operator).await)
+        .json(&ask)
+        .send()
+        .await
+        .unwrap();
+    assert_eq!(answer.status(), 200);
+}
+
 #[tokio::test]
 async fn a_bad_campaign_is_refused_by_row_and_column_and_stores_nothing() {
     let service = Service::start().await;
@@ -143,7 +208,10 @@ async fn a_bad_campaign_is_refused_by_row_and_column_and_stores_nothing() {
         (json!({ "measurements_csv": humid, "simulations": 98 }), &["simulations"]),
         (json!({ "measurements_csv": 7 }), &["measurements_csv"]),
         (json!({ "seed": -1 }), &["seed"]),
-        (json!({ "traces_csv": "" }), &["traces_csv"]),
+        (json!({ "traces": "" }), &["traces"]),
+        (json!({ "traces_csv": "" }), &["traces.weighing_id", "traces.t_s", "traces.balance_mg"]),
+        (json!({ "traces_csv": "weighing_id,t_s,balance_mg\nw,0,1\nw,-1,2\n" }), &["traces.row[3].t_s"]),
+        (json!({ "measurements_csv": humid, "traces_csv": "weighing_id,t_s,balance_mg\nw,0,1\n" }), &["traces"]),
     ] {
         let problem = problem(post(&service, &body).await, 400).await;
         let fields = fields(&problem);
@@ -163,8 +231,11 @@ async fn an_investigation_is_the_same_over_grpc() {
     let service = Service::start().await;
     let mut client = InvestigationsClient::connect(service.url("")).await.unwrap();
     let csv = humid_campaign();
-    let request =
-        proto::StartInvestigationRequest { measurements_csv: Some(csv.clone()), simulations: Some(99), seed: None };
+    let request = proto::StartInvestigationRequest {
+        measurements_csv: Some(csv.clone()),
+        simulations: Some(99),
+        ..Default::default()
+    };
     let started = client.start_investigation(as_operator(&service, request).await).await.unwrap().into_inner();
     let job = started.job.unwrap();
     assert_eq!((started.created, job.kind()), (true, proto::JobKind::Investigation));

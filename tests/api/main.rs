@@ -9,6 +9,7 @@ mod investigations;
 mod measurements;
 mod protocol;
 mod refusals;
+mod simulators;
 mod tls;
 mod toy;
 mod weighing;

@@ -51,8 +51,8 @@ pub fn observe(_: &Observable, set: &ParameterSet, seed: u64) -> Result<f64, Ref
 
 /// A training on spoons that follow a formula.
 fn train() -> Train {
-    Arc::new(|levels, settings, resume, flow, listener| {
-        train_on(&Formula { pitch: settings.rules.pitch }, levels, settings, resume, flow, listener)
+    Arc::new(|levels, settings, start, flow, listener| {
+        train_on(&Formula { pitch: settings.rules.pitch }, levels, settings, start, flow, listener)
     })
 }
 
@@ -147,5 +147,7 @@ pub fn mg(powder: &str, value: f64) -> WeighingRequest {
         tolerance: Tolerance { lower: 1.0, upper: 1.0, unit: "mg".into() },
         policy: None,
         seed: None,
+        simulator: None,
+        conditions: Default::default(),
     }
 }

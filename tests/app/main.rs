@@ -5,5 +5,6 @@ mod harness;
 mod investigation;
 mod ledger;
 mod registry;
+mod simulator;
 mod training;
 mod weighing;

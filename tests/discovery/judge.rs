@@ -1,10 +1,13 @@
 //! What the command answers to a file, and how that compares with the truth.
 
 use crate::truth::Case;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use std::path::PathBuf;
+use std::io::Write;
+use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Inclusion probability from which a report claims a cause.
 const CLAIM: f64 = 0.8;
@@ -22,15 +25,19 @@ pub struct Answer {
     pub ambiguous_between: Vec<String>,
     pub covariate: Option<String>,
     pub form_class: Option<String>,
+    /// Channel of each finding.
+    pub channels: Vec<String>,
     /// Of the first finding: effect and 95 % interval.
     pub effect: Option<(f64, [f64; 2])>,
-    /// Of the first finding: where the effect is told from and to, in words.
-    pub span: Option<String>,
+    /// Of the first finding: what the effect is told over; of an interaction both columns, which change at once.
+    pub over: Vec<String>,
     pub experiment: Vec<std::collections::BTreeMap<String, String>>,
     /// Version of the simulator that was made.
     pub extended: Option<String>,
     /// Share of held-out runs within the 90 % interval of the extended simulator.
     pub coverage90: Option<f64>,
+    /// Root mean square error on powders left out whole, before and after.
+    pub by_powder: Option<[f64; 2]>,
     pub wall_s: f64,
 }
 
@@ -63,24 +70,36 @@ impl Laboratory {
         path.display().to_string()
     }
 
-    /// Give the command this file and nothing else.
+    /// Give the command this file and nothing else; no heaps are simulated.
     pub fn discover(&self, csv: &str, simulations: u32) -> Answer {
-        let file = self.file("M.csv", csv);
-        let out = self.folder.join("out").display().to_string();
+        Answer::of(&self.report(csv, simulations, &["--budget-runs", "0"]))
+    }
+
+    /// Give the command this file and nothing else; it simulates as many heaps as it does by default.
+    pub fn whole(&self, csv: &str, simulations: u32) -> Value {
+        self.report(csv, simulations, &[])
+    }
+
+    fn report(&self, csv: &str, simulations: u32, more: &[&str]) -> Value {
+        let (file, out) = (self.file("M.csv", csv), self.folder.join("out").display().to_string());
         let simulations = simulations.to_string();
-        let arguments = [
-            "discover",
-            "--measurements",
-            &file,
-            "--out",
-            &out,
-            "--simulations",
-            &simulations,
-            "--budget-runs",
-            "0",
-            "--json",
-        ];
-        Answer::of(&serde_json::from_str(&self.flip(&arguments)).unwrap())
+        let usual = ["discover", "--measurements", &file, "--out", &out, "--simulations", &simulations, "--json"];
+        serde_json::from_str(&self.flip(&[&usual[..], more].concat())).unwrap()
+    }
+
+    /// The versions of the simulator that the command made.
+    pub fn versions(&self) -> Vec<Value> {
+        serde_json::from_str(&self.flip(&["discover", "versions", "--json"])).unwrap()
+    }
+
+    /// Give the command balance readings, and angles beside them or none.
+    pub fn discover_traces(&self, traces: &str, measurements: Option<&str>, simulations: u32) -> Answer {
+        let mut files = vec!["--traces".to_owned(), self.file("T.csv", traces)];
+        files.extend(measurements.map_or(Vec::new(), |csv| vec!["--measurements".to_owned(), self.file("M.csv", csv)]));
+        let (out, simulations) = (self.folder.join("out").display().to_string(), simulations.to_string());
+        let files: Vec<&str> = files.iter().map(String::as_str).collect();
+        let rest = ["--out", &out, "--simulations", &simulations, "--json"];
+        Answer::of(&serde_json::from_str(&self.flip(&[&["discover"], &files[..], &rest].concat())).unwrap())
     }
 
     /// Angles that an extended simulator predicts for the rows of a file: before and after.
@@ -93,8 +112,48 @@ impl Laboratory {
     }
 }
 
+/// Call `one` for every index below `count`, as many at a time as there are processors, each lane with a folder of its own: an investigation alone
+/// cannot use them all.
+pub fn side_by_side(folder: &Path, count: usize, one: impl Fn(&Laboratory, usize) + Sync) {
+    let next = AtomicUsize::new(0);
+    let lanes = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let lane = |lane: usize| {
+        let laboratory = Laboratory::new(folder.join(format!("lane-{lane}")));
+        while let Some(k) = Some(next.fetch_add(1, Ordering::Relaxed)).filter(|k| *k < count) {
+            one(&laboratory, k);
+        }
+    };
+    std::thread::scope(|scope| {
+        for k in 0..lanes.min(count) {
+            scope.spawn(move || lane(k));
+        }
+    });
+}
+
+/// What a file has already, a line each, and whatever of the `wanted` it lacks, each written at once as it comes; in the order of the `wanted`.
+pub fn kept<K: PartialEq, T: Clone + Serialize + DeserializeOwned>(
+    file: &Path,
+    wanted: &[K],
+    key: impl Fn(&T) -> K,
+    one: impl Fn(&K) -> T,
+) -> Vec<T> {
+    let text = std::fs::read_to_string(file).unwrap_or_default();
+    let known: Vec<T> = text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+    let of = |asked: &K| {
+        known.iter().find(|it| key(it) == *asked).cloned().unwrap_or_else(|| {
+            let new = one(asked);
+            let line = serde_json::to_string(&new).unwrap();
+            eprintln!("{line}");
+            let mut out = std::fs::OpenOptions::new().create(true).append(true).open(file).unwrap();
+            writeln!(out, "{line}").unwrap();
+            new
+        })
+    };
+    wanted.iter().map(of).collect()
+}
+
 impl Answer {
-    fn of(report: &Value) -> Self {
+    pub fn of(report: &Value) -> Self {
         let text = |value: &Value| value.as_str().map(str::to_owned);
         let verdict = report["verdict"].as_str().unwrap().to_owned();
         let causes = report["causes"].as_array().unwrap();
@@ -115,11 +174,18 @@ impl Answer {
             ambiguous_between: report["ambiguous_between"].as_array().unwrap().iter().filter_map(text).collect(),
             covariate: text(&report["unexplained"]["covariate"]),
             form_class: text(&report["unexplained"]["form_class"]),
+            channels: report["findings"].as_array().unwrap().iter().filter_map(|it| text(&it["channel"])).collect(),
             effect,
-            span: finding.and_then(|it| text(&it["span"])),
+            over: finding
+                .and_then(|it| it["covariate"].as_str())
+                .map_or(Vec::new(), |columns| columns.split(" and ").map(str::to_owned).collect()),
             experiment: serde_json::from_value(experiment.clone()).unwrap_or_default(),
             extended: text(&report["simulator_version"]["extended"]),
             coverage90: report["gain"]["coverage90"]["after"].as_f64(),
+            by_powder: report["gain"]["by_powder"]["rmse_before"]
+                .as_f64()
+                .zip(report["gain"]["by_powder"]["rmse_after"].as_f64())
+                .map(|(before, after)| [before, after]),
             wall_s: report["wall_s"].as_f64().unwrap_or(0.0),
             verdict,
         }

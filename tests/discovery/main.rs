@@ -1,22 +1,36 @@
 //! Effects hidden in data, and the requirement that the command find them: the file alone goes in, and what comes out is compared with the truth.
 //!
 //! ```text
-//! truth     laboratories with a hidden cause, or none; shares nothing with the detector
-//! grains    heaps of another kind of simulator: springs and dashpots, rotation, rolling resistance
-//! judge     the command, and what its answer is worth
-//! rates     M1 to M15 over many cases; report.rs prints them
+//! truth       laboratories with a hidden cause, or none; shares nothing with the detector       trace_truth   the same of balance readings
+//! grains      heaps of another kind of simulator: springs and dashpots, rotation, rolling resistance
+//! heaps       campaigns of such heaps
+//! solver      defects in a copy of the solver's settings, under the job that the command runs
+//! judge       the command, and what its answer is worth
+//! rates       M1 to M15 over many cases; report.rs prints them                                  trace_rates   M13
+//! campaigns   whole campaigns with simulated heaps and held-out gain, in the report alone
 //! ```
 //!
 //! `cargo test --test discovery` hides a few dozen. `make discovery-report` hides hundreds and prints the table; it can be stopped and goes on.
 
 mod grains;
+mod heaps;
+// The report asks for more of it.
+#[allow(dead_code)]
 mod judge;
 mod rates;
+mod solver;
+mod trace_rates;
+mod trace_truth;
+mod traces;
 mod truth;
 
 use judge::Laboratory;
-use rates::{LARGE_DEG, SIMULATIONS, Scored, scored, table, wanted};
+use rates::{LARGE_DEG, SIMULATIONS, Scored, scored, table, wanted, wanted_heaps, wanted_without_days};
+use solver::Defect;
 use truth::Family;
+
+/// Nulls that the saboteur without days judges; the real detector judges as many.
+const RESTLESS: u64 = 8;
 
 /// The score of a detector of which only the verdict and the claim matter.
 fn claimed(of: &Scored, found: bool, claim: Option<&str>) -> Scored {
@@ -32,8 +46,8 @@ fn claimed(of: &Scored, found: bool, claim: Option<&str>) -> Scored {
 
 /// What a detector has to do on the cases of the tests: few false alarms, most causes claimed, hardly any wrongly.
 ///
-/// Bounds are such that a detector with the suite's target rates fails once in some thousand times (binomial): of 12 nulls at 5 % four or more are
-/// found with a chance of 0.002; of 12 causes at 85 % six or fewer are claimed with a chance of 0.005; of 12 at 5 % three or more wrongly with 0.02.
+/// Bounds are such that a detector with the suite's target rates fails once in some hundred times (binomial): of 14 nulls at 5 % four or more are
+/// found with a chance of 0.004; of 12 causes at 85 % six or fewer are claimed with a chance of 0.005; of 12 at 5 % three or more wrongly with 0.02.
 fn verdict(nulls: &[Scored], effects: &[Scored]) -> Result<(), String> {
     let alarms = nulls.iter().filter(|it| it.is_found).count();
     let right = effects.iter().filter(|it| it.is_confident_and_right).count();
@@ -49,9 +63,7 @@ fn verdict(nulls: &[Scored], effects: &[Scored]) -> Result<(), String> {
 #[test]
 fn hidden_causes_are_found_and_named_and_saboteurs_fail() {
     let folder = tempfile::tempdir().unwrap();
-    let laboratory = Laboratory::new(folder.path());
-    let file = folder.path().join("scored.jsonl");
-    let of = |families: &[Family], seeds| scored(&laboratory, &file, &wanted(families, LARGE_DEG, seeds), SIMULATIONS);
+    let of = |families: &[Family], seeds| scored(folder.path(), &wanted(families, LARGE_DEG, seeds), SIMULATIONS);
     let nulls = of(&Family::NULLS, 0..2);
     let families = [
         Family::Humidity,
@@ -71,14 +83,37 @@ fn hidden_causes_are_found_and_named_and_saboteurs_fail() {
     verdict(&always(false, None, &nulls), &always(false, None, &effects)).unwrap_err();
     let humid = Some("humidity");
     verdict(&always(true, humid, &nulls), &always(true, humid, &effects)).unwrap_err();
+    // The command itself without its days, on nulls whose days differ: with no more of these than of the others, it is past the same bound.
+    let restless = of(&[Family::NullRestless], 0..RESTLESS);
+    let blind = scored(folder.path(), &wanted_without_days(&[Family::NullRestless], 0..RESTLESS), SIMULATIONS);
+    println!("{}", table(&restless.iter().chain(&blind).cloned().collect::<Vec<_>>()));
+    verdict(&restless, &effects).unwrap();
+    let failed = verdict(&blind, &effects).unwrap_err();
+    assert!(failed.contains("false alarms"), "{failed}");
 }
 
-/// A campaign whose covariates moved together gets no name but an experiment.
+/// What is wrong with the solver is said of the solver, and of a sound one nothing.
 #[test]
-fn what_moved_together_is_not_named_and_an_experiment_is_asked_for() {
+fn a_solver_whose_heaps_creep_is_named_and_a_sound_one_is_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let all = solver::criticised(folder.path(), &solver::wanted(&Defect::ALL, 0..2));
+    println!("{}", solver::table(&all));
+    for it in all {
+        let right = match it.planted {
+            Defect::Nothing => it.depends_on.is_empty() && !it.creep_is_told,
+            Defect::Engine => it.is_creep_named(),
+            Defect::LongSubstep => !it.depends_on.is_empty(),
+        };
+        assert!(right, "{it:?}");
+    }
+}
+
+/// A campaign whose covariates moved together gets no name but an experiment, and the name after it. `UPDATE=1` writes the campaign after it.
+#[test]
+fn what_moved_together_is_named_after_the_experiment_that_is_asked_for() {
     let folder = tempfile::tempdir().unwrap();
     let laboratory = Laboratory::new(folder.path());
-    let [.., (_, family, seed)] = SHOWN;
+    let [.., (name, family, seed)] = SHOWN;
     let case = truth::case(family, SHOWN_DEG, seed);
     let answer = laboratory.discover(&case.csv, SIMULATIONS);
     assert_eq!(answer.verdict, "ambiguous", "{answer:?}");
@@ -89,6 +124,30 @@ fn what_moved_together_is_not_named_and_an_experiment_is_asked_for() {
         !answer.experiment.is_empty() && answer.experiment.iter().all(|run| run.contains_key(column)),
         "{answer:?}"
     );
+    let after = case.after_experiment(&answer.experiment);
+    is_file(&format!("{name}_after"), &after.csv);
+    let then = laboratory.discover(&after.csv, SIMULATIONS);
+    assert!(then.is_confident_and_right(&case), "{then:?}, hidden is {right}");
+}
+
+/// What is in the grains is found and named as well as what is in formulas, and nothing where nothing is.
+#[test]
+fn what_another_simulator_does_to_its_grains_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    for of in scored(folder.path(), &wanted_heaps(0..1), SIMULATIONS) {
+        assert_eq!(of.is_found, !of.is_null, "{of:?}");
+        assert!(of.is_null || of.is_confident_and_right, "{of:?}");
+    }
+}
+
+/// Whether this campaign is the one that the README shows; with `UPDATE=1` it is made so.
+fn is_file(name: &str, csv: &str) {
+    let path = campaigns().join(format!("{name}.csv"));
+    if std::env::var_os("UPDATE").is_some() {
+        std::fs::create_dir_all(campaigns()).unwrap();
+        std::fs::write(&path, csv).unwrap();
+    }
+    assert!(std::fs::read_to_string(&path).is_ok_and(|text| text == csv), "{}: run with UPDATE=1", path.display());
 }
 
 fn campaigns() -> std::path::PathBuf {
@@ -105,12 +164,6 @@ const SHOWN: [(&str, Family, u64); 3] =
 #[test]
 fn campaigns_of_the_readme_are_what_the_truth_makes() {
     for (name, family, seed) in SHOWN {
-        let path = campaigns().join(format!("{name}.csv"));
-        let made = truth::case(family, SHOWN_DEG, seed).csv;
-        if std::env::var_os("UPDATE").is_some() {
-            std::fs::create_dir_all(campaigns()).unwrap();
-            std::fs::write(&path, &made).unwrap();
-        }
-        assert!(std::fs::read_to_string(&path).is_ok_and(|text| text == made), "{}: run with UPDATE=1", path.display());
+        is_file(name, &truth::case(family, SHOWN_DEG, seed).csv);
     }
 }

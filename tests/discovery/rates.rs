@@ -1,6 +1,7 @@
 //! Rates over many hidden effects, M1 to M15 of the suite, each with its Clopper-Pearson limits.
 
-use crate::judge::{Answer, Laboratory, limits};
+use crate::heaps;
+use crate::judge::{Answer, Laboratory, limits, side_by_side};
 use crate::truth::{Case, Family, case};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -15,15 +16,55 @@ pub const SIMULATIONS: u32 = 99;
 /// Days of which nothing was seen, for the error against the noise-free truth.
 const NEW_DAYS: usize = 20;
 
+/// Where a campaign comes from.
+#[derive(Debug, Clone, Copy)]
+pub enum Source {
+    /// Formulas.
+    Formulas(Family),
+    /// The same, given to the saboteur whose noise has no days: see [`without_days`].
+    WithoutDays(Family),
+    /// Heaps of another kind of simulator.
+    Heaps(heaps::Kind),
+}
+
+/// Source, size in degrees, seed.
+pub type Asked = (Source, f64, u64);
+
+impl Source {
+    fn name(self) -> String {
+        match self {
+            Self::Formulas(family) => family.name().to_owned(),
+            Self::WithoutDays(family) => format!("{}{WITHOUT_DAYS}", family.name()),
+            Self::Heaps(kind) => kind.name().to_owned(),
+        }
+    }
+}
+
+/// What the name of a family ends in where the saboteur judged it.
+const WITHOUT_DAYS: &str = " without its days";
+
 /// Every family with every seed.
-pub fn wanted(families: &[Family], size_deg: f64, seeds: std::ops::Range<u64>) -> Vec<(Family, f64, u64)> {
-    seeds.flat_map(|seed| families.iter().map(move |&family| (family, size_deg, seed))).collect()
+pub fn wanted(families: &[Family], size_deg: f64, seeds: std::ops::Range<u64>) -> Vec<Asked> {
+    seeds.flat_map(|seed| families.iter().map(move |&family| (Source::Formulas(family), size_deg, seed))).collect()
+}
+
+/// Every family with every seed, for the saboteur.
+pub fn wanted_without_days(families: &[Family], seeds: std::ops::Range<u64>) -> Vec<Asked> {
+    let of = |seed| families.iter().map(move |&family| (Source::WithoutDays(family), LARGE_DEG, seed));
+    seeds.flat_map(of).collect()
+}
+
+/// Every kind of heaps with every seed; the size is what the grains make of it.
+pub fn wanted_heaps(seeds: std::ops::Range<u64>) -> Vec<Asked> {
+    seeds.flat_map(|seed| heaps::Kind::ALL.map(|kind| (Source::Heaps(kind), 0.0, seed))).collect()
 }
 
 /// What one hidden effect came to.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Scored {
     pub family: String,
+    /// Of what was asked for, and of what was hidden: nulls have none, and wild cases their own.
+    pub asked_deg: f64,
     pub size_deg: f64,
     pub seed: u64,
     pub is_null: bool,
@@ -40,6 +81,8 @@ pub struct Scored {
     pub coverage90: Option<f64>,
     /// Mean squared error against the noise-free truth on new days, before, after, degrees squared.
     pub new_days: Option<[f64; 2]>,
+    /// Share of the effect's mean square that the extended simulator explains of powders of which it saw no angle.
+    pub other_powders: Option<f64>,
     /// After the experiment that the report asked for: claims, all right.
     pub after_experiment: Option<(usize, bool)>,
     pub wall_s: f64,
@@ -47,8 +90,49 @@ pub struct Scored {
     pub top: String,
 }
 
-/// Give a case to the command and score what it says.
-pub fn score(laboratory: &Laboratory, family: Family, size_deg: f64, seed: u64, simulations: u32) -> Scored {
+/// Give a campaign to the command and score what it says.
+pub fn score(laboratory: &Laboratory, asked: &Asked, simulations: u32) -> Scored {
+    let &(source, size_deg, seed) = asked;
+    match source {
+        Source::Formulas(family) => score_formulas(laboratory, family, size_deg, seed, simulations),
+        Source::WithoutDays(family) => {
+            let case = case(family, size_deg, seed);
+            let answer = laboratory.discover(&without_days(&case.csv), simulations);
+            Scored { family: source.name(), ..scored_of(&case, answer, size_deg, seed) }
+        }
+        Source::Heaps(kind) => score_heaps(laboratory, kind, seed, simulations),
+    }
+}
+
+fn score_heaps(laboratory: &Laboratory, kind: heaps::Kind, seed: u64, simulations: u32) -> Scored {
+    let answer = laboratory.discover(&heaps::campaign(kind, seed), simulations);
+    let is_right = |cause: &str| kind.mechanism() == Some(cause);
+    let false_claims = answer.claimed.iter().filter(|cause| !is_right(cause)).count();
+    Scored {
+        family: kind.name().to_owned(),
+        asked_deg: 0.0,
+        size_deg: 0.0,
+        seed,
+        is_null: kind.mechanism().is_none(),
+        is_found: answer.is_found(),
+        is_top_right: is_right(&answer.top),
+        is_confident_and_right: !answer.claimed.is_empty() && false_claims == 0,
+        claims: answer.claimed.len(),
+        false_claims,
+        is_covariate_right: false,
+        is_form_right: false,
+        is_effect_covered: None,
+        coverage90: answer.coverage90,
+        new_days: None,
+        other_powders: None,
+        after_experiment: None,
+        wall_s: answer.wall_s,
+        verdict: answer.verdict,
+        top: answer.top,
+    }
+}
+
+fn score_formulas(laboratory: &Laboratory, family: Family, size_deg: f64, seed: u64, simulations: u32) -> Scored {
     let case = case(family, size_deg, seed);
     let answer = laboratory.discover(&case.csv, simulations);
     let after_experiment =
@@ -58,25 +142,54 @@ pub fn score(laboratory: &Laboratory, family: Family, size_deg: f64, seed: u64, 
             (then.claimed.len(), then.is_confident_and_right(&case))
         });
     Scored {
+        new_days: new_days(laboratory, &case, &answer),
+        after_experiment,
+        ..scored_of(&case, answer, size_deg, seed)
+    }
+}
+
+/// What an answer alone is worth.
+fn scored_of(case: &Case, answer: Answer, asked_deg: f64, seed: u64) -> Scored {
+    Scored {
         family: case.family.to_owned(),
+        asked_deg,
         size_deg: case.size_deg,
         seed,
         is_null: case.effect_deg.iter().all(|effect| *effect == 0.0),
         is_found: answer.is_found(),
-        is_top_right: answer.is_top_right(&case),
-        is_confident_and_right: answer.is_confident_and_right(&case),
+        is_top_right: answer.is_top_right(case),
+        is_confident_and_right: answer.is_confident_and_right(case),
         claims: answer.claimed.len(),
-        false_claims: answer.false_claims(&case),
+        false_claims: answer.false_claims(case),
         is_covariate_right: answer.verdict == "unexplained" && answer.covariate == case.covariate,
         is_form_right: answer.form_class.is_some() && answer.form_class.as_deref() == case.form_class,
-        is_effect_covered: is_effect_covered(&case, &answer),
+        is_effect_covered: is_effect_covered(case, &answer),
         coverage90: answer.coverage90,
-        new_days: new_days(laboratory, &case, &answer),
-        after_experiment,
+        new_days: None,
+        other_powders: other_powders(case, &answer),
+        after_experiment: None,
         wall_s: answer.wall_s,
         verdict: answer.verdict,
         top: answer.top,
     }
+}
+
+/// The file without what its `session` column says: each run has a session of its own, and their numbers go up and down. All that the command knows of
+/// days is gone, and its noise is that of repeats alone: the saboteur is the command itself, with this one thing taken from it.
+fn without_days(csv: &str) -> String {
+    let mut reader = csv::Reader::from_reader(csv.as_bytes());
+    let header = reader.headers().unwrap().clone();
+    let place = header.iter().position(|name| name == "session").expect("every campaign has days");
+    let rows: Vec<csv::StringRecord> = reader.records().map(|row| row.unwrap()).collect();
+    // Fibonacci hashing: neighbours are far apart, no two are alike.
+    let number = |row: usize| (row as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32;
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record(&header).unwrap();
+    for (k, row) in rows.iter().enumerate() {
+        let session = number(k).to_string();
+        writer.write_record(row.iter().enumerate().map(|(j, cell)| if j == place { &session } else { cell })).unwrap();
+    }
+    String::from_utf8(writer.into_inner().unwrap()).unwrap()
 }
 
 /// The interval of the report at 90 %: its 95 % interval drawn in by the ratio of the normal deviates.
@@ -90,7 +203,10 @@ fn is_effect_covered(case: &Case, answer: &Answer) -> Option<bool> {
     }
     let (effect, ci95) = answer.effect?;
     let [low, high] = ci95.map(|end| effect + (end - effect) * 1.645 / 1.96);
-    Some((low..=high).contains(&case.effect_5_95_deg))
+    // Over the columns that the report tells it over: humidity alone would leave out what rest adds to humid ageing.
+    let over: Vec<&str> = answer.over.iter().map(String::as_str).collect();
+    (!over.is_empty()).then_some(())?;
+    Some((low..=high).contains(&case.change_over_spans_deg(&over)?))
 }
 
 fn new_days(laboratory: &Laboratory, case: &Case, answer: &Answer) -> Option<[f64; 2]> {
@@ -105,42 +221,43 @@ fn new_days(laboratory: &Laboratory, case: &Case, answer: &Answer) -> Option<[f6
     Some([mse(0), mse(1)])
 }
 
+/// Errors of powders that were left out whole, as the report has them: noise is in both, before and after, and the effect in the first alone.
+fn other_powders(case: &Case, answer: &Answer) -> Option<f64> {
+    let effect = case.effect_deg.iter().map(|it| it * it).sum::<f64>() / case.effect_deg.len() as f64;
+    let [before, after] = answer.by_powder.filter(|_| answer.extended.is_some())?;
+    Some((before.powi(2) - after.powi(2)) / effect)
+}
+
 /// Scores that are in the file already, and the others as they come, each written at once.
-pub fn scored(laboratory: &Laboratory, file: &Path, wanted: &[(Family, f64, u64)], simulations: u32) -> Vec<Scored> {
-    let known: Vec<Scored> = std::fs::read_to_string(file)
+pub fn scored(folder: &Path, wanted: &[Asked], simulations: u32) -> Vec<Scored> {
+    let file = folder.join("scored.jsonl");
+    let known: Vec<Scored> = std::fs::read_to_string(&file)
         .unwrap_or_default()
         .lines()
         .filter_map(|line| serde_json::from_str(line).ok())
         .collect();
     let key = |family: &str, size: f64, seed: u64| (family.to_owned(), (100.0 * size).round() as i64, seed);
-    let mut of: BTreeMap<_, Scored> = known.into_iter().map(|it| (key(&it.family, it.size_deg, it.seed), it)).collect();
-    let mut all = Vec::new();
-    for (done, &(family, size, seed)) in wanted.iter().enumerate() {
-        let named = if Family::NULLS.contains(&family) { 0.0 } else { size };
-        let new = match of.remove(&key(family.name(), named, seed)) {
-            Some(known) => known,
-            None => {
-                let new = score(laboratory, family, size, seed, simulations);
-                let mut out = std::fs::OpenOptions::new().create(true).append(true).open(file).unwrap();
-                writeln!(out, "{}", serde_json::to_string(&new).unwrap()).unwrap();
-                eprintln!(
-                    "{} of {}: {} {size} {seed}: {} ({})",
-                    done + 1,
-                    wanted.len(),
-                    new.family,
-                    new.verdict,
-                    new.top
-                );
-                new
-            }
-        };
-        all.push(new);
-    }
-    all
+    let of: BTreeMap<_, Scored> = known.into_iter().map(|it| (key(&it.family, it.asked_deg, it.seed), it)).collect();
+    let of = std::sync::Mutex::new(of);
+    let named = |&(source, size, seed): &Asked| key(&source.name(), size, seed);
+    side_by_side(folder, wanted.len(), |laboratory, k| {
+        let asked = &wanted[k];
+        if of.lock().unwrap().contains_key(&named(asked)) {
+            return;
+        }
+        let new = score(laboratory, asked, simulations);
+        let mut all = of.lock().unwrap();
+        let mut out = std::fs::OpenOptions::new().create(true).append(true).open(&file).unwrap();
+        writeln!(out, "{}", serde_json::to_string(&new).unwrap()).unwrap();
+        eprintln!("{} {} {}: {} ({})", new.family, new.asked_deg, new.seed, new.verdict, new.top);
+        all.insert(named(asked), new);
+    });
+    let of = of.into_inner().unwrap();
+    wanted.iter().map(|asked| of[&named(asked)].clone()).collect()
 }
 
 /// One line of the table.
-fn line(name: &str, hits: usize, of: usize, target: &str) -> String {
+pub fn line(name: &str, hits: usize, of: usize, target: &str) -> String {
     let [low, high] = limits(hits, of.max(1)).map(|limit| 100.0 * limit);
     let rate = 100.0 * hits as f64 / of.max(1) as f64;
     format!("{name:<58} {hits:>4} of {of:<4} {rate:>5.1} %  [{low:.1}, {high:.1}]  target {target}\n")
@@ -156,19 +273,29 @@ fn is_single(it: &Scored) -> bool {
 
 /// The table of rates.
 pub fn table(all: &[Scored]) -> String {
+    let (sabotaged, all): (Vec<_>, Vec<_>) = all.iter().cloned().partition(|it| it.family.ends_with(WITHOUT_DAYS));
     let mut text = String::new();
     let mut rate = |name: &str, (hits, of): (usize, usize), target: &str| {
         if of > 0 {
             text += &line(name, hits, of, target);
         }
     };
-    let nulls = all.iter().filter(|it| it.is_null && it.family != "wild");
+    let is_of_formulas = |it: &&Scored| !it.family.starts_with("grains_");
+    let nulls = all.iter().filter(is_of_formulas).filter(|it| it.is_null && it.family != "wild");
     rate("M1 false alarms, all nulls", count(nulls.clone(), |it| it.is_found), "<= 5 %");
     for family in Family::NULLS {
         let of = nulls.clone().filter(|it| it.family == family.name());
         rate(&format!("   {}", family.name()), count(of, |it| it.is_found), "upper limit <= 12 %");
     }
-    let effects = all.iter().filter(|it| !it.is_null);
+    for family in Family::NULLS {
+        let of = sabotaged.iter().filter(|it| it.family == Source::WithoutDays(family).name());
+        rate(
+            &format!("   saboteur without days, {}", family.name()),
+            count(of, |it| it.is_found),
+            "> 12 %, to show it",
+        );
+    }
+    let effects = all.iter().filter(is_of_formulas).filter(|it| !it.is_null);
     let claims: usize = effects.clone().map(|it| it.claims).sum();
     rate("M2 false claims of all claims", (effects.clone().map(|it| it.false_claims).sum(), claims), "<= 5 %");
     let large = effects.clone().filter(|it| is_single(it) && it.size_deg == LARGE_DEG);
@@ -206,11 +333,23 @@ pub fn table(all: &[Scored]) -> String {
     rate("M8 nobody recorded it: found", count(of(Family::Unrecorded), |it| it.is_found), "");
     let told = effects.clone().filter(|it| it.is_effect_covered.is_some());
     rate("M9 effect within its 90 % interval", count(told, |it| it.is_effect_covered == Some(true)), "85 to 95 %");
+    for kind in heaps::Kind::ALL {
+        let of = all.iter().filter(|it| it.family == kind.name());
+        match kind.mechanism() {
+            None => rate("heaps of another simulator, nothing done: declared", count(of, |it| it.is_found), "<= 5 %"),
+            Some(_) => {
+                let name = format!("heaps of another simulator, {}", kind.name());
+                rate(&format!("{name}: found"), count(of.clone(), |it| it.is_found), "");
+                rate(&format!("{name}: named"), count(of.clone(), |it| it.is_confident_and_right), "");
+                rate(&format!("{name}: wrong"), count(of, |it| it.false_claims > 0), "<= 5 %");
+            }
+        }
+    }
     let wild = all.iter().filter(|it| it.family == "wild");
     rate("wild: nothing hidden, declared", count(wild.clone().filter(|it| it.is_null), |it| it.is_found), "<= 5 %");
     rate("wild: found", count(wild.clone().filter(|it| !it.is_null), |it| it.is_found), "");
     rate("wild: confident and wrong", count(wild.filter(|it| !it.is_null), |it| it.false_claims > 0), "<= 5 %");
-    text += &gains(all);
+    text += &gains(&all);
     text
 }
 
@@ -227,6 +366,14 @@ fn gains(all: &[Scored]) -> String {
             100.0 * mean,
             100.0 * least
         );
+        let most = gains.iter().filter(|gain| **gain >= 0.6).count();
+        text += &line("M10 at least 60 % of it explained", most, n, "every case");
+    }
+    let others: Vec<f64> = all.iter().filter(|it| is_single(it)).filter_map(|it| it.other_powders).collect();
+    if !others.is_empty() {
+        let mean = others.iter().sum::<f64>() / others.len() as f64;
+        let n = others.len();
+        text += &format!("M12 explained of powders left out whole: mean {:.0} %, n {n}  target 40 %\n", 100.0 * mean);
     }
     let covered: Vec<f64> = all.iter().filter(|it| !it.is_null).filter_map(|it| it.coverage90).collect();
     if !covered.is_empty() {

@@ -57,6 +57,13 @@ fn proposed(family: Family, size_deg: f64, rng: &mut Pcg64) -> Laboratory {
         Family::NullOutliers => new.noise.outliers = rng.random_range(0.03..0.06),
         Family::NullMissing => new.missing = rng.random_range(0.2..0.4),
         Family::NullDays => new.noise.day_deg = 1.2,
+        Family::NullRestless => {
+            new.noise.day_deg = 2.5;
+            (new.days, new.repeats) = (4, 3);
+            (new.habits.operator_daily, new.habits.plate_daily) = (true, true);
+            let columns = [HUMIDITY, TEMPERATURE, AGE, "pressure_hpa", "supply_v", "operator", "plate"];
+            columns.into_iter().for_each(|name| record(&mut new, name));
+        }
         Family::NullConfounded => tie(&mut new, &[HUMIDITY, TEMPERATURE, AGE], rng),
         Family::NullScatter => {
             let columns = [HUMIDITY, REST, "vibration_rms_m_s2", ORDER, "operator"];
