@@ -4,13 +4,14 @@
 # make bench-learner   the learner's speed beside Stable-Baselines3's, which it installs (python3, PyPI)
 # make calibration-report   the published method and ours on the five powders, twenty minutes on two cores
 # make training-report   trains ours and the four published orders, and weighs with all; hours, stop it and call it again (EPISODES=4000)
-# make discovery-report   effects hidden in data, hundreds of them, and the table of what was found; hours, stop it and call it again (NULLS=70 EFFECTS=10)
+# make discovery-report   effects hidden in data, hundreds of them, and the table of what was found; hours, stop it and call it again (NULLS=70 EFFECTS=10 WHOLE=10)
+# make weighing-gain   a version of the simulator from hidden data, and policies adapted to it, weighing: hours on two cores, stop it and call it again (SEEDS=5)
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test setup web chromium bench bench-peers bench-learner calibration-report training-report discovery-report lint
+.PHONY: run test setup web chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain lint
 
 ARGS ?=
 LOGS := target/test
@@ -76,6 +77,10 @@ EPISODES ?= 200
 discovery-report: setup
 	cargo build --release --locked --bin flip --example discovery_report
 	FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip" cargo run --quiet --release --locked --example discovery_report
+
+weighing-gain: setup
+	cargo build --release --locked --bin flip --example weighing_gain
+	FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip" cargo run --quiet --release --locked --example weighing_gain
 
 training-report: setup
 	cargo build --release --locked

@@ -1,0 +1,271 @@
+//! What an accepted version of the simulator is worth on the balance: `make weighing-gain`.
+//!
+//! A simulated laboratory in whose dry air powder is charged and clings to walls measures angles of repose for thirty days. The command gets the
+//! file, names the cause and makes a version of the simulator; a policy that was trained without it then goes on from what it can
+//! (`flip train --from`), and all weigh on the laboratory's own bench, on a dry day:
+//!
+//! | arm | goes on in |
+//! |---|---|
+//! | old | nothing: the policy as it was |
+//! | sham | the base simulator: the same episodes, and nothing new in them |
+//! | extended | the version, on a day as dry as the bench's |
+//! | oracle | the truth itself, which no laboratory has |
+//!
+//! What the truth does shares nothing with the catalogue but charge at walls: how strong it is in which air is another formula ([`charge`]), and the
+//! powders on the bench are parameter sets that no training and no fit has met. Everything that was done is found again; what is printed depends on
+//! the code alone.
+
+use anyhow::{Context, bail, ensure};
+use flip::domain::bench::{INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MAX};
+use flip::domain::conditions::{Patch, Under};
+use flip::domain::parameters::ParameterSet;
+use flip::domain::seed::derive;
+use flip::policy::{Controller, Observation, Rules, decode, normal};
+use flip::sim::mechanisms::Extensions;
+use flip::sim::repose::{self, repose};
+use flip::sim::{balance, dispense};
+use flip::stats::summary::{mean, sd};
+use flip::train::environment::{Filling, Simulated, play, simulated};
+use flip::train::{Extended, Level, Order, Preset, Settings, Start, train_on};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use rayon::prelude::*;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::process::Command;
+
+/// Those that the policy is trained on.
+const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
+/// Sets of a calibration that trainings take; the others are the laboratory's powders.
+const TRAINED: usize = 7;
+/// Episodes of the old policy: half of what is usual, and minutes instead of a quarter of an hour.
+const OLD_EPISODES: &str = "2400";
+/// Days, and runs of each powder on each.
+const DAYS: usize = 30;
+const RUNS: usize = 3;
+/// SD of days, of days by powders, deg: those of the hidden-effect suite.
+const DAY_DEG: [f64; 2] = [0.5, 0.4];
+/// Humidity of the bench, %.
+const BENCH_PCT: f64 = 23.0;
+/// Doses: masses, and how many of each powder and mass.
+const TARGETS_MG: [f64; 3] = [5.0, 10.0, 15.0];
+const REPEATS: u64 = 3;
+
+/// Seed indices.
+const CAMPAIGN: u64 = 1;
+const DOSES: u64 = 2;
+
+/// Amplitude of the charge in the truth at this relative humidity: the resistance of surfaces, over which it leaks away, falls exponentially.
+fn charge(humidity_pct: f64) -> f64 {
+    9.0 * ((20.0 - humidity_pct) / 15.0).exp()
+}
+
+fn charged(humidity_pct: f64) -> Patch {
+    Patch { amplitudes: [("charge".to_owned(), charge(humidity_pct))].into(), ..Patch::default() }
+}
+
+/// The command and the folder in which it works.
+struct Flip {
+    program: PathBuf,
+    folder: PathBuf,
+    seed: u64,
+}
+
+impl Flip {
+    fn ask(&self, arguments: &[&str]) -> anyhow::Result<Value> {
+        eprintln!("flip {}", arguments.join(" "));
+        let data = self.folder.join("data");
+        let output = Command::new(&self.program).arg("--data-dir").arg(data).args(arguments).arg("--json").output()?;
+        let errors = String::from_utf8_lossy(&output.stderr);
+        ensure!(output.status.success(), "flip {}: {errors}", arguments.join(" "));
+        Ok(serde_json::from_slice(&output.stdout)?)
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.folder.join(name).display().to_string()
+    }
+
+    /// Angle and sets of each powder, under a version or the base.
+    fn calibrated(&self, simulator: Option<&str>) -> anyhow::Result<Vec<(f64, Vec<ParameterSet>)>> {
+        let seed = self.seed.to_string();
+        let of = |powder: &&str| {
+            let under = simulator.map_or_else(Vec::new, |version| vec!["--simulator", version]);
+            let found = self.ask(&[&["calibrate", "--powder", powder, "--seed", &seed], &under[..]].concat())?;
+            let powder = &found["powders"][0];
+            let sets = powder["sets"].as_array().context("a calibration has sets")?;
+            let sets = sets.iter().map(|set| Ok(serde_json::from_value(set["parameters"].clone())?));
+            let angle = powder["target_deg"].as_f64().context("a calibration has a target")?;
+            Ok((angle, sets.collect::<anyhow::Result<_>>()?))
+        };
+        POWDERS.iter().map(of).collect()
+    }
+
+    /// A training's policy, as a controller.
+    fn trained(&self, arguments: &[&str]) -> anyhow::Result<(String, Controller)> {
+        let trained = self.ask(&[&["train"], arguments].concat())?;
+        let policy = trained["policy"].as_str().context("a training has a policy")?.to_owned();
+        let file = self.path(&format!("{policy}.safetensors"));
+        if !std::path::Path::new(&file).exists() {
+            self.ask(&["policy", "export", "--policy", &policy, "--out", &file])?;
+        }
+        Ok((policy, decode(&std::fs::read(file)?)?.controller))
+    }
+}
+
+/// The laboratory's angles, as the file that it uploads.
+fn campaign(powders: &[Vec<ParameterSet>], seed: u64) -> anyhow::Result<String> {
+    let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[CAMPAIGN]));
+    let mut runs = Vec::new();
+    for day in 0..DAYS {
+        let humidity: f64 = rng.random_range(20.0..70.0);
+        let [of_day, of_both] = DAY_DEG;
+        let shift = of_day * f64::from(normal(&mut rng));
+        for (p, sets) in powders.iter().enumerate() {
+            let shift = shift + of_both * f64::from(normal(&mut rng));
+            runs.extend((0..RUNS).map(|run| (day, humidity, p, sets[(day + run) % sets.len()], shift, rng.random())));
+        }
+    }
+    let poured = runs.par_iter().map(|&(day, humidity, p, set, shift, seed)| {
+        let extensions = Extensions::default().patched(&charged(humidity))?;
+        let settings = repose::Settings { extensions, ..repose::Settings::default() };
+        let Ok(heap) = repose(&set, &settings, seed) else { bail!("a heap has no angle") };
+        Ok(format!("{},{:.1},{},{humidity:.1}\n", POWDERS[p], heap.tip_deg + shift, day + 1))
+    });
+    let rows: Vec<String> = poured.collect::<anyhow::Result<_>>()?;
+    Ok(format!("powder,repose_deg,session,relative_humidity_pct\n{}", rows.concat()))
+}
+
+/// A policy that went on in the truth, kept as a file.
+fn oracle(flip: &Flip, old: &(String, Controller), truth: &[Level], seed: u64) -> anyhow::Result<Controller> {
+    let file = flip.path(&format!("oracle-{seed}.safetensors"));
+    if let Ok(bytes) = std::fs::read(&file) {
+        return Ok(decode(&bytes)?.controller);
+    }
+    let (id, Controller::Learned(actor)) = old else { bail!("the old policy has no network") };
+    let under = Under { simulator: "the truth".to_owned(), conditions: BTreeMap::new() };
+    let extended = Extended { under, days: vec![charged(BENCH_PCT)], powders: BTreeMap::new() };
+    let settings = Settings::of(Preset::Flip, Order::Curriculum, seed).going_on_from(id.clone());
+    let settings =
+        Settings { surrogate_episodes: settings.surrogate_by_default(), extended: Some(extended), ..settings };
+    eprintln!("oracle {seed}");
+    let trained =
+        train_on(&simulated(&settings), truth, &settings, Start::Policy(actor), &|| ControlFlow::Continue(()), |_| {
+            ControlFlow::Continue(())
+        })?;
+    std::fs::write(&file, &trained.artifact)?;
+    Ok(decode(&trained.artifact)?.controller)
+}
+
+/// Absolute errors of each of these controllers over the same doses on the laboratory's bench, mg: `[controllers][doses]`.
+fn weigh(controllers: &[Controller], powders: &[Vec<ParameterSet>], seed: u64) -> Vec<Vec<f64>> {
+    let rules = Rules::FLIP;
+    let filling = Simulated { settings: dispense::Settings { pitch: rules.pitch, ..dispense::Settings::default() } };
+    let balance = balance::Settings::default();
+    let mut doses = Vec::new();
+    for (p, sets) in powders.iter().enumerate() {
+        for (t, target_mg) in TARGETS_MG.into_iter().enumerate() {
+            let seed = |repeat: u64| derive(seed, &[DOSES, p as u64, t as u64, repeat]);
+            doses.extend((0..REPEATS).map(|r| (sets[r as usize % sets.len()], target_mg, seed(r))));
+        }
+    }
+    let errors: Vec<Vec<f64>> = doses
+        .par_iter()
+        .map(|(set, target_mg, seed)| {
+            let filled = filling.fill_under(set, &charged(BENCH_PCT), *seed);
+            let one = |controller: &Controller| {
+                let mut dosing = controller.begin(&rules, balance.readability_mg);
+                let played = play(&mut filled.clone(), &rules, &balance, *target_mg, *seed, |seen: &Observation| {
+                    let action = dosing.propose(seen);
+                    let incline = action.incline_change_deg / INCLINE_CHANGE_DEG_MAX;
+                    [incline as f32, (2.0 * action.shake_mm / SHAKE_MM_MAX - 1.0) as f32]
+                });
+                (played.dispensed_mg - target_mg).abs()
+            };
+            controllers.iter().map(one).collect()
+        })
+        .collect();
+    (0..controllers.len()).map(|c| errors.iter().map(|of_dose| of_dose[c]).collect()).collect()
+}
+
+/// 95 % interval of the mean of these differences, one for each training seed: Student's t.
+fn interval(differences: &[f64]) -> anyhow::Result<[f64; 2]> {
+    use statrs::distribution::{ContinuousCDF, StudentsT};
+    let n = differences.len() as f64;
+    let t = StudentsT::new(0.0, 1.0, n - 1.0)?.inverse_cdf(0.975);
+    let error = t * sd(differences).context("at least two seeds")? / n.sqrt();
+    let middle = mean(differences).context("at least two seeds")?;
+    Ok([middle - error, middle + error])
+}
+
+fn main() -> anyhow::Result<()> {
+    let seeds: u64 = std::env::var("SEEDS").map_or(Ok(5), |text| text.parse())?;
+    ensure!(seeds >= 2, "SEEDS must be at least 2: the interval is over them");
+    let program = std::env::var_os("FLIP_BIN").context("FLIP_BIN names the program")?.into();
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("target/weighing-gain");
+    std::fs::create_dir_all(&folder)?;
+    let flip = Flip { program, folder, seed: 1 };
+
+    let base = flip.calibrated(None)?;
+    let old = flip.trained(&["--seed", "1", "--episodes", OLD_EPISODES])?;
+    let of_laboratory: Vec<Vec<ParameterSet>> = base.iter().map(|(_, sets)| sets[TRAINED..].to_vec()).collect();
+    let file = flip.path("campaign.csv");
+    std::fs::write(&file, campaign(&of_laboratory, flip.seed)?)?;
+    let report = flip.ask(&["discover", "--measurements", &file, "--out", &flip.path("report"), "--seed", "1"])?;
+    println!("{}\n", report["sentence"].as_str().unwrap_or_default());
+    let Some(version) = report["simulator_version"]["extended"].as_str() else {
+        bail!("no version was accepted: see {}", flip.path("report/report.html"));
+    };
+    flip.calibrated(Some(version))?;
+
+    let condition = format!("relative_humidity_pct={BENCH_PCT}");
+    let truth: Vec<Level> = POWDERS
+        .iter()
+        .zip(&base)
+        .map(|(powder, (repose_deg, sets))| Level {
+            powder: (*powder).to_owned(),
+            repose_deg: *repose_deg,
+            sets: sets[..TRAINED].to_vec(),
+        })
+        .collect();
+    let mut arms: Vec<(&str, Vec<Controller>)> = vec![("old", vec![old.1.clone()])];
+    let (mut sham, mut extended, mut best) = (Vec::new(), Vec::new(), Vec::new());
+    for seed in 1..=seeds {
+        let text = seed.to_string();
+        let from = ["--from", &old.0, "--seed", &text];
+        sham.push(flip.trained(&from)?.1);
+        extended.push(flip.trained(&[&from[..], &["--simulator", version, "--condition", &condition]].concat())?.1);
+        best.push(oracle(&flip, &old, &truth, seed)?);
+    }
+    arms.extend([("sham", sham), ("extended", extended), ("oracle", best)]);
+
+    let all: Vec<Controller> = arms.iter().flat_map(|(_, of)| of.clone()).collect();
+    let errors = weigh(&all, &of_laboratory, flip.seed);
+    let mut means = errors.iter().map(|of| mean(of).unwrap_or(f64::NAN));
+    let of_arms: Vec<(&str, Vec<f64>)> =
+        arms.iter().map(|(name, of)| (*name, means.by_ref().take(of.len()).collect())).collect();
+    let doses = errors[0].len();
+    println!("| policy | trainings | mean absolute error mg, {doses} doses each | SD over trainings |");
+    println!("|---|---|---|---|");
+    for (name, of) in &of_arms {
+        let spread = sd(of).map_or_else(|| "-".to_owned(), |sd| format!("{sd:.2}"));
+        println!("| {name} | {} | {:.2} | {spread} |", of.len(), mean(of).unwrap_or(f64::NAN));
+    }
+    let [(_, old), (_, sham), (_, extended), (_, best)] = of_arms.as_slice() else { bail!("four arms") };
+    let less =
+        |than: &dyn Fn(usize) -> f64| extended.iter().enumerate().map(|(k, it)| than(k) - it).collect::<Vec<_>>();
+    for (name, gains) in [("old", less(&|_| old[0])), ("sham", less(&|k| sham[k]))] {
+        let [low, high] = interval(&gains)?;
+        println!(
+            "\nextended is better than {name} by {:.2} mg [{low:.2}, {high:.2}] (95 %, over trainings)",
+            mean(&gains).unwrap_or(0.0)
+        );
+    }
+    let (from, to, reached) = (mean(sham).unwrap_or(0.0), mean(best).unwrap_or(0.0), mean(extended).unwrap_or(0.0));
+    println!(
+        "\nM14 share of the gap from sham to oracle that it closes: {:.0} %  target >= 50 %",
+        100.0 * (from - reached) / (from - to)
+    );
+    Ok(())
+}
