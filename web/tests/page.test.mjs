@@ -302,6 +302,7 @@ describe('every view', () => {
     evaluation: `evaluations/${made.evaluation.id}`,
     weighings: 'weighings',
     investigations: 'investigations',
+    simulators: 'simulators',
     weighing: `weighings/${made.weighing}`,
     jobs: 'jobs',
   })
@@ -337,7 +338,9 @@ describe('every view', () => {
     await chromium.open(page)
     await page.keyboard.press('Tab')
     assert.equal(await page.evaluate(() => document.activeElement.textContent), 'Skip to content')
-    for (let k = 0; k < 8; k++) await page.keyboard.press('Tab')
+    const focused = () => page.evaluate(() => document.activeElement.textContent.trim())
+    for (let k = 0; k < 20 && (await focused()) !== 'Jobs'; k++) await page.keyboard.press('Tab')
+    assert.equal(await focused(), 'Jobs')
     await page.keyboard.press('Enter')
     await page.getByRole('heading', { name: 'Jobs', level: 1 }).waitFor()
     assert.equal(await page.evaluate(() => document.activeElement.id), 'main')

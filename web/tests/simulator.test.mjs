@@ -49,7 +49,7 @@ describe('simulators', () => {
     const rows = await csvEqualsTable('Versions of the simulator')
     assert.deepEqual(rows.slice(1).map((cells) => cells[0]), ['Base simulator', version.id])
     const { held_out: heldOut } = version.body.gain
-    assert.deepEqual([rows[2][1], rows[2][2], rows[2][4], rows[2][5]], [version.base, version.created_at, 'not yet', version.body.sentence])
+    assert.deepEqual([rows[2][1], rows[2][2], rows[2][4], rows[2][5]], [version.base, version.created_at, version.body.verified ? 'yes' : 'not yet', version.body.sentence])
     assert.match(rows[2][3], new RegExp(`^\\+${(heldOut.rmse_before - heldOut.rmse_after).toFixed(2)} \\[`))
   })
 
