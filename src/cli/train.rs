@@ -36,7 +36,7 @@ pub(super) struct Arguments {
     /// Powders whose calibrated sets are the levels [default: sand,sugar,salt]; not with the paper preset.
     #[arg(long, value_name = "ID,…", value_delimiter = ',')]
     powders: Option<Vec<String>>,
-    /// Learnt policy that it goes on from, e.g. to suit a version of the simulator; then all episodes are on the fast model unless --surrogate-episodes says otherwise.
+    /// Learnt policy that it goes on from, e.g. to suit a version of the simulator; then 900 episodes are the default, all but 60 of them on the fast model.
     #[arg(long, value_name = "P")]
     from: Option<String>,
     #[command(flatten)]

@@ -138,7 +138,7 @@ pub struct Settings {
     /// Seed of everything that is drawn.
     pub seed: u64,
 
-    /// Episodes in the training. Default 4800 (ours), 4000 (paper).
+    /// Episodes in the training. Default 4800 (ours), 4000 (paper), 900 where one goes on from a policy.
     pub episodes: u32,
     /// First episodes that are played on a model of the spoon ([`super::Surrogate`]) instead of the simulator, a thousand times as fast; what they
     /// taught stays, their steps are forgotten. Default 0; a training that is asked for without a number plays as many as
@@ -300,11 +300,12 @@ impl Settings {
         }
     }
 
-    /// These settings for a training that goes on from a policy: it weighs from the first episode on, and explores as little as it has come to.
+    /// These settings for a training that goes on from a policy: it weighs from the first episode on, explores as little as it has come to, and takes
+    /// minutes.
     #[must_use]
     pub fn going_on_from(self, policy: String) -> Self {
         let from = Some(FineTuning { policy, spoons: 32, held_updates: 2000 });
-        Self { from, warmup_episodes: 0, initial_alpha: 0.02, ..self }
+        Self { from, episodes: 900, warmup_episodes: 0, initial_alpha: 0.02, ..self }
     }
 
     /// These settings if a training can run with them.
@@ -352,10 +353,11 @@ impl Settings {
         Ok(self)
     }
 
-    /// Episodes on the surrogate unless a request says otherwise: four fifths of ours, all that go on from a policy, none of the published ones.
+    /// Episodes on the surrogate unless a request says otherwise: four fifths of ours, all but a fifteenth where one goes on from a policy, none of the
+    /// published ones.
     pub fn surrogate_by_default(&self) -> u32 {
         match (self.preset, &self.from) {
-            (Preset::Flip, Some(_)) => self.episodes,
+            (Preset::Flip, Some(_)) => self.episodes - self.episodes.div_ceil(15),
             (Preset::Flip, None) => self.episodes - self.episodes.div_ceil(5),
             (Preset::Paper, _) => 0,
         }
