@@ -37,7 +37,7 @@ const COLUMNS: [(&str, &str); 6] = [
 ];
 
 /// Causes whose names are not the words that a chemist would use. Each can be the subject of a sentence.
-const CAUSES: [(&str, &str); 15] = [
+const CAUSES: [(&str, &str); 16] = [
     ("rest_time", "Consolidation at rest"),
     ("densification", "Densification by shaking"),
     ("humid_ageing", "Ageing at rest in humid air"),
@@ -51,6 +51,7 @@ const CAUSES: [(&str, &str); 15] = [
     ("method_bias", "Bias of the measuring method"),
     ("operator", "Difference between operators"),
     ("base_friction", "Friction of the base plate"),
+    ("creep", "Creep of simulated heaps"),
     ("order", "Order in the session"),
     ("unrecorded", "Unknown cause, with nothing recorded"),
 ];
@@ -73,8 +74,10 @@ const LEVELS: [&str; 3] = [
 ];
 
 /// Fitted numbers whose names are not words: the effect, and amplitudes of the simulator's mechanisms.
-const PARAMETERS: [(&str, &str); 9] = [
+const PARAMETERS: [(&str, &str); 11] = [
     ("effect_5_95", "Change from the 5th to the 95th percentile"),
+    ("flow_effect_5_95", "Change of the flow time from the 5th to the 95th percentile"),
+    ("creep_deg_per_decade", "Change of the angle with every tenfold of the settling time"),
     ("humidity", "Strength of liquid bridges in the simulator"),
     ("consolidation", "Strengthening of old contacts in the simulator"),
     ("charge", "Attraction by charge in the simulator"),

@@ -7,6 +7,7 @@ use super::context::{JobContext, JobError};
 use super::heaps::Pourer;
 use super::spec::InvestigationSpec;
 use crate::discover::investigate;
+use crate::discover::numerics::{CREEP, tell};
 use crate::discover::report::{CauseReport, Gain, Report, Unexplained};
 use crate::discover::{Extended, extend, responses};
 use crate::domain::job::Progress;
@@ -35,7 +36,9 @@ pub(super) fn perform(context: &JobContext, spec: &InvestigationSpec) -> Result<
         return Err(error.into());
     }
     let mut report = report.map_err(|error| JobError::Fail(error.to_string()))?.ok_or(JobError::Stopped)?;
-    report.numerics = numerics;
+    if let Some(numerics) = numerics {
+        tell(&mut report, numerics);
+    }
     let accepted = report.gain.as_ref().is_some_and(|gain| gain.accepted);
     let version = accepted.then(|| spec.version());
     report.simulator_version.extended.clone_from(&version);
@@ -74,7 +77,7 @@ struct Body<'a> {
 impl<'a> Body<'a> {
     fn of(report: &'a Report, extended: Option<Extended>) -> Self {
         let Report { sentence, causes, unexplained, gain, .. } = report;
-        let causes = causes.iter().filter(|cause| cause.confidence_level > 1).collect();
+        let causes = causes.iter().filter(|it| it.confidence_level > 1 && it.mechanism != CREEP).collect();
         Self { sentence, causes, unexplained, gain, verified: report.simulator_version.verified, extended }
     }
 }

@@ -67,7 +67,7 @@ pub struct Criticised {
     /// Degrees a decade of settling time, and the 99 % interval.
     pub creep_deg: f64,
     pub creep_ci99: [f64; 2],
-    /// Whether the page says that heaps creep.
+    /// Whether the document has creep as its first cause and the page says so.
     pub creep_is_told: bool,
     pub heaps: u64,
 }
@@ -128,7 +128,9 @@ async fn criticise(planted: Defect, seed: u64) -> Criticised {
         depends_on: defects,
         creep_deg: settling.map_or(f64::NAN, |it| it["slope_deg"].as_f64().unwrap()),
         creep_ci99: [0, 1].map(|end| settling.map_or(f64::NAN, |it| it["ci99"][end].as_f64().unwrap())),
-        creep_is_told: page.contains("heaps creep"),
+        creep_is_told: page.contains("heaps creep")
+            && document["causes"][0]["mechanism"] == "creep"
+            && document["verdict"] == "cause",
         heaps: dependences.iter().map(|it| it["runs"].as_u64().unwrap()).sum(),
     }
 }
