@@ -122,7 +122,7 @@ fn campaign(
         Covariate { name: name.to_owned(), values }
     };
     let covariates = recorded.iter().map(covariate).collect();
-    Ok(Campaign { powders, runs, covariates }.checked()?)
+    Ok(Campaign { powders, runs, covariates, ..Campaign::default() }.checked()?)
 }
 
 fn print(campaign: &Campaign, unit: &str) -> anyhow::Result<()> {

@@ -5,7 +5,7 @@
 //! | `powder`, `repose_deg` | the run; with `repose_sd_deg` and `n` the row stands for n runs |
 //! | `session` | the day, numbered in order of time: numbers and dates sorted, other text as it appears; a row without has a day of its own |
 //! | the known numbers and names below | covariates, within bounds |
-//! | `flow_time_s` | checked only: it is measured like the angle, so it cannot explain it |
+//! | `flow_time_s` | a measurement beside the angle, judged by itself; of a summary the mean of its runs, which counts once |
 //! | any other | a covariate: of numbers if every filled cell is one, else of names |
 //!
 //! An empty cell is a missing value, never zero. A column of names that hardly repeat says nothing and is left out.
@@ -58,6 +58,7 @@ struct Line {
     angle: Option<Flowability>,
     /// Cells of the covariates' columns, in their order; empty where nothing was recorded.
     cells: Vec<String>,
+    flow_time_s: Option<f64>,
 }
 
 /// The campaign that a file describes. Every one of the `required` columns is in its header and filled in each row.
@@ -144,6 +145,7 @@ fn line(cells: &Cells<'_>, covariates: &[String], required: &[&str]) -> Refused<
         session: cells.text("session").to_owned(),
         angle,
         cells: covariates.iter().map(cell).collect(),
+        flow_time_s: number(cells.text("flow_time_s")),
     })
 }
 
@@ -196,7 +198,15 @@ fn campaign(lines: &[Line], columns: Vec<String>) -> Campaign {
         let cells: Vec<&str> = lines.iter().map(|line| line.cells[k].as_str()).collect();
         values(&name, &cells, lines).map(|values| Covariate { name, values })
     };
-    Campaign { powders, runs, covariates: columns.into_iter().enumerate().filter_map(covariate).collect() }
+    let times = lines.iter().flat_map(|line| (0..line.runs()).map(|k| line.flow_time_s.filter(|_| k == 0)));
+    let flow_time_s: Vec<Option<f64>> = times.collect();
+    Campaign {
+        powders,
+        runs,
+        covariates: columns.into_iter().enumerate().filter_map(covariate).collect(),
+        flow_time_s: if flow_time_s.iter().any(Option::is_some) { flow_time_s } else { Vec::new() },
+        ..Campaign::default()
+    }
 }
 
 /// A column, one value for each run; none if it says nothing.

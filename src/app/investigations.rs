@@ -235,8 +235,7 @@ fn without_report(row: JobRow) -> Result<Investigation> {
     };
     let found: Option<Glance> = row.result.as_deref().map(stored).transpose()?;
     let InvestigationSpec { campaign, traces, settings, heaps, simulator, .. } = spec;
-    let none = || Campaign { powders: Vec::new(), runs: Vec::new(), covariates: Vec::new() };
-    let (campaign, weighings) = (campaign.unwrap_or_else(none), traces.map_or(Vec::new(), |traces| traces.weighings));
+    let (campaign, weighings) = (campaign.unwrap_or_default(), traces.map_or(Vec::new(), |traces| traces.weighings));
     let mut powders = campaign.powders;
     let sessions = campaign.runs.iter().map(|run| run.session).collect::<BTreeSet<_>>().len();
     let weighed = weighings.iter().filter_map(|weighing| weighing.powder.as_ref());

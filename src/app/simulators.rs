@@ -92,8 +92,8 @@ impl App {
 
 /// A version that needs a covariate says nothing of rows without.
 fn lacking(report: &Report, new: &Campaign, version: &str) -> Result<()> {
-    // Balance readings make no version: what they depart with is not asked for.
-    let angles = report.findings.iter().filter(|finding| finding.channel != Channel::Trace);
+    // Flow times and balance readings make no version: what they depart with is not asked for.
+    let angles = report.findings.iter().filter(|finding| finding.channel == Channel::Repose);
     let needed = angles.filter_map(|finding| finding.covariate.as_deref());
     let needed = needed.flat_map(|covariates| covariates.split(" and "));
     let lacks = |name: &&str| !new.covariates.iter().any(|covariate| covariate.name == *name);

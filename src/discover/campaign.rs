@@ -1,5 +1,6 @@
 //! What was measured, run by run, and under which conditions.
 
+use super::report::Channel;
 use crate::domain::FieldError;
 use crate::stats::summary::mean;
 use serde::{Deserialize, Serialize};
@@ -58,8 +59,56 @@ pub enum Values {
     },
 }
 
+/// What is measured in runs.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Quantity {
+    /// Angles of repose, degrees.
+    #[default]
+    Repose,
+    /// Times that powder takes to flow out, as [`percent`] has them.
+    FlowTime,
+    /// How far repeats are from each other, as [`percent`] has it.
+    Scatter,
+}
+
+/// A hundred times the natural logarithm: what changes by a hundredth changes it by one.
+pub(super) fn percent(value: f64) -> f64 {
+    100.0 * libm::log(value)
+}
+
+impl Quantity {
+    /// A change as a reader is told of it, in the unit beside it.
+    pub(super) fn told(self, change: f64) -> f64 {
+        match self {
+            Self::Repose => change,
+            Self::FlowTime | Self::Scatter => 100.0 * libm::expm1(change / 100.0),
+        }
+    }
+
+    fn is_repose(&self) -> bool {
+        *self == Self::Repose
+    }
+
+    pub(super) fn channel(self) -> Channel {
+        match self {
+            Self::Repose => Channel::Repose,
+            Self::FlowTime => Channel::FlowTime,
+            Self::Scatter => Channel::Scatter,
+        }
+    }
+
+    /// Unit of a change.
+    pub(super) fn unit(self) -> &'static str {
+        match self {
+            Self::Repose => "deg",
+            Self::FlowTime | Self::Scatter => "%",
+        }
+    }
+}
+
 /// Runs of some powders under recorded conditions.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Campaign {
     /// Powder ids.
     pub powders: Vec<String>,
@@ -67,6 +116,12 @@ pub struct Campaign {
     pub runs: Vec<Run>,
     /// What was recorded beside it.
     pub covariates: Vec<Covariate>,
+    /// Time that the powder took to flow out, s, one for each run; empty where none was measured.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub flow_time_s: Vec<Option<f64>>,
+    /// What [`Run::repose_deg`] holds. Of a laboratory's file angles; of what is made from one, see [`Quantity`].
+    #[serde(default, skip_serializing_if = "Quantity::is_repose")]
+    pub quantity: Quantity,
 }
 
 impl Campaign {
@@ -90,6 +145,10 @@ impl Campaign {
         if !self.varies() {
             let message = "is the same in all runs of each powder; measure to 0.1 deg or finer";
             return Err(FieldError::new("repose_deg", message));
+        }
+        if ![0, self.runs.len()].contains(&self.flow_time_s.len()) {
+            let message = format!("has {} values for {} runs", self.flow_time_s.len(), self.runs.len());
+            return Err(FieldError::new("flow_time_s", message));
         }
         let odd = self.covariates.iter().find(|covariate| covariate.len() != self.runs.len());
         match odd {
@@ -123,7 +182,7 @@ impl Campaign {
     /// The same with another's runs behind, without their angles: rows to predict. What the other recorded and this one did not is left out; names
     /// that this one never saw are as if not recorded.
     pub fn joined(&self, other: &Self) -> Self {
-        let mut all = self.clone();
+        let mut all = Self { flow_time_s: Vec::new(), ..self.clone() };
         let session = all.runs.iter().map(|run| run.session + 1).max().unwrap_or(0);
         let known = |powder: &String| self.powders.iter().position(|it| it == powder);
         all.powders.extend(other.powders.iter().filter(|powder| known(powder).is_none()).cloned());

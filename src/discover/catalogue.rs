@@ -17,7 +17,7 @@
 //! The forms are ours: of each kind some that grow ever faster, some that approach a limit, and some that rise in the middle; no number in them was
 //! measured.
 
-use super::campaign::{Campaign, Values};
+use super::campaign::{Campaign, Quantity, Values};
 use super::signature::Course;
 
 /// Causes that look alike are claimed together first.
@@ -97,6 +97,16 @@ impl Mechanism {
             Self::MethodBias => &["method"],
             Self::Operator => &["operator"],
             Self::BaseFriction => &["plate"],
+        }
+    }
+
+    /// Whether it can move this at all. Powder that runs out of a funnel knows nothing of how a heap is looked at, what it lies on and from where it
+    /// fell; of scatter the simulator says nothing, so it has no causes.
+    pub(super) fn moves(self, quantity: Quantity) -> bool {
+        match quantity {
+            Quantity::Repose => true,
+            Quantity::FlowTime => !matches!(self, Self::MethodBias | Self::BaseFriction | Self::FunnelHeight),
+            Quantity::Scatter => false,
         }
     }
 

@@ -1,26 +1,31 @@
-//! Angles of repose and balance readings, judged together: each channel by itself, with p-values that are corrected for there being two.
+//! Angles of repose, flow times and balance readings, judged together: each channel by itself, with p-values that are corrected for there being several.
 //!
 //! ```text
-//! p_a, p_t          of angles and of traces, each against its own simulated nulls
-//! smaller of both   min(1, 2 p)
-//! larger of both    max(p, what the smaller became)            Holm, Scand. J. Statist. 6 (1979) 65
+//! p_1 <= .. <= p_k     of the channels, each against its own simulated nulls
+//! p_i becomes          the largest over j <= i of min(1, (k - j + 1) p_j)         Holm, Scand. J. Statist. 6 (1979) 65
 //! ```
 //!
-//! With nothing wrong in either, one of them is found in at most 5 % of investigations; what is found in one does not cost the other its level twice.
+//! With nothing wrong in any, one of them is found in at most 5 % of investigations; what is found in one does not cost the others its level again. How far
+//! repeats scatter is told beside them and decides nothing: the simulator says nothing of it, and a null may scatter as it likes.
 
+use super::beside::{Beside, Heard};
 use super::campaign::Campaign;
+use super::flow::flow_times;
+use super::hypothesis::Responses;
 use super::investigate::angles;
-use super::report::{NullCheck, Report, SCHEMA_VERSION, SimulatorVersions, Verdict};
+use super::posterior::Posterior;
+use super::report::{CauseReport, NullCheck, Report, SCHEMA_VERSION, SimulatorVersions, Verdict};
 use super::response::responses;
-use super::screen::Settings;
+use super::screen::{Prepared, Settings, screen_prepared};
 use super::traces::report::{TraceReport, report};
 use super::traces::{self, TraceScreening, Traces, screen_traces};
 use crate::domain::FieldError;
 use crate::domain::job::Progress;
 use std::ops::ControlFlow;
 
-/// Share of the work that balance readings are.
+/// Share of the work that balance readings are, and of what is left that flow times are.
 const TRACES_SHARE: f64 = 0.3;
+const FLOW_SHARE: f64 = 0.2;
 
 /// Investigate a campaign of angles, balance readings of weighings, or both.
 ///
@@ -39,46 +44,83 @@ pub fn investigate(
     mut on_progress: impl FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Option<Report>, FieldError> {
     let Settings { seed, simulations } = settings.checked()?;
+    let mut step =
+        |fraction: f64, message: &str| on_progress(&Progress { fraction, message: message.to_owned() }).is_break();
+    let mut done = 0.0;
     let mut screened = None;
     if let Some(traces) = traces {
-        let message = "judging balance readings, here and where nothing is wrong".to_owned();
-        if on_progress(&Progress { fraction: 0.0, message }).is_break() {
+        if step(0.0, "judging balance readings, here and where nothing is wrong") {
             return Ok(None);
         }
         screened = Some((traces, screen_traces(traces, &traces::Settings { seed, simulations })?));
+        done = TRACES_SHARE;
     }
-    let from = if screened.is_some() { TRACES_SHARE } else { 0.0 };
     let trace_p = screened.as_ref().map(|(_, screening)| screening.p_value);
-    let (mut report, angle_p) = match campaign {
-        Some(campaign) => {
-            let later = |progress: &Progress| {
-                let fraction = from + (1.0 - from) * progress.fraction;
-                on_progress(&Progress { fraction, message: progress.message.clone() })
-            };
-            let found = angles(campaign, &responses(campaign), base, settings, |p| holm(p, trace_p), later)?;
-            let Some(report) = found else { return Ok(None) };
-            let p = report.p_value;
-            (report, Some(p))
-        }
-        None => match &screened {
-            Some((_, screening)) => (without_angles(screening, base), None),
-            None => return Err(FieldError::new("measurements", "or traces are needed: there is nothing to judge")),
-        },
+    let Some(campaign) = campaign else {
+        let Some((traces, screening)) = screened else {
+            return Err(FieldError::new("measurements", "or traces are needed: there is nothing to judge"));
+        };
+        let mut document = without_angles(&screening, base);
+        add_traces(&mut document, report(traces, &screening, screening.p_value));
+        return Ok(Some(document));
     };
-    if let Some((traces, screening)) = screened {
-        let of_traces = self::report(traces, &screening, holm(screening.p_value, angle_p));
-        add(&mut report, of_traces, angle_p);
+    // Flow times that say nothing are no reason to refuse the angles.
+    let flow = flow_times(campaign).map(|flow| flow.and_then(|it| Ok((Prepared::new(&it, &Responses::new())?, it))));
+    let (flow, silent) = match flow {
+        Some(Ok(flow)) => (Some(flow), None),
+        Some(Err(error)) => (None, Some(error)),
+        None => (None, None),
+    };
+    let mut timed = None;
+    if let Some((prepared, flow)) = &flow {
+        if step(done, "judging flow times, here and where nothing is wrong") {
+            return Ok(None);
+        }
+        let posterior = Posterior::new(prepared);
+        let go_on = |_| ControlFlow::Continue(());
+        let screening = screen_prepared(prepared, flow, &posterior.shifts(), settings, go_on);
+        let Some(screening) = screening else { return Ok(None) };
+        timed = Some(Beside { campaign: flow, prepared, posterior, screening });
+        done += (1.0 - done) * FLOW_SHARE;
     }
-    Ok(Some(report))
+    let flow_p = timed.as_ref().map(|it| it.screening.p_value);
+    let later = |progress: &Progress| {
+        let fraction = done + (1.0 - done) * progress.fraction;
+        on_progress(&Progress { fraction, message: progress.message.clone() })
+    };
+    let others: Vec<f64> = trace_p.into_iter().chain(flow_p).collect();
+    let found = angles(campaign, &responses(campaign), base, settings, |p| holm(p, &others), later)?;
+    let Some(mut document) = found else { return Ok(None) };
+    let all: Vec<f64> = [document.p_value].into_iter().chain(others).collect();
+    document.p_value = all.iter().map(|&p| holm(p, &without(&all, p))).fold(1.0, f64::min);
+    let corrected = |p: f64| holm(p, &without(&all, p));
+    if let Some(timed) = timed {
+        let (heard, side) = timed.heard(corrected(timed.screening.p_value), settings)?;
+        add(&mut document, heard);
+        document.beside.push(side);
+    }
+    if let Some(error) = silent {
+        document.blind_spots.push(format!("Flow times: {}.", error.message));
+    }
+    if let Some((traces, screening)) = screened {
+        add_traces(&mut document, report(traces, &screening, corrected(screening.p_value)));
+    }
+    Ok(Some(document))
 }
 
-/// The p-value of one channel, corrected for another.
-fn holm(p: f64, other: Option<f64>) -> f64 {
-    match other {
-        None => p,
-        Some(other) if p <= other => (2.0 * p).min(1.0),
-        Some(other) => p.max((2.0 * other).min(1.0)),
-    }
+/// The p-value of one channel, corrected for others.
+fn holm(p: f64, others: &[f64]) -> f64 {
+    let channels = others.len() + 1;
+    let mut ascending: Vec<f64> = others.iter().copied().filter(|&other| other < p).chain([p]).collect();
+    ascending.sort_by(f64::total_cmp);
+    let grown = ascending.iter().enumerate().map(|(k, p)| (channels - k) as f64 * p);
+    grown.fold(0.0, f64::max).min(1.0)
+}
+
+/// All p-values but one of these.
+fn without(all: &[f64], p: f64) -> Vec<f64> {
+    let own = all.iter().position(|&it| it == p);
+    all.iter().enumerate().filter(|(k, _)| Some(*k) != own).map(|(_, &it)| it).collect()
 }
 
 /// The document of balance readings alone, before they are added.
@@ -101,6 +143,7 @@ fn without_angles(screening: &TraceScreening, base: &str) -> Report {
         untestable: Vec::new(),
         null_check: NullCheck { campaigns: 0, statistic: 0.0, threshold95: 0.0 },
         numerics: None,
+        beside: Vec::new(),
         traces: None,
         rows: Vec::new(),
         curves: Vec::new(),
@@ -109,54 +152,70 @@ fn without_angles(screening: &TraceScreening, base: &str) -> Report {
     }
 }
 
-/// Add what balance readings say to a document; `angle_p` is none where it has no angles.
-fn add(report: &mut Report, of_traces: TraceReport, angle_p: Option<f64>) {
-    let TraceReport { channel, sentence, findings, causes, ambiguous_between, unexplained, .. } = of_traces;
-    let (angles_are_found, traces_are_found) =
-        (report.verdict != Verdict::NoDiscrepancy, channel.verdict != Verdict::NoDiscrepancy);
+/// Add what one more channel says to a document.
+fn add(document: &mut Report, heard: Heard) {
+    let Heard { verdict, sentence, findings, causes, ambiguous_between, unexplained, experiment } = heard;
+    let (was_found, is_found) = (document.verdict != Verdict::NoDiscrepancy, verdict != Verdict::NoDiscrepancy);
+    let leads = is_found && !was_found;
     // A cause that was claimed must be of a channel in which something was found.
-    if traces_are_found && !angles_are_found {
-        report.causes.clear();
+    if leads {
+        document.causes.clear();
     }
-    if traces_are_found || !angles_are_found {
-        report.causes.extend(causes);
+    if is_found || !was_found {
+        causes.into_iter().for_each(|cause| add_cause(&mut document.causes, cause));
     }
-    report.causes.sort_by(|a, b| b.inclusion_probability.total_cmp(&a.inclusion_probability));
-    // What was found comes first, each channel from its most probable cause on.
-    match traces_are_found && !angles_are_found {
-        true => report.evidence.splice(..0, of_traces.evidence).for_each(drop),
-        false => report.evidence.extend(of_traces.evidence),
-    }
-    report.findings.extend(findings);
-    report.ambiguous_between.extend(ambiguous_between);
-    report.unexplained = report.unexplained.take().or(unexplained);
-    report.blind_spots.extend(of_traces.blind_spots);
-    report.untestable.extend(of_traces.untestable);
-    // One experiment is the document's: that of what is open, else of what was found, else of angles.
-    let is_of_traces = match (report.verdict, channel.verdict) {
+    document.causes.sort_by(|a, b| b.inclusion_probability.total_cmp(&a.inclusion_probability));
+    document.findings.splice(if leads { 0..0 } else { document.findings.len()..document.findings.len() }, findings);
+    let new = ambiguous_between.into_iter().filter(|it| !document.ambiguous_between.contains(it));
+    let new: Vec<String> = new.collect();
+    document.ambiguous_between.extend(new);
+    document.unexplained = document.unexplained.take().or(unexplained);
+    // One experiment is the document's: that of what is open, else of what was found, else of what came first.
+    let decides = match (document.verdict, verdict) {
         (Verdict::Ambiguous, _) => false,
         (_, Verdict::Ambiguous) => true,
-        _ => traces_are_found && !angles_are_found,
+        _ => leads,
     };
-    if is_of_traces || report.suggested_experiment.is_none() {
-        report.suggested_experiment.clone_from(&channel.suggested_experiment);
+    if decides || document.suggested_experiment.is_none() {
+        document.suggested_experiment = experiment;
     }
-    report.verdict = both(report.verdict, channel.verdict);
-    match angle_p {
-        None => {
-            report.sentence = sentence;
-            report.null_check = channel.null_check.clone();
-        }
-        Some(p) => {
-            report.p_value = holm(p, Some(channel.p_value)).min(holm(channel.p_value, Some(p)));
-            let parts = match traces_are_found && !angles_are_found {
-                true => [sentence.as_str(), report.sentence.as_str()],
-                false => [report.sentence.as_str(), sentence.as_str()],
-            };
-            report.sentence = parts.join(" ");
+    document.verdict = both(document.verdict, verdict);
+    let mut parts = [std::mem::take(&mut document.sentence), sentence];
+    if leads {
+        parts.reverse();
+    }
+    document.sentence = parts.iter().filter(|it| !it.is_empty()).map(String::as_str).collect::<Vec<_>>().join(" ");
+}
+
+/// What two channels say of one cause: the larger probability, and the numbers of both.
+fn add_cause(causes: &mut Vec<CauseReport>, cause: CauseReport) {
+    match causes.iter_mut().find(|it| it.mechanism == cause.mechanism) {
+        None => causes.push(cause),
+        Some(known) => {
+            known.inclusion_probability = known.inclusion_probability.max(cause.inclusion_probability);
+            known.parameters.extend(cause.parameters);
+            let new = cause.powders.into_iter().filter(|powder| !known.powders.contains(powder));
+            let new: Vec<String> = new.collect();
+            known.powders.extend(new);
         }
     }
-    report.traces = Some(channel);
+}
+
+/// Add what balance readings say to a document.
+fn add_traces(document: &mut Report, of_traces: TraceReport) {
+    let TraceReport { channel, sentence, findings, causes, ambiguous_between, unexplained, .. } = of_traces;
+    let leads = channel.verdict != Verdict::NoDiscrepancy && document.verdict == Verdict::NoDiscrepancy;
+    // What was found comes first, each channel from its most probable cause on.
+    match leads {
+        true => document.evidence.splice(..0, of_traces.evidence).for_each(drop),
+        false => document.evidence.extend(of_traces.evidence),
+    }
+    document.blind_spots.extend(of_traces.blind_spots);
+    document.untestable.extend(of_traces.untestable);
+    let experiment = channel.suggested_experiment.clone();
+    let verdict = channel.verdict;
+    add(document, Heard { verdict, sentence, findings, causes, ambiguous_between, unexplained, experiment });
+    document.traces = Some(channel);
 }
 
 /// The verdict over two channels: what is open in one is open, and what has a name in one has it.
@@ -175,11 +234,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn two_channels_cost_each_other_no_more_than_holm_says() {
+    fn channels_cost_each_other_no_more_than_holm_says() {
         // Holm's example of two hypotheses: 0.01 and 0.04 become 0.02 and 0.04, 0.03 and 0.04 both 0.06.
-        let both = |a: f64, b: f64| [holm(a, Some(b)), holm(b, Some(a))];
+        let both = |a: f64, b: f64| [holm(a, &[b]), holm(b, &[a])];
         assert_eq!((both(0.01, 0.04), both(0.03, 0.04)), ([0.02, 0.04], [0.06, 0.06]));
-        assert_eq!((both(0.7, 0.9), both(0.03, 0.03), holm(0.03, None)), ([1.0, 1.0], [0.06, 0.06], 0.03));
+        assert_eq!((both(0.7, 0.9), both(0.03, 0.03), holm(0.03, &[])), ([1.0, 1.0], [0.06, 0.06], 0.03));
+        // Of three: 0.01, 0.02 and 0.03 become 0.03, 0.04 and 0.04, in whatever order they come.
+        let three = [0.02, 0.03, 0.01];
+        let of_three: Vec<f64> = three.iter().map(|&p| holm(p, &without(&three, p))).collect();
+        assert_eq!(of_three, [0.04, 0.04, 0.03]);
         // Nothing wrong, each p uniform: one of them is found in 5 % of investigations and a little less, 1 - (1 - 0.025)^2.
         let grid = || (0..400).map(|k| (f64::from(k) + 0.5) / 400.0);
         let alarms =

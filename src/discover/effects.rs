@@ -4,7 +4,7 @@ use super::campaign::{Campaign, Covariate, LEVELS_MAX, Values};
 use super::hypothesis::{Cause, Responses};
 use super::names;
 use super::posterior::Posterior;
-use super::report::{Channel, Curve, Finding, PowderEffect};
+use super::report::{Curve, Finding, PowderEffect};
 use super::scenario::{Conditions, Setting, extended, levels, percentile};
 use super::screen::Prepared;
 use crate::domain::FieldError;
@@ -35,7 +35,8 @@ pub(super) fn findings(
             let pair = |powder: usize| (first + 2 * powder, first + 2 * powder + 1);
             let of = |pairs: &[(usize, usize)]| {
                 let mixture = posterior.effect(cause, pairs)?;
-                Some((mixture.moments().0, mixture.interval(0.95)))
+                let told = |change: f64| campaign.quantity.told(change);
+                Some((told(mixture.moments().0), mixture.interval(0.95).map(told)))
             };
             let Some((effect, ci95)) = of(&powders.clone().map(pair).collect::<Vec<_>>()) else { continue };
             let by_powder: Vec<PowderEffect> = powders
@@ -46,12 +47,12 @@ pub(super) fn findings(
                 .collect();
             let shows = by_powder.iter().filter(|it| it.ci95[0] * it.ci95[1] > 0.0);
             let finding = Finding {
-                channel: Channel::Repose,
+                channel: campaign.quantity.channel(),
                 covariate: covariate_of(cause),
                 powders: shows.map(|it| it.powder.clone()).collect(),
                 effect,
                 ci95,
-                unit: "deg".to_owned(),
+                unit: campaign.quantity.unit().to_owned(),
                 span,
                 by_powder,
             };

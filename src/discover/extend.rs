@@ -9,7 +9,7 @@ use super::catalogue::Mechanism;
 use super::extension::{AtReference, Extended, Extension, Form, Hook, OnPowder, Through};
 use super::hypothesis::{Cause, Responses};
 use super::posterior::Posterior;
-use super::report::{ParameterReport, Report};
+use super::report::{Channel, ParameterReport, Report};
 use super::response::{amplitude, hook};
 use super::scenario::{Conditions as Places, Setting, extended, levels, percentile};
 use super::screen::Prepared;
@@ -32,7 +32,13 @@ const FACTOR_MAX: f64 = 4.0;
 pub fn extend(campaign: &Campaign, responses: &Responses, report: &Report) -> Result<Option<Extended>, FieldError> {
     let claimed = report.causes.iter().filter(|cause| cause.confidence_level > 1);
     let known = claimed.filter_map(|cause| Mechanism::ALL.into_iter().find(|it| it.name().0 == cause.mechanism));
-    let unknown = report.unexplained.iter().filter_map(|it| it.covariate.clone()).map(Cause::Unknown);
+    // What only flow times or balance readings depend on makes no angle.
+    let of_angles = |covariate: &&String| {
+        let mut found = report.findings.iter().filter(|finding| finding.channel == Channel::Repose);
+        found.any(|finding| finding.covariate.as_ref() == Some(*covariate))
+    };
+    let unknown = report.unexplained.iter().filter_map(|it| it.covariate.as_ref()).filter(of_angles).cloned();
+    let unknown = unknown.map(Cause::Unknown);
     let causes: Vec<Cause> = known.map(Cause::Known).chain(unknown).collect();
     let mut extensions = Vec::new();
     for cause in &causes {

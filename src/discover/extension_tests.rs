@@ -157,6 +157,7 @@ fn campaign(covariate: &str) -> Campaign {
         powders: ["sand", "salt", "flour"].map(str::to_owned).to_vec(),
         runs,
         covariates: vec![Covariate { name: covariate.into(), values }],
+        ..Campaign::default()
     }
 }
 

@@ -1,6 +1,6 @@
 //! What may explain a campaign: every mechanism of the catalogue, every recorded covariate by a smooth function, and a wander that nobody recorded.
 
-use super::campaign::{Campaign, Values};
+use super::campaign::{Campaign, Quantity, Values};
 use super::catalogue::{Family, Mechanism};
 use super::signature::{Course, DEVIATIONS};
 use nalgebra::DMatrix;
@@ -98,22 +98,24 @@ pub(super) fn hypotheses(campaign: &Campaign, responses: &Responses) -> (Vec<Hyp
         ..Hypothesis::of(cause, &courses, &powder, None)
     };
     let (mut judged, mut untestable) = (Vec::new(), Vec::new());
-    for mechanism in Mechanism::ALL {
+    for mechanism in Mechanism::ALL.into_iter().filter(|mechanism| mechanism.moves(campaign.quantity)) {
         match mechanism.courses(campaign) {
             Ok(courses) => {
                 let response = responses.get(&mechanism).map(Vec::as_slice);
                 let of = Hypothesis::of(Cause::Known(mechanism), &courses, &powder, response);
-                judged.push(Hypothesis { sign: mechanism.sign(), ..of });
+                let sign = mechanism.sign().filter(|_| campaign.quantity == Quantity::Repose);
+                judged.push(Hypothesis { sign, ..of });
             }
             Err(reason) => untestable.push(Untestable { mechanism, reason }),
         }
     }
+    let is_catalogued = |name: &str| campaign.quantity != Quantity::Scatter && has_mechanism(name);
     for covariate in &campaign.covariates {
         let name = &covariate.name;
         let courses = match &covariate.values {
             Values::Numbers(_) => campaign.numbers(name).map_or(Vec::new(), |values| smooth(&values, campaign)),
             // A mechanism on levels is already one free number for each.
-            Values::Levels { .. } if has_mechanism(name) => Vec::new(),
+            Values::Levels { .. } if is_catalogued(name) => Vec::new(),
             Values::Levels { .. } => {
                 let levels = campaign.levels(name).ok();
                 let course = levels.and_then(|(level, count)| Course::of_levels(&level, count, campaign));
@@ -121,7 +123,7 @@ pub(super) fn hypotheses(campaign: &Campaign, responses: &Responses) -> (Vec<Hyp
             }
         };
         if !courses.is_empty() {
-            let prior = UNCATALOGUED_PRIOR[usize::from(!has_mechanism(name))];
+            let prior = UNCATALOGUED_PRIOR[usize::from(!is_catalogued(name))];
             judged.push(hypothesis(Cause::Unknown(name.clone()), courses, prior));
         }
     }

@@ -1,5 +1,6 @@
 //! The whole of an investigation of angles: from a campaign to a report.
 
+use super::beside::Beside;
 use super::campaign::{Campaign, Run};
 use super::detectable::detectable;
 use super::effects::{curves, findings};
@@ -13,7 +14,8 @@ use super::report::{
     SimulatorVersions, Unexplained, UntestableReport, Verdict,
 };
 use super::response::amplitude;
-use super::screen::{Prepared, Screening, Settings, screen_prepared};
+use super::scatter::{scatters, simulated};
+use super::screen::{Prepared, Screening, Settings, screen_among, screen_prepared};
 use super::words;
 use crate::domain::FieldError;
 use crate::domain::job::Progress;
@@ -62,7 +64,8 @@ pub(super) fn angles(
         false => ControlFlow::Continue(()),
     };
     let posterior = Posterior::new(&prepared);
-    let screened = screen_prepared(&prepared, campaign, &posterior.shifts(), &settings, judged);
+    let shifts = posterior.shifts();
+    let screened = screen_prepared(&prepared, campaign, &shifts, &settings, judged);
     let Some(screening) = screened else { return Ok(None) };
     let judgement = Judgement::of(&prepared, &posterior, corrected(screening.p_value));
     let mut report = blank(&screening, base);
@@ -120,7 +123,30 @@ pub(super) fn angles(
     let law =
         judgement.told.first().filter(|_| report.verdict == Verdict::Cause).and_then(|cause| posterior.law(cause));
     report.sentence = words::sentence(&report, law);
+    scatter(&mut report, campaign, &shifts, &settings)?;
     Ok(Some(report))
+}
+
+/// Add whether repeats scatter more in some conditions, or that it cannot be seen. It decides nothing: the simulator says nothing of it.
+fn scatter(report: &mut Report, campaign: &Campaign, explained: &[f64], settings: &Settings) -> Result<(), FieldError> {
+    let prepared =
+        scatters(campaign, explained).ok().and_then(|it| Some((Prepared::new(&it, &Responses::new()).ok()?, it)));
+    let Some((prepared, scatters)) = prepared.filter(|(prepared, _)| !prepared.hypotheses.is_empty()) else {
+        report.blind_spots.push(words::NO_SCATTER.to_owned());
+        return Ok(());
+    };
+    let null = simulated(&scatters, settings.seed, settings.simulations);
+    let Some(screening) = screen_among(&prepared, &[null], |_| ControlFlow::Continue(())) else { return Ok(()) };
+    let p_value = screening.p_value;
+    let posterior = Posterior::new(&prepared);
+    let beside = Beside { campaign: &scatters, prepared: &prepared, posterior, screening };
+    let (heard, side) = beside.heard(p_value, settings)?;
+    report.findings.extend(heard.findings);
+    if !heard.sentence.is_empty() {
+        report.sentence = format!("{} {}", report.sentence, heard.sentence);
+    }
+    report.beside.push(side);
+    Ok(())
 }
 
 /// What runs read that were not measured, by the simulator as it was and as a campaign extends it: one row for each run without an angle.
@@ -177,7 +203,7 @@ impl Judgement {
         Self { verdict, told, ranked }
     }
 
-    fn ambiguous_between(&self) -> Vec<String> {
+    pub(super) fn ambiguous_between(&self) -> Vec<String> {
         match self.verdict {
             Verdict::Ambiguous => self.told.iter().map(|cause| cause.name().0).collect(),
             _ => Vec::new(),
@@ -185,7 +211,7 @@ impl Judgement {
     }
 
     /// The covariate of an unexplained departure, if one was recorded.
-    fn unexplained(&self) -> Option<Option<&str>> {
+    pub(super) fn unexplained(&self) -> Option<Option<&str>> {
         match (self.verdict, self.told.first()) {
             (Verdict::Unexplained, Some(Cause::Unknown(covariate))) => Some(Some(covariate)),
             (Verdict::Unexplained, _) => Some(None),
@@ -257,7 +283,7 @@ fn flat(mut curves: Vec<Curve>) -> Vec<Curve> {
     curves
 }
 
-fn evidence(prepared: &Prepared, screening: &Screening, posterior: &Posterior<'_>) -> Vec<Evidence> {
+pub(super) fn evidence(prepared: &Prepared, screening: &Screening, posterior: &Posterior<'_>) -> Vec<Evidence> {
     let of = |judged: &super::Judged| {
         let (cause, family) = judged.cause.name();
         Evidence {
@@ -302,6 +328,7 @@ fn blank(screening: &Screening, base: &str) -> Report {
         rows: Vec::new(),
         curves: Vec::new(),
         numerics: None,
+        beside: Vec::new(),
         traces: None,
         simulator_runs: 0,
         wall_s: 0.0,

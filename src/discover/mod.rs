@@ -15,7 +15,8 @@
 //! extension.rs    an extended simulator as data  extend.rs      from what was found to one
 //! fit.rs          its amplitude by simulated heaps  numerics.rs    what is wrong without any data
 //! investigate.rs  all of it, for angles              report.rs, words.rs   the document, and its sentences
-//! traces/         the same for balance readings      channels.rs           both together
+//! flow.rs, scatter.rs   flow times, and how far repeats scatter    beside.rs   judged as angles are
+//! traces/         the same for balance readings      channels.rs           all together
 //! names.rs        plain names of causes and columns
 //! ```
 //!
@@ -28,8 +29,9 @@
 //! what is claimed has 0.8 of it, and no look-alike. What it is worth is a matter of days that were left out of the whole search.
 
 /// Grows when an investigation of the same campaign may come to another report.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 
+mod beside;
 pub mod campaign;
 mod catalogue;
 mod channels;
@@ -39,6 +41,7 @@ mod experiment;
 mod extend;
 pub mod extension;
 mod fit;
+mod flow;
 mod held_out;
 mod hypothesis;
 mod investigate;
@@ -49,6 +52,7 @@ pub mod numerics;
 mod posterior;
 pub mod report;
 mod response;
+mod scatter;
 mod scenario;
 mod screen;
 mod signature;
@@ -58,7 +62,7 @@ mod words;
 #[cfg(test)]
 mod tests;
 
-pub use campaign::{Campaign, Covariate, Run, Values};
+pub use campaign::{Campaign, Covariate, Quantity, Run, Values};
 pub use campaign::{LEVELS_MAX, repeats_of};
 pub use catalogue::{Family, Mechanism};
 pub use channels::investigate;

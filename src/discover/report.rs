@@ -43,6 +43,9 @@ pub struct Report {
     pub untestable: Vec<UntestableReport>,
     /// How often as much is found where nothing is wrong: of angles, and of balance readings where there are no angles.
     pub null_check: NullCheck,
+    /// What was measured beside the angle, by itself: flow times where there are any, and how far repeats scatter.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub beside: Vec<SideChannel>,
     /// What balance readings say by themselves; absent where none were given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub traces: Option<TraceChannel>,
@@ -110,7 +113,7 @@ pub struct Finding {
     pub effect: f64,
     /// 95 % interval.
     pub ci95: [f64; 2],
-    /// `deg`; of balance readings `mg`, or `%` of a shake's mass or of a reading's SD.
+    /// `deg`; of a flow time and of scatter `%`; of balance readings `mg`, or `%` of a shake's mass or of a reading's SD.
     pub unit: String,
     /// From where to where.
     pub span: String,
@@ -352,6 +355,25 @@ pub struct TraceChannel {
     pub null_check: NullCheck,
     /// What would tell most of the balance readings.
     pub suggested_experiment: Option<Experiment>,
+}
+
+/// What was measured beside the angle, judged by itself.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct SideChannel {
+    /// `flow_time`, or `scatter`, of which the simulator says nothing and which therefore leaves the document's verdict alone.
+    pub channel: Channel,
+    /// Whether it depends on anything, and whether that has a name.
+    pub verdict: Verdict,
+    /// Chance of evidence as strong if nothing is wrong, not corrected for other channels.
+    pub p_value: f64,
+    /// Flow times, or differences between repeats, that were looked at.
+    pub n: u32,
+    /// What it says, in plain words.
+    pub sentence: String,
+    /// Every cause that was judged on it, most probable first.
+    pub evidence: Vec<Evidence>,
+    /// How often as much is found where nothing is wrong.
+    pub null_check: NullCheck,
 }
 
 /// Campaigns of the same design with nothing wrong.

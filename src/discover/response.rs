@@ -135,7 +135,7 @@ mod tests {
         let campaign = Campaign {
             powders: ["sand", "bicarbonate", "lactose"].map(str::to_owned).to_vec(),
             runs: vec![run(0, 28.0), run(1, 42.0), run(1, 44.0)],
-            covariates: Vec::new(),
+            ..Campaign::default()
         };
         let found = responses(&campaign);
         let [sand, bicarbonate, unmeasured] = found[&Mechanism::Vibration][..] else { panic!() };

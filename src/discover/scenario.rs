@@ -18,7 +18,7 @@ pub type Conditions = BTreeMap<String, Setting>;
 /// The campaign with further runs, which have no angle unless one is given; and the index of the first of them.
 pub fn extended(campaign: &Campaign, session: usize, runs: &[(usize, Conditions, Option<f64>)]) -> (Campaign, usize) {
     let first = campaign.runs.len();
-    let mut more = campaign.clone();
+    let mut more = Campaign { flow_time_s: Vec::new(), ..campaign.clone() };
     more.runs.extend(runs.iter().map(|&(powder, _, repose_deg)| Run { row: 0, powder, session, repose_deg }));
     for Covariate { name, values } in &mut more.covariates {
         match values {

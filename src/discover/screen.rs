@@ -188,17 +188,25 @@ pub(super) fn screen_prepared(
     campaign: &Campaign,
     explained: &[f64],
     settings: &Settings,
-    mut on_cause: impl FnMut(f64) -> ControlFlow<()>,
+    on_cause: impl FnMut(f64) -> ControlFlow<()>,
 ) -> Option<Screening> {
-    let Prepared { weights, noises, observed, hypotheses, .. } = prepared;
-    let simulations = settings.simulations as usize;
+    let Prepared { weights, noises, observed, .. } = prepared;
     let simulated = noise::with_simulated(campaign, weights, noises, observed, settings.seed, settings.simulations);
     let left: Vec<f64> = prepared.measured.iter().zip(observed).map(|(&i, angle)| angle - explained[i]).collect();
     let redrawn = noise::with_signs_redrawn(campaign, &left, settings.seed, settings.simulations);
-    let all = DMatrix::from_fn(observed.len(), 1 + 2 * simulations, |i, k| match k.checked_sub(1 + simulations) {
-        None => simulated[(i, k)],
-        Some(k) => redrawn[(i, k)],
-    });
+    screen_among(prepared, &[simulated.columns_range(1..).into_owned(), redrawn], on_cause)
+}
+
+/// `nulls`: groups of campaigns of the same design in which nothing is wrong, one a column; the largest p-value counts, and the first group is told of.
+pub(super) fn screen_among(
+    prepared: &Prepared,
+    nulls: &[DMatrix<f64>],
+    mut on_cause: impl FnMut(f64) -> ControlFlow<()>,
+) -> Option<Screening> {
+    let Prepared { observed, hypotheses, .. } = prepared;
+    let mut columns = observed.clone();
+    nulls.iter().for_each(|null| columns.extend_from_slice(null.as_slice()));
+    let all = DMatrix::from_vec(observed.len(), columns.len() / observed.len(), columns);
     let seen = prepared.seen(&all);
     let mut log_odds = Vec::new();
     for (k, hypothesis) in hypotheses.iter().enumerate() {
@@ -211,9 +219,14 @@ pub(super) fn screen_prepared(
     let largest = |k: usize| scores(k).fold(f64::NEG_INFINITY, f64::max);
     let p_in =
         |null: &[f64]| (1 + null.iter().filter(|&&score| score >= largest(0)).count()) as f64 / (1 + null.len()) as f64;
-    let mut null: Vec<f64> = (1..=simulations).map(largest).collect();
-    let redrawn: Vec<f64> = (1 + simulations..all.ncols()).map(largest).collect();
-    let p_value = p_in(&null).max(p_in(&redrawn));
+    let mut next = 1;
+    let mut group = |of: &DMatrix<f64>| -> Vec<f64> {
+        next += of.ncols();
+        (next - of.ncols()..next).map(largest).collect()
+    };
+    let groups: Vec<Vec<f64>> = nulls.iter().map(&mut group).collect();
+    let p_value = groups.iter().map(|null| p_in(null)).fold(0.0, f64::max);
+    let mut null = groups.into_iter().next().unwrap_or_default();
     null.sort_by(f64::total_cmp);
     let total = log_mean_exp(&scores(0).collect::<Vec<_>>()) + (hypotheses.len() as f64).ln();
     let judge = |(it, score): (&Hypothesis, f64)| Judged {

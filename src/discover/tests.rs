@@ -93,7 +93,9 @@ impl Laboratory {
                 },
             },
         ];
-        Campaign { powders: POWDERS.map(str::to_owned).to_vec(), runs, covariates }.checked().unwrap()
+        Campaign { powders: POWDERS.map(str::to_owned).to_vec(), runs, covariates, ..Campaign::default() }
+            .checked()
+            .unwrap()
     }
 }
 

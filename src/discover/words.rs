@@ -1,8 +1,9 @@
 //! The report's sentences, made from its numbers.
 
+use super::campaign::Quantity;
 use super::effects::{quantity, rounded};
 use super::names;
-use super::report::{Experiment, Finding, Gain, Report, Verdict};
+use super::report::{CauseReport, Experiment, Finding, Gain, Report, Verdict};
 
 /// The one sentence that a reader sees first.
 pub(super) fn sentence(report: &Report, law: Option<&str>) -> String {
@@ -60,13 +61,9 @@ fn cause(report: &Report, law: Option<&str>) -> String {
             let powders = finding.by_powder.len();
             let piles = if finding.effect > 0.0 { "steeper" } else { "flatter" };
             let name = names::cause(&cause.mechanism);
-            let how = match cause.mechanism.as_str() {
-                "method_bias" | "operator" | "batch" | "base_friction" => "changes how steep",
-                _ => "makes",
-            };
-            let body = match how {
-                "makes" => format!("{name} makes {} pile {piles} than the simulation predicts", on(finding, powders)),
-                _ => format!("{name} changes the angle of {} against the simulation", on(finding, powders)),
+            let body = match is_of_levels(&cause.mechanism) {
+                false => format!("{name} makes {} pile {piles} than the simulation predicts", on(finding, powders)),
+                true => format!("{name} changes the angle of {} against the simulation", on(finding, powders)),
             };
             format!("{body}: {} (probability {:.0} %)", sized(finding), 100.0 * cause.inclusion_probability)
         })
@@ -129,6 +126,75 @@ fn next(experiment: &Experiment, verdict: Verdict) -> String {
         _ => "What would prove it",
     };
     format!("{opening}: {} ({:.0} minutes).", experiment.what, experiment.minutes)
+}
+
+/// `+12 % [8, 16] from 30 to 70 % relative humidity`, of what is told in percent.
+fn in_percent(finding: &Finding) -> String {
+    let [low, high] = finding.ci95;
+    format!("{:+.0} % [{low:.0}, {high:.0}] {}", finding.effect, finding.span)
+}
+
+/// What was measured beside the angle says, by itself; nothing of repeats that scatter alike.
+pub(super) fn beside(
+    measured: Quantity,
+    verdict: Verdict,
+    causes: &[CauseReport],
+    findings: &[Finding],
+    ambiguous_between: &[String],
+    p_value: f64,
+) -> String {
+    let finding = findings.first();
+    let size = finding.map_or(String::new(), |it| format!(": {}", in_percent(it)));
+    let with = finding.and_then(|it| it.covariate.as_deref()).map_or("something".to_owned(), |name| quantity(name).0);
+    match (measured, verdict) {
+        (Quantity::Scatter, Verdict::NoDiscrepancy) => String::new(),
+        (Quantity::Scatter, _) => match finding {
+            Some(_) => format!(
+                "Repeats scatter differently with {with}{size}; evidence as strong arises by chance in {} % of such campaigns.",
+                percent(p_value)
+            ),
+            None => "How far repeats scatter wanders over the sessions, with nothing that was recorded.".to_owned(),
+        },
+        (_, Verdict::NoDiscrepancy) => format!(
+            "Flow times show no discrepancy: evidence as strong arises by chance in {} % of such campaigns.",
+            percent(p_value)
+        ),
+        (_, Verdict::Cause) => {
+            let claimed = causes.iter().filter(|it| it.inclusion_probability >= super::investigate::CLAIM);
+            let told = claimed.filter_map(|cause| {
+                let of = |it: &&Finding| cause.parameters.iter().any(|p| p.value == it.effect);
+                let finding = findings.iter().find(of)?;
+                let name = names::cause(&cause.mechanism);
+                let (powders, size) = (on(finding, finding.by_powder.len()), in_percent(finding));
+                let flow = if finding.effect > 0.0 { "more slowly" } else { "more quickly" };
+                let body = match is_of_levels(&cause.mechanism) {
+                    true => format!("{name} changes how long {powders} take to flow out"),
+                    false => format!("{name} makes {powders} flow out {flow} than usual"),
+                };
+                Some(format!("{body}: {size} (probability {:.0} %)", 100.0 * cause.inclusion_probability))
+            });
+            format!("{}.", told.collect::<Vec<_>>().join("; and "))
+        }
+        (_, Verdict::Ambiguous) => {
+            let names: Vec<String> = ambiguous_between.iter().map(|it| names::lower(&names::cause(it))).collect();
+            format!(
+                "Something changes how long powders take to flow out{size}, and their flow times cannot tell which of {} it is.",
+                names.join(" or ")
+            )
+        }
+        (_, Verdict::Unexplained) => match finding {
+            Some(_) => format!("The time of flow depends on {with}{size}, which no cause of the catalogue explains."),
+            None => "Flow times wander over the sessions, with nothing that was recorded.".to_owned(),
+        },
+    }
+}
+
+/// Of a campaign that has too few repeats.
+pub(super) const NO_SCATTER: &str = "Whether repeats scatter more in some conditions than in others: too few powders were measured more than once on a day.";
+
+/// Whether a cause is a difference between names, which makes nothing steeper or slower by itself.
+fn is_of_levels(mechanism: &str) -> bool {
+    ["method_bias", "operator", "batch", "base_friction"].contains(&mechanism)
 }
 
 /// What cannot be seen with this data.

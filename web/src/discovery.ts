@@ -50,10 +50,13 @@ export const withUnit = (number: string, unit: string) => (unit === 'deg' || uni
 
 /** What a verdict means and what it does not. */
 export function meaning(report: Report): string {
-  const angles = report.findings.some((finding) => finding.channel !== 'trace')
   const readings = report.traces != null && report.traces.verdict !== 'no_discrepancy'
-  const what = !readings ? 'measured angles' : angles ? 'measured angles and the balance readings' : 'balance readings'
-  const depart = `The ${what} depart from the simulation`
+  const flow = (report.beside ?? []).some((it) => it.channel === 'flow_time' && it.verdict !== 'no_discrepancy')
+  const creeps = report.causes.some((cause) => cause.mechanism === 'creep')
+  const angles = !(readings || flow || creeps) || report.findings.some((finding) => finding.channel === 'repose')
+  const what = [angles && 'measured angles', flow && 'flow times', readings && 'balance readings'].filter((it) => typeof it === 'string')
+  if (creeps && what.length === 0) return 'Whatever was measured, simulated heaps go on moving: what is wrong is how they are computed. These data show nothing else.'
+  const depart = `The ${listed(what)} depart from the simulation`
   switch (report.verdict) {
     case 'no_discrepancy':
       return 'These data do not show that the simulation is wrong. That is no proof that it is right: see below which effects this campaign would have found, and which it cannot show.'

@@ -116,6 +116,15 @@ fn other_columns_are_numbers_or_names_and_those_that_say_nothing_are_left_out() 
 }
 
 #[test]
+fn a_flow_time_is_measured_beside_the_angle_and_of_a_summary_counts_once() {
+    let header = "powder,repose_deg,repose_sd_deg,n,flow_time_s\n";
+    let campaign = campaign_of(&format!("{header}salt,36,1,3,7.5\nsalt,37,,,\nsalt,35,,,8\n"));
+    assert_eq!(campaign.flow_time_s, [Some(7.5), None, None, None, Some(8.0)]);
+    let none = campaign_of(&format!("{header}salt,36,1,3,\n"));
+    assert!(none.flow_time_s.is_empty() && none.covariates.is_empty());
+}
+
+#[test]
 fn an_angle_may_be_missing_where_it_is_to_be_predicted() {
     let campaign = read("powder,relative_humidity_pct\nsalt,40\nsugar,50\n", &["powder"]).unwrap();
     assert_eq!(campaign.runs.iter().map(|run| (run.row, run.repose_deg)).collect::<Vec<_>>(), [(2, None), (3, None)]);

@@ -22,8 +22,9 @@ mod words;
 mod tests;
 
 use crate::discover::Report;
+use crate::discover::numerics::CREEP;
 use crate::discover::report::{Channel, Verdict};
-use words::{cause, chance, column, counted, duration, form, listed, lower, text};
+use words::{cause, chance, column, counted, duration, form, listed, lower, text, upper};
 
 /// Content security policy: the page's own style, and nothing else.
 pub const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
@@ -37,6 +38,7 @@ pub fn html(report: &Report) -> String {
         sections::residuals(report),
         sections::evidence(report),
         sections::by_powder(report),
+        sections::beside(report),
         traces::traces(report),
         gain::before_after(report),
         sections::blind_spots(report),
@@ -85,15 +87,19 @@ fn first(report: &Report) -> String {
 }
 
 fn meaning(report: &Report) -> String {
-    let has_traces = report.traces.as_ref().is_some_and(|it| it.verdict != Verdict::NoDiscrepancy);
-    let has_angles = !has_traces
-        || report.findings.iter().any(|it| it.channel != Channel::Trace)
-        || report.unexplained.as_ref().is_some_and(|it| it.covariate.is_some());
-    let what = match (has_angles, has_traces) {
-        (true, false) => "The measured angles",
-        (false, _) => "The balance readings",
-        (true, true) => "The measured angles and the balance readings",
-    };
+    let is_found = |verdict: Verdict| verdict != Verdict::NoDiscrepancy;
+    let has_traces = report.traces.as_ref().is_some_and(|it| is_found(it.verdict));
+    let has_flow = report.beside.iter().any(|it| it.channel == Channel::FlowTime && is_found(it.verdict));
+    let creeps = report.causes.iter().any(|it| it.mechanism == CREEP);
+    let has_angles =
+        !(has_traces || has_flow || creeps) || report.findings.iter().any(|it| it.channel == Channel::Repose);
+    let parts =
+        [(has_angles, "the measured angles"), (has_flow, "the flow times"), (has_traces, "the balance readings")];
+    let parts: Vec<String> = parts.iter().filter(|(depart, _)| *depart).map(|(_, what)| (*what).to_owned()).collect();
+    let what = upper(&listed(&parts));
+    if creeps && parts.is_empty() {
+        return "Whatever was measured, simulated heaps go on moving: what is wrong is how they are computed. These data show nothing else.".to_owned();
+    }
     match report.verdict {
         Verdict::NoDiscrepancy => {
             "These data do not show that the simulation is wrong. That is no proof that it is right: \

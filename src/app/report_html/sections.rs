@@ -7,7 +7,7 @@ use super::words::{
     percent, signed, span, text, with_unit, words,
 };
 use crate::discover::Mechanism;
-use crate::discover::report::{CauseReport, Channel, Experiment, Finding, PowderEffect, Report, Verdict};
+use crate::discover::report::{CauseReport, Channel, Experiment, Finding, PowderEffect, Report, SideChannel, Verdict};
 
 /// Figures of residuals at most.
 const FIGURES_MAX: usize = 8;
@@ -199,9 +199,13 @@ pub fn by_powder(report: &Report) -> String {
         }
     }
     let cells = |of: &dyn Fn(&Finding) -> Option<PowderEffect>| -> Vec<String> {
-        let most = findings.iter().flat_map(|f| f.by_powder.iter().map(|it| it.effect).chain([f.effect]));
-        let most = most.map(f64::abs).filter(|it| it.is_finite()).fold(1e-9, f64::max);
-        findings.iter().map(|finding| effect(of(finding), most, &finding.unit)).collect()
+        // Degrees and percent have shades of their own.
+        let most = |unit: &str| {
+            let alike = findings.iter().filter(|it| it.unit == unit);
+            let all = alike.flat_map(|f| f.by_powder.iter().map(|it| it.effect).chain([f.effect]));
+            all.map(f64::abs).filter(|it| it.is_finite()).fold(1e-9, f64::max)
+        };
+        findings.iter().map(|finding| effect(of(finding), most(&finding.unit), &finding.unit)).collect()
     };
     let line = |name: &str, cells: &[String]| format!("<tr><th scope=\"row\">{name}</th>{}</tr>", cells.concat());
     let average =
@@ -221,6 +225,28 @@ pub fn by_powder(report: &Report) -> String {
         "How far the measurement moves from one end of the condition to the other, with its 95 % interval. \
          Bold: the interval leaves out zero.",
         &table("heat", &columns, &format!("{rows}{}", line("On average", &cells(&average)))),
+    )
+}
+
+/// What was measured beside the angle, by itself.
+pub fn beside(report: &Report) -> String {
+    let line = |it: &SideChannel| {
+        let (name, looked_at) = match it.channel {
+            Channel::FlowTime => ("Flow times", "flow time"),
+            _ => ("Scatter of repeats", "difference between repeats"),
+        };
+        let says = if it.sentence.is_empty() { "It is the same throughout." } else { it.sentence.as_str() };
+        let says = format!("<span class=\"left wrap\">{}</span>", text(says));
+        row(name, &[counted(it.n as usize, looked_at), chance(it.p_value), says])
+    };
+    let rows: String = report.beside.iter().map(line).collect();
+    if rows.is_empty() {
+        return String::new();
+    }
+    section(
+        "What was measured beside the angle",
+        "Each judged by itself, as the angles are. The simulator says nothing of how far repeats scatter, so that alone is no discrepancy.",
+        &table("", &[">Measurement", "Looked at", "p", ">What it says"], &rows),
     )
 }
 

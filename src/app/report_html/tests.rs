@@ -32,6 +32,7 @@ fn bare(verdict: Verdict) -> Report {
         rows: Vec::new(),
         curves: Vec::new(),
         numerics: None,
+        beside: Vec::new(),
         traces: None,
         simulator_runs: 0,
         wall_s: 0.0,

@@ -5,6 +5,12 @@ pub use crate::discover::names::{cause, column, form, level, lower, parameter, w
 use crate::discover::numerics::{Dependence, Varied};
 use crate::discover::report::Numerics;
 
+/// Begins large, for the beginning of a sentence.
+pub fn upper(phrase: &str) -> String {
+    let mut letters = phrase.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
 /// Text as HTML: nothing in it is markup, and no control character is left.
 pub fn text(raw: &str) -> String {
     let mut out = String::with_capacity(raw.len());
