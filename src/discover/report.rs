@@ -17,7 +17,7 @@ pub struct Report {
     pub sentence: String,
     /// Whether anything is wrong, and whether it has a name.
     pub verdict: Verdict,
-    /// Chance of evidence as strong for any cause if nothing is wrong; of two channels the smaller, corrected for both (Holm).
+    /// Chance of evidence as strong for any cause if nothing is wrong; of several channels the smallest, corrected for all (Holm).
     pub p_value: f64,
     /// Where measured angles and balance readings depart from the simulator.
     pub findings: Vec<Finding>,
