@@ -233,7 +233,7 @@ pub fn beside(report: &Report) -> String {
     let line = |it: &SideChannel| {
         let (name, looked_at) = match it.channel {
             Channel::FlowTime => ("Flow times", "flow time"),
-            _ => ("Scatter of repeats", "difference between repeats"),
+            _ => ("Scatter of repeats", "difference"),
         };
         let says = if it.sentence.is_empty() { "It is the same throughout." } else { it.sentence.as_str() };
         let says = format!("<span class=\"left wrap\">{}</span>", text(says));
