@@ -284,10 +284,14 @@ fn main() -> anyhow::Result<()> {
         );
     }
     let [before, from, reached, to] = [old, sham, extended, best].map(|of| mean(of).unwrap_or(0.0));
-    println!(
-        "\nM14 share of the gap from sham to oracle that it closes: {:.0} %  target >= 50 %",
-        100.0 * (from - reached) / (from - to)
-    );
+    // Where even the truth teaches nothing there is no gap, and no share of it.
+    match from > to {
+        true => println!(
+            "\nM14 share of the gap from sham to oracle that it closes: {:.0} %  target >= 50 %",
+            100.0 * (from - reached) / (from - to)
+        ),
+        false => println!("\nM14 has no share: policies that went on in the truth weigh no better than the sham's"),
+    }
     told(&flip, WeighingGain { before, after: reached, sham: from, oracle: Some(to), ci95 })
 }
 
