@@ -133,7 +133,7 @@ fn a_training_goes_on_from_a_policy_and_holds_it_while_its_critics_form() {
     let with = |spoons: u32, held_updates: u32| {
         let settings = small(Order::Random).going_on_from("p-0123".into());
         let from = settings.from.clone().map(|from| FineTuning { spoons, held_updates, ..from });
-        Settings { from, surrogate_episodes: 10, ..settings }
+        Settings { from, episodes: 26, surrogate_episodes: 10, ..settings }
     };
     let (held, ..) = begin(&with(0, 1_000_000), Start::Policy(&begun));
     assert_eq!(network(&held.artifact), begun);
