@@ -92,6 +92,8 @@ describe('an investigation', () => {
     const [report] = await Promise.all([page.waitForEvent('popup'), page.getByRole('link', { name: 'Report (HTML)' }).click()])
     const complaints = []
     report.on('console', (message) => complaints.push(message.text()))
+    // A tab that is still on its way to the page cannot be reloaded.
+    await report.waitForURL('**/report.html')
     await report.reload()
     assert.equal(await report.locator('h1').textContent(), found.report.sentence)
     // Its style is inline and must be let through.
