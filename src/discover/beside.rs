@@ -66,7 +66,6 @@ impl Beside<'_> {
         let ambiguous_between = judgement.ambiguous_between();
         let sentence =
             words::beside(campaign.quantity, judgement.verdict, &causes, &findings, &ambiguous_between, p_value);
-        let null = &screening.null;
         let side = SideChannel {
             channel: campaign.quantity.channel(),
             verdict: judgement.verdict,
@@ -74,11 +73,7 @@ impl Beside<'_> {
             n: prepared.measured.len() as u32,
             sentence: sentence.clone(),
             evidence: evidence(prepared, screening, posterior),
-            null_check: NullCheck {
-                campaigns: null.len() as u32,
-                statistic: screening.statistic,
-                threshold95: null[(0.95 * null.len() as f64) as usize],
-            },
+            null_check: NullCheck::of(&screening.null, screening.statistic),
         };
         let verdict = judgement.verdict;
         Ok((Heard { verdict, sentence, findings, causes, ambiguous_between, unexplained, experiment }, side))

@@ -14,11 +14,11 @@ use super::flow::flow_times;
 use super::hypothesis::Responses;
 use super::investigate::angles;
 use super::posterior::Posterior;
-use super::report::{CauseReport, NullCheck, Report, SCHEMA_VERSION, SimulatorVersions, Verdict};
+use super::report::{CauseReport, NullCheck, Report, Verdict};
 use super::response::responses;
 use super::screen::{Prepared, Settings, screen_prepared};
 use super::traces::report::{TraceReport, report};
-use super::traces::{self, TraceScreening, Traces, screen_traces};
+use super::traces::{self, Traces, screen_traces};
 use crate::domain::FieldError;
 use crate::domain::job::Progress;
 use std::ops::ControlFlow;
@@ -60,7 +60,7 @@ pub fn investigate(
         let Some((traces, screening)) = screened else {
             return Err(FieldError::new("measurements", "or traces are needed: there is nothing to judge"));
         };
-        let mut document = without_angles(&screening, base);
+        let mut document = Report::blank(base, screening.p_value, NullCheck::of(&screening.null, screening.statistic));
         add_traces(&mut document, report(traces, &screening, screening.p_value));
         return Ok(Some(document));
     };
@@ -121,35 +121,6 @@ fn holm(p: f64, others: &[f64]) -> f64 {
 fn without(all: &[f64], p: f64) -> Vec<f64> {
     let own = all.iter().position(|&it| it == p);
     all.iter().enumerate().filter(|(k, _)| Some(*k) != own).map(|(_, &it)| it).collect()
-}
-
-/// The document of balance readings alone, before they are added.
-fn without_angles(screening: &TraceScreening, base: &str) -> Report {
-    Report {
-        schema_version: SCHEMA_VERSION,
-        sentence: String::new(),
-        verdict: Verdict::NoDiscrepancy,
-        p_value: screening.p_value,
-        findings: Vec::new(),
-        causes: Vec::new(),
-        ambiguous_between: Vec::new(),
-        unexplained: None,
-        suggested_experiment: None,
-        simulator_version: SimulatorVersions { base: base.to_owned(), extended: None, verified: false },
-        gain: None,
-        minimum_detectable: Vec::new(),
-        blind_spots: Vec::new(),
-        evidence: Vec::new(),
-        untestable: Vec::new(),
-        null_check: NullCheck { campaigns: 0, statistic: 0.0, threshold95: 0.0 },
-        numerics: None,
-        beside: Vec::new(),
-        traces: None,
-        rows: Vec::new(),
-        curves: Vec::new(),
-        simulator_runs: 0,
-        wall_s: 0.0,
-    }
 }
 
 /// Add what one more channel says to a document.

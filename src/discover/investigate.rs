@@ -10,8 +10,8 @@ use super::hypothesis::{Cause, Responses};
 use super::law::law;
 use super::posterior::Posterior;
 use super::report::{
-    CauseReport, Curve, Evidence, Finding, FormClass, NullCheck, ParameterReport, Report, Row, SCHEMA_VERSION,
-    SimulatorVersions, Unexplained, UntestableReport, Verdict,
+    CauseReport, Curve, Evidence, Finding, FormClass, NullCheck, ParameterReport, Report, Row, Unexplained,
+    UntestableReport, Verdict,
 };
 use super::response::amplitude;
 use super::scatter::{scatters, simulated};
@@ -304,34 +304,10 @@ fn blank(screening: &Screening, base: &str) -> Report {
         mechanism: it.mechanism.name().0.to_owned(),
         reason: it.reason.clone(),
     };
+    let null_check = NullCheck::of(&screening.null, screening.statistic);
     Report {
-        schema_version: SCHEMA_VERSION,
-        sentence: String::new(),
-        verdict: Verdict::NoDiscrepancy,
-        p_value: screening.p_value,
-        findings: Vec::new(),
-        causes: Vec::new(),
-        ambiguous_between: Vec::new(),
-        unexplained: None,
-        suggested_experiment: None,
-        simulator_version: SimulatorVersions { base: base.to_owned(), extended: None, verified: false },
-        gain: None,
-        minimum_detectable: Vec::new(),
-        blind_spots: Vec::new(),
-        evidence: Vec::<Evidence>::new(),
         untestable: screening.untestable.iter().map(untestable).collect(),
-        null_check: NullCheck {
-            campaigns: screening.null.len() as u32,
-            statistic: screening.statistic,
-            threshold95: screening.null[(0.95 * screening.null.len() as f64) as usize],
-        },
-        rows: Vec::new(),
-        curves: Vec::new(),
-        numerics: None,
-        beside: Vec::new(),
-        traces: None,
-        simulator_runs: 0,
-        wall_s: 0.0,
+        ..Report::blank(base, screening.p_value, null_check)
     }
 }
 

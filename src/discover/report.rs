@@ -62,6 +62,37 @@ pub struct Report {
     pub wall_s: f64,
 }
 
+impl Report {
+    /// A document that says nothing yet of what was judged with this p-value against this simulator.
+    pub(super) fn blank(base: &str, p_value: f64, null_check: NullCheck) -> Self {
+        Self {
+            schema_version: SCHEMA_VERSION,
+            sentence: String::new(),
+            verdict: Verdict::NoDiscrepancy,
+            p_value,
+            findings: Vec::new(),
+            causes: Vec::new(),
+            ambiguous_between: Vec::new(),
+            unexplained: None,
+            suggested_experiment: None,
+            simulator_version: SimulatorVersions { base: base.to_owned(), extended: None, verified: false },
+            gain: None,
+            minimum_detectable: Vec::new(),
+            blind_spots: Vec::new(),
+            evidence: Vec::new(),
+            untestable: Vec::new(),
+            null_check,
+            beside: Vec::new(),
+            traces: None,
+            rows: Vec::new(),
+            curves: Vec::new(),
+            numerics: None,
+            simulator_runs: 0,
+            wall_s: 0.0,
+        }
+    }
+}
+
 /// What is wrong with the simulator without any data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Numerics {
@@ -385,6 +416,14 @@ pub struct NullCheck {
     pub statistic: f64,
     /// What one of twenty of them exceeds.
     pub threshold95: f64,
+}
+
+impl NullCheck {
+    /// Of these simulated campaigns' statistics, ascending, and this one's.
+    pub(super) fn of(null: &[f64], statistic: f64) -> Self {
+        let threshold95 = null[(0.95 * null.len() as f64) as usize];
+        Self { campaigns: null.len() as u32, statistic, threshold95 }
+    }
 }
 
 /// A row of the file.

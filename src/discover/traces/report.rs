@@ -34,7 +34,6 @@ pub(in super::super) fn report(traces: &Traces, screening: &TraceScreening, corr
     let (verdict, told) = judge(screening, corrected);
     let is_control = |kind: Kind| kind != Kind::Dose;
     let controls = traces.weighings.iter().filter(|weighing| is_control(weighing.kind)).count();
-    let null = &screening.null;
     let known = |judged: &&TraceJudged| matches!(judged.mechanism, TraceCause::Known(_));
     let findings: Vec<Finding> = told.iter().filter_map(|judged| finding(judged)).collect();
     let experiment = words::experiment(&told.iter().map(|judged| judged.mechanism).collect::<Vec<_>>(), verdict);
@@ -45,11 +44,7 @@ pub(in super::super) fn report(traces: &Traces, screening: &TraceScreening, corr
         controls: controls as u32,
         readings: screening.looked_at[0],
         shakes: screening.looked_at[1],
-        null_check: NullCheck {
-            campaigns: null.len() as u32,
-            statistic: screening.statistic,
-            threshold95: null[(0.95 * null.len() as f64) as usize],
-        },
+        null_check: NullCheck::of(&screening.null, screening.statistic),
         suggested_experiment: experiment,
     };
     TraceReport {
