@@ -106,15 +106,24 @@ impl Flip {
         POWDERS.iter().map(of).collect()
     }
 
-    /// A training's policy, as a controller.
-    fn trained(&self, arguments: &[&str]) -> anyhow::Result<(String, Controller)> {
-        let trained = self.ask(&[&["train"], arguments].concat())?;
-        let policy = trained["policy"].as_str().context("a training has a policy")?.to_owned();
-        let file = self.path(&format!("{policy}.safetensors"));
-        if !std::path::Path::new(&file).exists() {
-            self.ask(&["policy", "export", "--policy", &policy, "--out", &file])?;
-        }
-        Ok((policy, decode(&std::fs::read(file)?)?.controller))
+    /// The policies of these trainings, one for each seed, as controllers.
+    fn trained(
+        &self,
+        seeds: std::ops::RangeInclusive<u64>,
+        arguments: &[&str],
+    ) -> anyhow::Result<Vec<(String, Controller)>> {
+        let seeds = seeds.map(|seed| seed.to_string()).collect::<Vec<_>>().join(",");
+        let trained = self.ask(&[&["train", "--seeds", &seeds], arguments].concat())?;
+        let all = trained.as_array().map_or_else(|| vec![&trained], |all| all.iter().collect());
+        let policy = |trained: &Value| {
+            let policy = trained["policy"].as_str().context("a training has a policy")?.to_owned();
+            let file = self.path(&format!("{policy}.safetensors"));
+            if !std::path::Path::new(&file).exists() {
+                self.ask(&["policy", "export", "--policy", &policy, "--out", &file])?;
+            }
+            Ok((policy, decode(&std::fs::read(file)?)?.controller))
+        };
+        all.into_iter().map(policy).collect()
     }
 }
 
@@ -155,8 +164,7 @@ fn oracle(flip: &Flip, old: &(String, Controller), truth: &[Level], seed: u64) -
     let under = Under { simulator: "the truth".to_owned(), conditions: BTreeMap::new() };
     let extended = Extended { under, days: vec![rested(BENCH_MIN)], powders: BTreeMap::new() };
     let settings = Settings::of(Preset::Flip, Order::Curriculum, seed).going_on_from(id.clone());
-    let settings =
-        Settings { surrogate_episodes: settings.surrogate_by_default(), extended: Some(extended), ..settings };
+    let settings = Settings { extended: Some(extended), ..settings };
     eprintln!("oracle {seed}");
     let trained =
         train_on(&simulated(&settings), truth, &settings, Start::Policy(actor), &|| ControlFlow::Continue(()), |_| {
@@ -216,7 +224,7 @@ fn main() -> anyhow::Result<()> {
     let flip = Flip { program, folder, seed: 1 };
 
     let base = flip.calibrated(None)?;
-    let old = flip.trained(&[&["--seed", "1"], &OLD[..]].concat())?;
+    let old = flip.trained(1..=1, &OLD)?.remove(0);
     let of_laboratory: Vec<Vec<ParameterSet>> = base.iter().map(|(_, sets)| sets[TRAINED..].to_vec()).collect();
     let file = flip.path("campaign.csv");
     std::fs::write(&file, campaign(&of_laboratory, flip.seed)?)?;
@@ -238,15 +246,14 @@ fn main() -> anyhow::Result<()> {
         })
         .collect();
     let mut arms: Vec<(&str, Vec<Controller>)> = vec![("old", vec![old.1.clone()])];
-    let (mut sham, mut extended, mut best) = (Vec::new(), Vec::new(), Vec::new());
-    for seed in 1..=seeds {
-        let text = seed.to_string();
-        let from = ["--from", &old.0, "--seed", &text];
-        sham.push(flip.trained(&from)?.1);
-        extended.push(flip.trained(&[&from[..], &["--simulator", version, "--condition", &condition]].concat())?.1);
-        best.push(oracle(&flip, &old, &truth, seed)?);
-    }
-    arms.extend([("sham", sham), ("extended", extended), ("oracle", best)]);
+    let from = ["--from", &old.0];
+    let controllers = |of: Vec<(String, Controller)>| of.into_iter().map(|(_, controller)| controller).collect();
+    let under = [&from[..], &["--simulator", version, "--condition", &condition]].concat();
+    arms.push(("sham", controllers(flip.trained(1..=seeds, &from)?)));
+    arms.push(("extended", controllers(flip.trained(1..=seeds, &under)?)));
+    // Side by side, as the command's are: the steps of one training follow one another.
+    let best: anyhow::Result<_> = (1..=seeds).into_par_iter().map(|seed| oracle(&flip, &old, &truth, seed)).collect();
+    arms.push(("oracle", best?));
 
     let all: Vec<Controller> = arms.iter().flat_map(|(_, of)| of.clone()).collect();
     let errors = weigh(&all, &of_laboratory, flip.seed);

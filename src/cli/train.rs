@@ -36,9 +36,12 @@ pub(super) struct Arguments {
     /// Powders whose calibrated sets are the levels [default: sand,sugar,salt]; not with the paper preset.
     #[arg(long, value_name = "ID,…", value_delimiter = ',')]
     powders: Option<Vec<String>>,
-    /// Learnt policy that it goes on from, e.g. to suit a version of the simulator; then 900 episodes are the default, all but 60 of them on the fast model.
+    /// Learnt policy that it goes on from, e.g. to suit a version of the simulator; then 240 episodes are the default, all of them in the simulator.
     #[arg(long, value_name = "P")]
     from: Option<String>,
+    /// Seeds of several trainings that differ in nothing else, made side by side; their documents come as a list [default: --seed alone].
+    #[arg(long, value_name = "N,…", value_delimiter = ',')]
+    seeds: Option<Vec<u64>>,
     #[command(flatten)]
     extended: SimulatorArguments,
 }
@@ -91,18 +94,18 @@ pub(super) struct Timing {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let began = std::time::Instant::now();
     let conditions = arguments.extended.conditions()?;
-    let request = |order: OrderFlag| TrainingRequest {
+    let request = |order: OrderFlag, seed: u64| TrainingRequest {
         order: order.into(),
         preset: arguments.preset.into(),
         episodes: arguments.episodes,
         surrogate_episodes: arguments.surrogate_episodes,
         powders: arguments.powders.clone(),
         from: arguments.from.clone(),
-        seed: Some(common.seed),
+        seed: Some(seed),
         simulator: arguments.extended.simulator.clone(),
         conditions: conditions.clone(),
     };
-    let document = |training: Training| {
+    let document = |training: Training, seed: u64| {
         let result = training.result.ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?;
         let timing = Timing { wall_s: began.elapsed().as_secs_f64() };
         let TrainingResult { policy, episodes, final_error_mg, levels } = result;
@@ -113,18 +116,20 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             final_error_mg,
             levels,
             under: training.under,
-            seed: common.seed,
+            seed,
             timing,
         })
     };
     let documents: Vec<Document> = with_app(common, async |app| {
         let (watch, mut jobs, mut documents) = (Watch::new(), Vec::new(), Vec::new());
         for order in &arguments.order {
-            jobs.push(begin(app, &watch, request(*order)).await?);
+            for seed in arguments.seeds.as_deref().unwrap_or(&[common.seed]) {
+                jobs.push((begin(app, &watch, request(*order, *seed)).await?, *seed));
+            }
         }
-        for job in jobs {
+        for (job, seed) in jobs {
             watch.job(app, &job.id, "train").await?;
-            documents.push(document(app.training(&job.id).await?)?);
+            documents.push(document(app.training(&job.id).await?, seed)?);
         }
         Ok::<_, Failure>(documents)
     })?;

@@ -21,7 +21,6 @@ pub(super) mod stream {
     pub const EPISODE: u64 = 2;
     pub const UPDATE: u64 = 3;
     pub const SPOONS: u64 = 4;
-    pub const LOOKS: u64 = 5;
 }
 
 /// An episode before it is played: everything is drawn from its own seed.
@@ -78,14 +77,12 @@ pub fn plan(index: u32, level: u32, levels: &[Level], settings: &Settings) -> Pl
     Planned { index, level, randomised, set, patch, heap, repose_deg, target_mg, rng, seed }
 }
 
-/// Play these episodes, one per task; results are in order. Without an actor the actions are random. `shift` is the
-/// surrogate's. None when `flow` said to
-/// stop before all were played.
+/// Play these episodes, one per task; results are in order. Without an actor the actions are random. None when `flow` said to stop before all were
+/// played.
 pub fn play_round<F: Filling>(
     planned: Vec<Planned>,
     actor: Option<&Actor>,
     spoons: &Spoons<F>,
-    shift: [f64; 3],
     settings: &Settings,
     flow: &Flow<'_>,
 ) -> Option<Vec<(Planned, Played)>> {
@@ -95,7 +92,7 @@ pub fn play_round<F: Filling>(
             if flow().is_break() {
                 return None;
             }
-            let surrogate = Surrogate { shift, ..Surrogate::new(settings.rules.pitch) };
+            let surrogate = Surrogate::new(settings.rules.pitch);
             let played = if plan.index < settings.surrogate_episodes {
                 let spoon = surrogate.fill(&plan.set, derive(plan.seed, &[SPOONFUL]));
                 play_planned(&mut plan, spoon, actor, settings)

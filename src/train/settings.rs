@@ -112,13 +112,9 @@ impl Extended {
 
 /// A training that goes on from a policy, for conditions that this one has not met.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(deny_unknown_fields)]
 pub struct FineTuning {
     /// Id of the policy.
     pub policy: String,
-    /// Weighings by that policy in the simulator, under the training's own conditions, before anything is learnt: the surrogate is then shifted to what
-    /// these spoons did ([`super::Surrogate::tuned`]), and the first episodes are played on it. 0: it stays as it is.
-    pub spoons: u32,
     /// Updates of the critics alone. They begin with nothing, and a policy that followed them at once would forget what it can.
     pub held_updates: u32,
 }
@@ -138,7 +134,7 @@ pub struct Settings {
     /// Seed of everything that is drawn.
     pub seed: u64,
 
-    /// Episodes in the training. Default 4800 (ours), 4000 (paper), 900 where one goes on from a policy.
+    /// Episodes in the training. Default 4800 (ours), 4000 (paper), 240 where one goes on from a policy.
     pub episodes: u32,
     /// First episodes that are played on a model of the spoon ([`super::Surrogate`]) instead of the simulator, a thousand times as fast; what they
     /// taught stays, their steps are forgotten. Default 0; a training that is asked for without a number plays as many as
@@ -304,8 +300,8 @@ impl Settings {
     /// minutes.
     #[must_use]
     pub fn going_on_from(self, policy: String) -> Self {
-        let from = Some(FineTuning { policy, spoons: 32, held_updates: 2000 });
-        Self { from, episodes: 900, warmup_episodes: 0, initial_alpha: 0.02, ..self }
+        let from = Some(FineTuning { policy, held_updates: 2000 });
+        Self { from, episodes: 240, warmup_episodes: 0, initial_alpha: 0.02, ..self }
     }
 
     /// These settings if a training can run with them.
@@ -346,20 +342,16 @@ impl Settings {
         }
         bounded("relabel_mg_min", self.relabel_mg_min, 0.1, self.target_mg_max, "mg")?;
         count("curriculum.queue", self.curriculum.queue, 1, 100_000)?;
-        if let Some(from) = &self.from {
-            count("from.spoons", from.spoons, 0, 1000)?;
-        }
         self.extended.as_ref().map_or(Ok(()), |extended| extended.check(&self.spoon))?;
         Ok(self)
     }
 
-    /// Episodes on the surrogate unless a request says otherwise: four fifths of ours, all but a fifteenth where one goes on from a policy, none of the
-    /// published ones.
+    /// Episodes on the surrogate unless a request says otherwise: four fifths of ours, none of the published ones. None either where one goes on from a
+    /// policy: the surrogate knows nothing of the conditions that it is to learn, and unlearns what the simulator taught.
     pub fn surrogate_by_default(&self) -> u32 {
         match (self.preset, &self.from) {
-            (Preset::Flip, Some(_)) => self.episodes - self.episodes.div_ceil(15),
             (Preset::Flip, None) => self.episodes - self.episodes.div_ceil(5),
-            (Preset::Paper, _) => 0,
+            (Preset::Flip, Some(_)) | (Preset::Paper, _) => 0,
         }
     }
 

@@ -8,7 +8,6 @@ use super::replay::Replay;
 use super::sac::{Learner, Losses};
 use super::settings::{Order, SURROGATE_EPISODES, Settings};
 use super::spoons::Spoons;
-use super::surrogate::Surrogate;
 use crate::domain::FieldError;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
@@ -166,9 +165,6 @@ pub(super) struct Progress {
     pub recent: VecDeque<f64>,
     /// Episodes by level.
     pub on_level: Vec<u32>,
-    /// What the surrogate is shifted by, once the spoons were looked at.
-    #[serde(default)]
-    pub shift: Option<[f64; 3]>,
 }
 
 /// Episodes in the final error.
@@ -194,9 +190,6 @@ pub fn train_on<F: Filling>(
         Start::Policy(actor) => State::new(levels, settings).going_on_from(actor, settings)?,
     };
     let spoons = Spoons::new(filling, derive(settings.seed, &[stream::SPOONS]));
-    if state.progress.shift.is_none() && !state.look_at_spoons(levels, settings, &spoons, flow)? {
-        return Err(TrainError::Stopped { checkpoint: checkpoint::encode(&state, levels, settings) });
-    }
     while state.progress.episodes < settings.episodes {
         let Some(records) = state.round(levels, settings, &spoons, flow)? else {
             return Err(TrainError::Stopped { checkpoint: checkpoint::encode(&state, levels, settings) });
@@ -269,34 +262,6 @@ impl State {
         Ok(self)
     }
 
-    /// Weigh with the policy at hand on spoons that are not learnt from, and shift the surrogate to them; false, and nothing is changed, when `flow`
-    /// said to stop.
-    fn look_at_spoons<F: Filling>(
-        &mut self,
-        levels: &[Level],
-        settings: &Settings,
-        spoons: &Spoons<F>,
-        flow: &Flow<'_>,
-    ) -> Result<bool, TrainError> {
-        let count = settings.from.as_ref().map_or(0, |from| from.spoons);
-        if count == 0 {
-            self.progress.shift = Some([0.0; 3]);
-            return Ok(true);
-        }
-        let actor = self.learner.snapshot(settings).ok_or(TrainError::Diverged { episodes: 0 })?;
-        let looks = Settings {
-            seed: derive(settings.seed, &[stream::LOOKS]),
-            order: if settings.order == Order::DomainRandomisation { settings.order } else { Order::Random },
-            surrogate_episodes: 0,
-            ..settings.clone()
-        };
-        let planned = (0..count).map(|k| plan(k, 0, levels, &looks)).collect();
-        let Some(played) = play_round(planned, Some(&actor), spoons, [0.0; 3], &looks, flow) else { return Ok(false) };
-        let courses: Vec<_> = played.iter().map(|(plan, played)| (plan.set, played.steps.as_slice())).collect();
-        self.progress.shift = Some(Surrogate::new(settings.rules.pitch).shift_to(&courses));
-        Ok(true)
-    }
-
     /// Play a round, learn from it, and report its episodes; None, and nothing is changed, when `flow` said to stop.
     fn round<F: Filling>(
         &mut self,
@@ -315,8 +280,7 @@ impl State {
         let diverged = TrainError::Diverged { episodes: first };
         let actor = self.learner.snapshot(settings).ok_or(diverged)?;
         let learns = first >= settings.warmup_episodes;
-        let shift = self.progress.shift.unwrap_or_default();
-        let Some(played) = play_round(planned, learns.then_some(&actor), spoons, shift, settings, flow) else {
+        let Some(played) = play_round(planned, learns.then_some(&actor), spoons, settings, flow) else {
             return Ok(None);
         };
         for (plan, played) in &played {
