@@ -111,6 +111,7 @@ impl Extended {
 }
 
 /// A training that goes on from a policy, for conditions that this one has not met.
+// Unknown fields are left alone: specifications that are stored may have `spoons`, which an earlier version looked at.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct FineTuning {
     /// Id of the policy.
