@@ -12,6 +12,7 @@ pub mod discover;
 pub mod train;
 pub mod weigh;
 
+pub mod emulate;
 pub mod hardware;
 pub mod store;
 

@@ -1,7 +1,9 @@
 //! What FLIP can do, in plain Rust. REST, gRPC, the command line and the demonstration all call this.
 
+mod bench;
 mod calibrations;
 mod campaign_csv;
+pub mod certificate;
 mod check;
 mod comparison;
 mod counts;
@@ -52,6 +54,11 @@ pub use crate::store::simulators::SimulatorVersion;
 pub use crate::store::tokens::Role;
 pub use crate::store::trials::{Episode, Trial, TrialPhase};
 pub use crate::store::weighings::Weighing;
+pub use crate::domain::bench_check::Repeatability;
+pub use crate::domain::weighing::{Asked, MeasuredMass, OnOverdose};
+pub use crate::store::audit::{AuditRecord, AuditVerification};
+pub use crate::store::bench::Latch;
+pub use bench::{AUDIT_CSV_HEADER, BenchStatus, ClearRequest, RepeatabilityRequest, audit_csv};
 pub use calibrations::{Calibration, CalibrationRequest};
 pub use comparison::{ComparedCalibration, Comparison, ParameterSpread};
 pub use current_simulator::{CURRENT, ChosenSimulator, CurrentSimulator};

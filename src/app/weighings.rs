@@ -7,10 +7,11 @@ use super::{App, Error, Result};
 use crate::domain::bench::Tick;
 use crate::domain::conditions::Conditions;
 use crate::domain::seed::derive;
-use crate::domain::weighing::WeighRequest;
+use crate::domain::weighing::{Asked, OnOverdose, WeighRequest};
 use crate::domain::{FieldError, bounded};
 use crate::jobs::bench::{WAITING_MAX, spoon_holds_mg};
 use crate::policy::shipped;
+use crate::store::bench::Latch;
 use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use crate::store::parameter_sets::CalibratedSet;
 use crate::store::policies::Policy;
@@ -47,6 +48,9 @@ pub struct WeighingRequest {
     /// Of the version on the simulated bench, each within what its campaign saw, as `{"relative_humidity_pct": 65}`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Conditions,
+    /// What it is for: lot, vial, operator, air, and what follows an overdose.
+    #[serde(default, skip_serializing_if = "Asked::is_nothing")]
+    pub asked: Asked,
 }
 
 /// A mass with its unit.
@@ -105,6 +109,7 @@ impl App {
     /// Check a request and make every choice that it leaves open.
     async fn plan(&self, request: WeighingRequest) -> Result<(WeighRequest, String)> {
         let (target_mg, tolerance) = masses(&request)?;
+        check_asked(&request.asked)?;
         let powder = self.powder_of("powder", &request.powder).await?.id;
         let every = PageQuery::first(LIST_LIMIT_MAX).window(LIST_LIMIT_MAX)?;
         let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
@@ -136,8 +141,18 @@ impl App {
         let set = choose_set(sets, &policy, seed);
         let (tolerance_lower_mg, tolerance_upper_mg) = tolerance;
         let policy = policy.id;
-        let request =
-            WeighRequest { powder, target_mg, tolerance_lower_mg, tolerance_upper_mg, policy, seed, under, patch };
+        let asked = request.asked;
+        let request = WeighRequest {
+            powder,
+            target_mg,
+            tolerance_lower_mg,
+            tolerance_upper_mg,
+            policy,
+            seed,
+            under,
+            patch,
+            asked,
+        };
         Ok((request, set))
     }
 
@@ -160,6 +175,9 @@ impl App {
         let mut tx = self.store().write().await?;
         if let Some(first) = tx.weighing_by_key(&intent.idempotency_key).await? {
             return replay(first, &intent.request_sha256, &intent.idempotency_key);
+        }
+        if let Some(latch) = tx.latch().await? {
+            return Err(latched(&latch));
         }
         if tx.planned_weighings().await? >= WAITING_MAX {
             let advice = format!("{WAITING_MAX} weighings are waiting for the bench: try again when some are done");
@@ -189,7 +207,7 @@ impl App {
         Ok(self.store().weighings(page.window(LIST_LIMIT_MAX)?).await?)
     }
 
-    /// Stop a weighing: at once when it waits, at the next tick when it runs. Not an emergency stop.
+    /// Stop a weighing: at once when it waits; when it runs the arm is told at once, then the spoon is levelled. Not an emergency stop.
     ///
     /// # Errors
     /// `NotFound`; `Conflict` (`weighing_finished`).
@@ -200,6 +218,38 @@ impl App {
         self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
         Err(Error::conflict("weighing_finished", format!("weighing {id} has ended: there is nothing to stop")))
     }
+}
+
+/// Nobody may use the bench until a person has looked.
+fn latched(latch: &Latch) -> Error {
+    let advice = format!(
+        "the bench is latched since {}: {}. Look at spoon, vial and balance, then clear it (page, `flip bench clear`, POST /v1/bench/clear)",
+        latch.at, latch.reason
+    );
+    Error::conflict("bench_latched", advice)
+}
+
+/// Everything that is wrong with what a weighing is for.
+fn check_asked(asked: &Asked) -> Result<()> {
+    let mut check = Check::default();
+    for (field, text) in [("lot", &asked.lot), ("vial", &asked.vial), ("operator", &asked.operator)] {
+        if let Some(text) = text {
+            check.text(&format!("asked.{field}"), text, 200);
+        }
+    }
+    for (field, value, lower, upper, unit) in [
+        ("temperature_c", asked.temperature_c, -50.0, 150.0, "degrees C"),
+        ("relative_humidity_pct", asked.relative_humidity_pct, 0.0, 100.0, "%"),
+        ("accuracy_pct", asked.accuracy_pct, 0.001, 100.0, "%"),
+    ] {
+        if let Some(value) = value {
+            check.keep(bounded(&format!("asked.{field}"), value, lower, upper, unit));
+        }
+    }
+    if let OnOverdose::DiscardAndRetry { max } = asked.on_overdose {
+        check.count("asked.on_overdose.max", max, 1, 5);
+    }
+    check.done()
 }
 
 /// The weighing that a key made, if it was asked for with the same request.

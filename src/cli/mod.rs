@@ -5,6 +5,7 @@
 //! field or the missing prerequisite; 1: failure. Commands call the same [`crate::app::App`] as REST and gRPC, in
 //! this process, so there is one path to every effect.
 
+mod audit;
 mod bench;
 mod calibrate;
 mod compare;
@@ -90,8 +91,10 @@ enum Command {
     Discover(discover::Arguments),
     /// Weigh one dose on the simulated bench.
     Weigh(weigh::Arguments),
-    /// Time the simulator, also beside other simulators.
+    /// The bench: look at it, probe and check its devices, clear it; and time the simulator, also beside others.
     Bench(bench::Arguments),
+    /// The record of all that happened on the bench: verify it, export it, print certificates.
+    Audit(audit::Arguments),
     /// List calibrations, trainings, evaluations and investigations, also while a server runs.
     Jobs(jobs::Arguments),
     /// Make API tokens.
@@ -137,6 +140,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Discover(arguments) => discover::run(common, arguments),
         Command::Weigh(arguments) => weigh::run(common, arguments),
         Command::Bench(arguments) => bench::run(common, arguments),
+        Command::Audit(arguments) => audit::run(common, arguments),
         Command::Jobs(arguments) => jobs::run(common, arguments),
         Command::Token(arguments) => token::run(common, arguments),
         Command::Health(arguments) => health::run(common, arguments),

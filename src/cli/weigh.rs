@@ -7,7 +7,7 @@ use super::session::with_app;
 use super::simulator::{SimulatorArguments, words};
 use super::train::require_policy;
 use super::watch::Watch;
-use crate::app::{App, Error, Target, Tolerance, Weighing, WeighingRequest};
+use crate::app::{Asked, App, Error, Target, Tolerance, Weighing, WeighingRequest};
 use crate::domain::conditions::{Conditions, Under};
 use crate::domain::weighing::{Outcome, WeighingState};
 use serde::Serialize;
@@ -95,6 +95,7 @@ pub(super) fn request(powder: &str, target_mg: f64, tolerance_mg: f64) -> Weighi
         seed: None,
         simulator: None,
         conditions: Conditions::new(),
+        asked: Asked::default(),
     }
 }
 

@@ -77,3 +77,25 @@ impl PitchLimits {
     /// FLIP's default: cohesive powders do not leave the spoon below 36 deg.
     pub const WIDE: Self = Self { lower_deg: -10.0, upper_deg: 50.0 };
 }
+
+/// The mass that was tared.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Tare {
+    /// What the vial weighs, mg; none where the balance does not say.
+    pub tare_mg: Option<f64>,
+}
+
+/// A balance that was watched while nothing moved.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Standing {
+    /// The last reading.
+    pub reading: Reading,
+    /// Every reading of the last part lay within one step of the display or the balance's noise: our own criterion beside the balance's flag.
+    pub still: bool,
+    /// Slope of the readings, mg/min.
+    pub drift_mg_min: f64,
+    /// Standard deviation of the readings about that slope, mg.
+    pub scatter_mg: f64,
+    /// For how long it was watched, s.
+    pub seconds: f64,
+}

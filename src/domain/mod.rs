@@ -1,6 +1,7 @@
 //! The nouns: powders, parameter sets, readings, actions, weighings, jobs. No I/O, no clock, no async.
 
 pub mod bench;
+pub mod bench_check;
 pub mod conditions;
 pub mod job;
 pub mod observable;

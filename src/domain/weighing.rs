@@ -24,6 +24,90 @@ pub struct WeighRequest {
     /// What the conditions change about the powder.
     #[serde(default, skip_serializing_if = "Patch::is_none")]
     pub patch: Patch,
+    /// What else was asked.
+    #[serde(default)]
+    pub asked: Asked,
+}
+
+/// What follows an overdose, which nobody can take back.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(tag = "action", rename_all = "snake_case", deny_unknown_fields)]
+pub enum OnOverdose {
+    /// It is told, and nothing more is done.
+    #[default]
+    Stop,
+    /// The vial is exchanged for an empty one and the dose is made again. Only where the bench can exchange vials.
+    DiscardAndRetry {
+        /// How often at most, 1 to 5.
+        max: u32,
+    },
+}
+
+/// What a weighing is for and under which conditions, beside the mass.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Asked {
+    /// Lot of the powder.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lot: Option<String>,
+    /// Vial on the balance.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vial: Option<String>,
+    /// Who asked for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub operator: Option<String>,
+    /// Temperature at the balance, degrees C.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub temperature_c: Option<f64>,
+    /// Relative humidity at the balance, %.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub relative_humidity_pct: Option<f64>,
+    /// Share of the net mass that the weighing may be uncertain by, %; the smallest mass that may be weighed follows from it. Default 0.1 (USP <41>).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub accuracy_pct: Option<f64>,
+    /// What follows an overdose.
+    #[serde(default)]
+    pub on_overdose: OnOverdose,
+}
+
+impl Asked {
+    /// Nothing beside the mass.
+    pub fn is_nothing(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// What a weighing measured beside its last reading.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct MeasuredMass {
+    /// The vial, mg; absent where the balance does not say.
+    pub tare_mg: Option<f64>,
+    /// Vial and powder, mg.
+    pub gross_mg: Option<f64>,
+    /// Powder, mg: what the balance showed when everything stood still.
+    pub net_mg: f64,
+    /// Expanded uncertainty of the net mass (k = 2), mg: readability, repeatability, drift.
+    pub uncertainty_mg: f64,
+    /// Smallest net mass that this balance may weigh at the accuracy asked for, mg; absent without a repeatability check.
+    pub minimum_mg: Option<f64>,
+    /// The net mass is smaller than that.
+    pub below_minimum_weight: Option<bool>,
+    /// The balance's own flag at the last reading.
+    pub stable_by_balance: bool,
+    /// Our own criterion at the last reading.
+    pub stable_by_window: bool,
+    /// Slope of the readings before the dose, mg/min.
+    pub drift_before_mg_min: Option<f64>,
+    /// And after it.
+    pub drift_after_mg_min: Option<f64>,
+    /// What the last reading while dosing did not show yet, mg.
+    pub in_flight_mg: Option<f64>,
+    /// Devices by role, with maker, model and serial number as they say themselves.
+    #[serde(default)]
+    pub devices: std::collections::BTreeMap<String, String>,
+    /// Doses that were made before this one and thrown away.
+    #[serde(default)]
+    pub discarded_mg: Vec<f64>,
 }
 
 /// How a weighing ended. Names are the API's.
@@ -36,6 +120,10 @@ pub enum Outcome {
     Under,
     /// Above the target beyond tolerance. Powder cannot be taken back.
     Over,
+    /// The balance did not come to rest: what it showed is no mass.
+    NotStable,
+    /// Nothing more leaves the spoon.
+    Blocked,
     /// Stopped on request.
     Stopped,
     /// A device failed or the guard refused to go on.
@@ -54,6 +142,8 @@ pub enum WeighingState {
     Armed,
     /// Powder may be falling.
     Dosing,
+    /// The spoon is level and away; the balance comes to rest.
+    Settling,
     /// Ended with an outcome.
     Done,
     /// Ended by a stop, a fault or the guard.

@@ -1,41 +1,41 @@
 //! What a bench is to the weighing loop, and the benches there are.
 
+pub mod clock;
+pub mod line;
 pub mod simulated;
+pub mod wire;
 
-use crate::domain::bench::{Action, Reading};
+mod error;
 
-/// A device did not do its part. The variants say what a caller can do about it.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum DeviceError {
-    /// No answer in time: check power and cables.
-    #[error("{device} does not answer")]
-    Silent {
-        /// Which device.
-        device: &'static str,
-    },
-    /// The device reports a fault of its own: look at it.
-    #[error("{device} reports a fault: {cause}")]
-    Faulted {
-        /// Which device.
-        device: &'static str,
-        /// In its own words.
-        cause: String,
-    },
-}
+pub use error::DeviceError;
+
+use crate::domain::bench::{Action, Reading, Standing, Tare};
 
 /// A balance under a spoon on an arm. Every call returns when the motion or the reading is complete.
 pub trait Bench {
-    /// Set the balance to zero with the vial on it.
+    /// Fill the spoon, shake off what does not hold, and bring it level over the vial.
+    ///
+    /// # Errors
+    /// A device failed or may not move.
+    fn approach(&mut self) -> Result<(), DeviceError>;
+
+    /// Set the balance to zero with the vial on it; returns what the vial weighs.
     ///
     /// # Errors
     /// A device failed.
-    fn tare(&mut self) -> Result<(), DeviceError>;
+    fn tare(&mut self) -> Result<Tare, DeviceError>;
 
-    /// A reading taken after the balance had time to settle.
+    /// A fresh reading, taken when the balance has settled or its time is up: `stable` says which.
     ///
     /// # Errors
     /// A device failed.
     fn read(&mut self) -> Result<Reading, DeviceError>;
+
+    /// Watch the balance for this long with nothing moving: where it stands, whether it is still, and how it drifts.
+    ///
+    /// # Errors
+    /// A device failed.
+    fn stand(&mut self, seconds: f64) -> Result<Standing, DeviceError>;
 
     /// Carry out one action: incline, then shake.
     ///
@@ -48,6 +48,18 @@ pub trait Bench {
     /// # Errors
     /// The arm failed: a person must look.
     fn level(&mut self) -> Result<(), DeviceError>;
+
+    /// Take the spoon away from the vial; it must be level.
+    ///
+    /// # Errors
+    /// The arm failed: a person must look.
+    fn retract(&mut self) -> Result<(), DeviceError>;
+
+    /// Return what is left in the spoon to the powder's container.
+    ///
+    /// # Errors
+    /// The arm failed: a person must look.
+    fn discard(&mut self) -> Result<(), DeviceError>;
 
     /// Pitch of the spoon now, degrees, positive is tip down.
     fn pitch_deg(&self) -> f64;

@@ -1,7 +1,7 @@
 //! The digital bench: the simulator's spoon over the simulated balance.
 
 use super::{Bench, DeviceError};
-use crate::domain::bench::{Action, Reading};
+use crate::domain::bench::{Action, Reading, Standing, Tare};
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
 use crate::sim::balance;
@@ -53,9 +53,14 @@ impl SimulatedBench {
 }
 
 impl Bench for SimulatedBench {
-    fn tare(&mut self) -> Result<(), DeviceError> {
-        self.tare_mg = self.spoon.vial_mg();
+    /// The spoon was filled when the bench was made, and stands over the vial.
+    fn approach(&mut self) -> Result<(), DeviceError> {
         Ok(())
+    }
+
+    fn tare(&mut self) -> Result<Tare, DeviceError> {
+        self.tare_mg = self.spoon.vial_mg();
+        Ok(Tare { tare_mg: None })
     }
 
     fn read(&mut self) -> Result<Reading, DeviceError> {
@@ -67,6 +72,13 @@ impl Bench for SimulatedBench {
         Ok(reading)
     }
 
+    /// One reading: a simulated balance neither drifts nor is ever restless.
+    fn stand(&mut self, seconds: f64) -> Result<Standing, DeviceError> {
+        let reading = self.read()?;
+        let still = reading.stable;
+        Ok(Standing { reading, still, drift_mg_min: 0.0, scatter_mg: self.balance.noise_mg, seconds })
+    }
+
     fn act(&mut self, action: Action) -> Result<(), DeviceError> {
         let poured = self.spoon.step(action);
         self.after(poured)
@@ -75,6 +87,14 @@ impl Bench for SimulatedBench {
     fn level(&mut self) -> Result<(), DeviceError> {
         let poured = self.spoon.level();
         self.after(poured)
+    }
+
+    fn retract(&mut self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn discard(&mut self) -> Result<(), DeviceError> {
+        Ok(())
     }
 
     fn pitch_deg(&self) -> f64 {

@@ -21,6 +21,7 @@ use crate::sim::{balance, dispense};
 use crate::store::weighings::{Ending, Weighing};
 use crate::store::{self, Store, now};
 use crate::weigh::{Order, weigh};
+use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -146,6 +147,29 @@ impl Bench {
             tx.end_weighing(&id, &Ending::bare(WeighingState::Unknown, Outcome::Unknown, cause), now()).await?;
         }
         tx.commit().await
+    }
+
+    /// What kind of bench it is.
+    pub fn kind(&self) -> &'static str {
+        "simulated"
+    }
+
+    /// Its devices by role, as they say themselves.
+    pub fn devices(&self) -> BTreeMap<String, String> {
+        BTreeMap::new()
+    }
+
+    /// The weighing that moves.
+    pub fn moving_weighing(&self) -> Option<String> {
+        self.moving().as_ref().map(|(id, _)| id.clone())
+    }
+
+    /// Stop whatever moves; which weighing that is.
+    pub fn stop_moving(&self) -> Option<String> {
+        let moving = self.moving();
+        let (id, stop) = moving.as_ref()?;
+        stop.store(true, Ordering::SeqCst);
+        Some(id.clone())
     }
 
     /// A new intent is committed.
@@ -325,7 +349,7 @@ impl LaneThread {
 
     fn ending(&self, weighing: &Weighing, poured: Poured) -> Ending {
         let state = match poured.outcome {
-            Outcome::Within | Outcome::Under | Outcome::Over => WeighingState::Done,
+            Outcome::Within | Outcome::Under | Outcome::Over | Outcome::NotStable | Outcome::Blocked => WeighingState::Done,
             Outcome::Stopped | Outcome::Aborted => WeighingState::Aborted,
             Outcome::Unknown => WeighingState::Unknown,
         };
@@ -340,6 +364,7 @@ impl LaneThread {
             error_mg: Some(poured.dispensed_mg - weighing.target_mg),
             shakes: Some(poured.shakes),
             seconds: Some(poured.seconds),
+            measured: None,
             trace: trace.ok(),
             error: poured.error.or(lost),
         }

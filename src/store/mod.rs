@@ -4,6 +4,8 @@
 //! read first and writes later can fail with a snapshot conflict that the busy time-out does not wait for.
 
 pub mod artifacts;
+pub mod audit;
+pub mod bench;
 pub mod counts;
 pub mod current_simulator;
 pub mod evaluations;

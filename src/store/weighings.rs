@@ -6,7 +6,8 @@ use super::{Result, Store, Tx};
 use crate::domain::bench::Tick;
 use crate::domain::conditions::{Patch, Under};
 use crate::domain::timestamp::Timestamp;
-use crate::domain::weighing::{Outcome, WeighRequest, WeighingState};
+use crate::domain::weighing::{Asked, MeasuredMass, Outcome, WeighRequest, WeighingState};
+use crate::store::audit::About;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
@@ -36,6 +37,9 @@ pub struct Weighing {
     /// What the conditions change about the powder.
     #[serde(default, skip_serializing_if = "Patch::is_none")]
     pub patch: Patch,
+    /// What else was asked.
+    #[serde(default, skip_serializing_if = "Asked::is_nothing")]
+    pub asked: Asked,
     /// Where it stands.
     pub state: WeighingState,
     /// How it ended.
@@ -50,6 +54,9 @@ pub struct Weighing {
     pub shakes: Option<u32>,
     /// Bench time, s.
     pub seconds: Option<f64>,
+    /// What was measured beside the reading.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measured: Option<MeasuredMass>,
     /// Why it was aborted.
     pub error: Option<String>,
     /// When the intent was committed.
@@ -89,6 +96,7 @@ pub(crate) struct Ending {
     pub error_mg: Option<f64>,
     pub shakes: Option<u32>,
     pub seconds: Option<f64>,
+    pub measured: Option<MeasuredMass>,
     pub trace: Option<String>,
     pub error: Option<String>,
 }
@@ -97,8 +105,9 @@ impl Ending {
     /// An end without any measurement.
     pub(crate) fn bare(state: WeighingState, outcome: Outcome, error: impl Into<String>) -> Self {
         let error = Some(error.into());
-        let (dispensed_mg, reading_mg, error_mg, shakes, seconds, trace) = (None, None, None, None, None, None);
-        Self { state, outcome, dispensed_mg, reading_mg, error_mg, shakes, seconds, trace, error }
+        let (dispensed_mg, reading_mg, error_mg, shakes, seconds) = (None, None, None, None, None);
+        let (measured, trace) = (None, None);
+        Self { state, outcome, dispensed_mg, reading_mg, error_mg, shakes, seconds, measured, trace, error }
     }
 }
 
@@ -162,8 +171,8 @@ impl Tx {
     /// Store an intent.
     pub(crate) async fn insert_weighing(&mut self, intent: &Intent, now: Timestamp) -> Result<Weighing> {
         let sql = "INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, \
-                   tolerance_upper_mg, policy, parameter_set, seed, state, created_at, under, patch) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, 'planned', ?11, ?12, ?13) RETURNING *";
+                   tolerance_upper_mg, policy, parameter_set, seed, state, created_at, under, patch, asked) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, 'planned', ?11, ?12, ?13, ?14) RETURNING *";
         let request = &intent.request;
         let row = sqlx::query(sql)
             .bind(&intent.id)
@@ -179,9 +188,12 @@ impl Tx {
             .bind(now.unix_ms())
             .bind(request.under.as_ref().map(json).transpose()?)
             .bind(Some(&request.patch).filter(|patch| !patch.is_none()).map(json).transpose()?)
+            .bind(Some(&request.asked).filter(|asked| !asked.is_nothing()).map(json).transpose()?)
             .fetch_one(&mut *self.inner)
             .await?;
-        self.announce_weighing(&row).await
+        let weighing = self.announce_weighing(&row).await?;
+        self.audit(About { weighing: Some(&weighing.id), kind: "intent" }, &weighing, now).await?;
+        Ok(weighing)
     }
 
     /// The bench is about to move for a weighing. `false`: it waits no longer (stopped before its turn).
@@ -189,18 +201,23 @@ impl Tx {
         let sql =
             "UPDATE weighing SET state = 'armed', started_at = ?2 WHERE id = ?1 AND state = 'planned' RETURNING *";
         let row = sqlx::query(sql).bind(id).bind(now.unix_ms()).fetch_optional(&mut *self.inner).await?;
-        match row {
-            Some(row) => self.announce_weighing(&row).await.map(|_| true),
-            None => Ok(false),
-        }
+        let Some(row) = row else { return Ok(false) };
+        self.announce_weighing(&row).await?;
+        self.audit(About { weighing: Some(id), kind: "state" }, &WeighingState::Armed, now).await?;
+        Ok(true)
     }
 
-    /// A tick: powder may be falling from here on.
+    /// A weighing that moves goes on to its next state; nothing is changed if it is there already.
+    pub(crate) async fn advance_weighing(&mut self, id: &str, state: WeighingState, now: Timestamp) -> Result<()> {
+        let sql = "UPDATE weighing SET state = ?2 WHERE id = ?1 AND state <> ?2 AND outcome IS NULL RETURNING *";
+        let row = sqlx::query(sql).bind(id).bind(word(&state)).fetch_optional(&mut *self.inner).await?;
+        let Some(row) = row else { return Ok(()) };
+        self.announce_weighing(&row).await?;
+        self.audit(About { weighing: Some(id), kind: "state" }, &state, now).await
+    }
+
+    /// What was done and read in a step.
     pub(crate) async fn insert_tick(&mut self, id: &str, tick: &Tick) -> Result<()> {
-        let sql = "UPDATE weighing SET state = 'dosing' WHERE id = ?1 AND state = 'armed' RETURNING *";
-        if let Some(row) = sqlx::query(sql).bind(id).fetch_optional(&mut *self.inner).await? {
-            self.announce_weighing(&row).await?;
-        }
         self.emit(&weighing_topic(id), "tick", tick).await
     }
 
@@ -219,7 +236,7 @@ impl Tx {
     /// The weighing has ended; only one that had not yet can.
     pub(crate) async fn end_weighing(&mut self, id: &str, ending: &Ending, now: Timestamp) -> Result<Option<Weighing>> {
         let sql = "UPDATE weighing SET state = ?2, outcome = ?3, dispensed_mg = ?4, reading_mg = ?5, error_mg = ?6, \
-                   shakes = ?7, seconds = ?8, trace = ?9, error = ?10, finished_at = ?11 \
+                   shakes = ?7, seconds = ?8, trace = ?9, error = ?10, finished_at = ?11, measured = ?12 \
                    WHERE id = ?1 AND outcome IS NULL RETURNING *";
         let row = sqlx::query(sql)
             .bind(id)
@@ -233,17 +250,18 @@ impl Tx {
             .bind(&ending.trace)
             .bind(&ending.error)
             .bind(now.unix_ms())
+            .bind(ending.measured.as_ref().map(json).transpose()?)
             .fetch_optional(&mut *self.inner)
             .await?;
-        match row {
-            Some(row) => self.announce_weighing(&row).await.map(Some),
-            None => Ok(None),
-        }
+        let Some(row) = row else { return Ok(None) };
+        let weighing = self.announce_weighing(&row).await?;
+        self.audit(About { weighing: Some(id), kind: "outcome" }, &weighing, now).await?;
+        Ok(Some(weighing))
     }
 
     /// Weighings that were moving when the process ended: what lies in their vials nobody knows.
     pub(crate) async fn interrupted_weighings(&mut self) -> Result<Vec<String>> {
-        let sql = "SELECT id FROM weighing WHERE state IN ('armed', 'dosing')";
+        let sql = "SELECT id FROM weighing WHERE state IN ('armed', 'dosing', 'settling')";
         Ok(sqlx::query_scalar(sql).fetch_all(&mut *self.inner).await?)
     }
 
@@ -275,6 +293,7 @@ fn weighing(row: &SqliteRow) -> Result<Weighing> {
         seed: row.plain::<i64>("seed")?.cast_unsigned(),
         under: row.maybe_json("under")?,
         patch: row.maybe_json("patch")?.unwrap_or_default(),
+        asked: row.maybe_json("asked")?.unwrap_or_default(),
         state: row.word("state")?,
         outcome: row.plain::<Option<String>>("outcome")?.is_some().then(|| row.word("outcome")).transpose()?,
         dispensed_mg: row.plain("dispensed_mg")?,
@@ -282,6 +301,7 @@ fn weighing(row: &SqliteRow) -> Result<Weighing> {
         error_mg: row.plain("error_mg")?,
         shakes: shakes.and_then(|n| u32::try_from(n).ok()),
         seconds: row.plain("seconds")?,
+        measured: row.maybe_json("measured")?,
         error: row.plain("error")?,
         created_at: row.time("created_at")?,
         started_at: row.maybe_time("started_at")?,

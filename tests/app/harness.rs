@@ -149,5 +149,6 @@ pub fn mg(powder: &str, value: f64) -> WeighingRequest {
         seed: None,
         simulator: None,
         conditions: Default::default(),
+        asked: Default::default(),
     }
 }

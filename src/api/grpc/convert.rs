@@ -37,8 +37,8 @@ same_names! {
     Method = Method { Automated Manual }
     JobKind = JobKind { Calibration Training Evaluation Investigation }
     JobState = JobState { Queued Running Succeeded Failed Cancelled }
-    Outcome = Outcome { Within Under Over Stopped Aborted Unknown }
-    WeighingState = WeighingState { Planned Armed Dosing Done Aborted Unknown }
+    Outcome = Outcome { Within Under Over NotStable Blocked Stopped Aborted Unknown }
+    WeighingState = WeighingState { Planned Armed Dosing Settling Done Aborted Unknown }
     app::CalibrationMethod = CalibrationMethod { Emulator Paper Sequential }
     app::TrialPhase = TrialPhase { Search Verification }
     app::Order = Order { Curriculum Random Reverse DomainRandomisation }
@@ -220,11 +220,45 @@ same_fields! {
         dispensed_mg reading_mg error_mg shakes seconds error
     } {
         under: w.under.map(Into::into),
+        asked: (!w.asked.is_nothing()).then(|| w.asked.into()),
+        measured: w.measured.map(Into::into),
         state: proto::WeighingState::from(w.state).into(),
         outcome: w.outcome.map(|outcome| proto::Outcome::from(outcome).into()),
         created_at: at(w.created_at),
         started_at: w.started_at.and_then(at),
         finished_at: w.finished_at.and_then(at),
+    }
+    a: app::Asked => Asked { lot vial operator temperature_c relative_humidity_pct accuracy_pct } {
+        retries_max: match a.on_overdose {
+            app::OnOverdose::Stop => 0,
+            app::OnOverdose::DiscardAndRetry { max } => max,
+        },
+    }
+    m: app::MeasuredMass => MeasuredMass {
+        tare_mg gross_mg net_mg uncertainty_mg minimum_mg below_minimum_weight stable_by_balance stable_by_window
+        drift_before_mg_min drift_after_mg_min in_flight_mg discarded_mg
+    } {
+        devices: m.devices.into_iter().collect(),
+    }
+    l: app::Latch => Latch { reason weighing } {
+        at: at(l.at),
+    }
+    b: app::BenchStatus => BenchStatus { kind moving } {
+        devices: b.devices.into_iter().collect(),
+        latch: b.latch.map(Into::into),
+        repeatability: b.repeatability.map(Into::into),
+    }
+    r: app::Repeatability => Repeatability { sd_mg readability_mg } {
+        minimum_mg: r.minimum_mg(0.001),
+        readings_mg: r.readings_mg,
+    }
+    r: app::AuditRecord => AuditRecord { seq weighing kind hash } {
+        at: at(r.at),
+        body: r.body.to_string(),
+    }
+    v: app::AuditVerification => AuditVerification { records last_hash holds_hash } {
+        broken_seq: v.broken.as_ref().map(|broken| broken.seq),
+        broken_why: v.broken.map(|broken| broken.why),
     }
     d: app::WeighingDetail => WeighingDetail {} {
         weighing: Some(d.weighing.into()),

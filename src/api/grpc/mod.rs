@@ -1,5 +1,6 @@
 //! gRPC: one file for each service of `proto/flip/v1/flip.proto`, each method one call of the application.
 
+mod bench;
 mod calibrations;
 mod convert;
 mod evaluations;
@@ -22,6 +23,7 @@ use axum::Router;
 use axum::http::{HeaderMap, header};
 use futures::StreamExt;
 use futures::stream::BoxStream;
+use proto::bench_server::BenchServer;
 use proto::calibrations_server::CalibrationsServer;
 use proto::evaluations_server::EvaluationsServer;
 use proto::investigations_server::InvestigationsServer;
@@ -45,7 +47,7 @@ pub mod proto {
 const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/flip.v1.bin"));
 
 /// Names that the health service knows; the empty one is the whole service.
-const SERVICES: [&str; 10] = [
+const SERVICES: [&str; 11] = [
     "",
     "flip.v1.Powders",
     "flip.v1.Calibrations",
@@ -55,6 +57,7 @@ const SERVICES: [&str; 10] = [
     "flip.v1.Investigations",
     "flip.v1.Simulators",
     "flip.v1.Weighings",
+    "flip.v1.Bench",
     "flip.v1.Jobs",
 ];
 
@@ -93,6 +96,7 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         .add_service(limited!(InvestigationsServer))
         .add_service(limited!(SimulatorsServer))
         .add_service(limited!(WeighingsServer))
+        .add_service(limited!(BenchServer))
         .add_service(limited!(JobsServer))
         .into_axum_router()
         .reset_fallback()

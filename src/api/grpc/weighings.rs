@@ -24,6 +24,7 @@ impl weighings_server::Weighings for Service {
             seed: asked.seed,
             simulator: asked.simulator,
             conditions: conditions(asked.conditions),
+            asked: asked.asked.map(purpose).unwrap_or_default(),
         };
         let (weighing, replayed) = self.app.start_weighing(request, &asked.idempotency_key).await?;
         Ok(Response::new(StartWeighingResponse { weighing: Some(weighing.into()), replayed }))
@@ -52,6 +53,15 @@ impl weighings_server::Weighings for Service {
         let events = self.app.events(Topic::Weighing(id), after(after_seq)?).await?;
         Ok(Response::new(watch(events)))
     }
+}
+
+fn purpose(asked: Asked) -> app::Asked {
+    let Asked { lot, vial, operator, temperature_c, relative_humidity_pct, accuracy_pct, retries_max } = asked;
+    let on_overdose = match retries_max {
+        0 => app::OnOverdose::Stop,
+        max => app::OnOverdose::DiscardAndRetry { max },
+    };
+    app::Asked { lot, vial, operator, temperature_c, relative_humidity_pct, accuracy_pct, on_overdose }
 }
 
 fn target(target: Option<Target>) -> Result<app::Target, FieldError> {

@@ -1,5 +1,7 @@
 //! REST under `/v1`: every route on one screen, and the OpenAPI document that is made from the same routes.
 
+mod audit;
+mod bench;
 mod calibrations;
 mod document;
 mod evaluations;
@@ -67,6 +69,15 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(weighings::get_trace))
         .routes(routes!(weighings::download_trace))
         .routes(routes!(weighings::stop_weighing))
+        .routes(routes!(weighings::get_certificate))
+        .routes(routes!(bench::get_bench))
+        .routes(routes!(bench::stop_bench))
+        .routes(routes!(bench::clear_bench))
+        .routes(routes!(bench::check_repeatability))
+        .routes(routes!(audit::list_audit))
+        .routes(routes!(audit::verify_audit))
+        .routes(routes!(audit::export_audit))
+        .routes(routes!(audit::export_audit_csv))
         .routes(routes!(jobs::list_jobs))
         .routes(routes!(jobs::get_job))
         .routes(routes!(jobs::cancel_job))

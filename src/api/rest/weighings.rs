@@ -5,13 +5,13 @@ use super::extract::{Input, Path, Query};
 use super::list::{ListParams, respond};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::app::App;
+use crate::app::{App, certificate};
 use crate::app::{Page, Weighing, WeighingDetail, WeighingRequest};
 use crate::domain::bench::Tick;
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::{HeaderMap, HeaderValue, header};
-use axum::response::{IntoResponse, Response};
+use axum::response::{Html, IntoResponse, Response};
 use std::fmt::Write;
 
 /// List weighings, newest first.
@@ -102,9 +102,19 @@ fn csv(ticks: &[Tick]) -> String {
     text
 }
 
+/// The certificate of a weighing that has ended: a page to print, which needs nothing else.
+#[utoipa::path(get, path = "/v1/weighings/{id}/certificate.html", tag = "weighings",
+    params(("id" = String, Path, description = "Weighing id")),
+    responses((status = 200, description = "The page", body = String, content_type = "text/html"),
+        (status = 409, description = "It has not ended", body = Problem, content_type = "application/problem+json")))]
+pub async fn get_certificate(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
+    let page = app.certificate(&id).await?;
+    Ok(([(header::CONTENT_SECURITY_POLICY, certificate::POLICY)], Html(page)).into_response())
+}
+
 /// Stop a weighing and level the spoon.
 ///
-/// At once when it waits, at the next tick when it runs. Not an emergency stop: that one is wired.
+/// At once when it waits; when it runs the arm is told at once, before anything is written down. Not an emergency stop: that one is wired.
 #[utoipa::path(post, path = "/v1/weighings/{id}/stop", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 202, description = "The weighing, stopping or stopped", body = Weighing),

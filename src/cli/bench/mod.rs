@@ -1,4 +1,4 @@
-//! `flip bench`: what the simulator costs on this machine, beside other simulators on the same scene.
+//! `flip bench`: the bench and its devices, and what the simulator costs on this machine beside others on the same scene.
 
 mod clock;
 mod ours;
@@ -6,6 +6,7 @@ mod peers;
 mod roofline;
 mod sim;
 mod text;
+mod upkeep;
 
 use super::Common;
 use super::failure::Failure;
@@ -26,6 +27,12 @@ pub(super) struct Arguments {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
+    /// What the bench is, whether it may be used, and how well its balance repeats; also while a server runs.
+    Status,
+    /// A person has looked at a latched bench: weighings may go on.
+    Clear(upkeep::ClearArguments),
+    /// Keep a check of how well the balance repeats: ten or more weighings of one test weight.
+    Repeatability(upkeep::RepeatabilityArguments),
     /// Time the simulator, and other simulators beside it, in processor seconds per simulated second.
     Sim(sim::Arguments),
     /// Write a settled bed for another simulator, one `x,y,z` in metres a line.
@@ -53,9 +60,12 @@ struct BedDocument {
     simulator: &'static str,
 }
 
-/// Run a benchmark and print what it measured.
+/// Run one of them and print what it found.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.what {
+        What::Status => upkeep::status(common),
+        What::Clear(arguments) => upkeep::clear(common, arguments),
+        What::Repeatability(arguments) => upkeep::repeatability(common, arguments),
         What::Sim(arguments) => sim::run(common, arguments),
         What::Bed(arguments) => bed(common, arguments),
     }

@@ -1,0 +1,46 @@
+//! `flip.v1.Bench`.
+
+use super::convert::{all, page};
+use super::proto::*;
+use super::{Service, read, write};
+use crate::app::{ClearRequest, RepeatabilityRequest};
+use tonic::{Request, Response, Status};
+
+#[tonic::async_trait]
+impl bench_server::Bench for Service {
+    async fn get_bench(&self, request: Request<GetBenchRequest>) -> Result<Response<BenchStatus>, Status> {
+        read(request)?;
+        Ok(Response::new(self.app.bench().await?.into()))
+    }
+
+    async fn stop_bench(&self, request: Request<StopBenchRequest>) -> Result<Response<BenchStatus>, Status> {
+        write(request)?;
+        Ok(Response::new(self.app.stop_bench().await?.into()))
+    }
+
+    async fn clear_bench(&self, request: Request<ClearBenchRequest>) -> Result<Response<BenchStatus>, Status> {
+        let ClearBenchRequest { by, note, looked, vial_ready } = write(request)?;
+        let cleared = self.app.clear_bench(ClearRequest { by, note, looked, vial_ready }).await?;
+        Ok(Response::new(cleared.into()))
+    }
+
+    async fn check_repeatability(
+        &self,
+        request: Request<CheckRepeatabilityRequest>,
+    ) -> Result<Response<Repeatability>, Status> {
+        let CheckRepeatabilityRequest { readings_mg, readability_mg } = write(request)?;
+        let found = self.app.check_repeatability(RepeatabilityRequest { readings_mg, readability_mg }).await?;
+        Ok(Response::new(found.into()))
+    }
+
+    async fn list_audit(&self, request: Request<ListAuditRequest>) -> Result<Response<ListAuditResponse>, Status> {
+        let asked = read(request)?;
+        let found = self.app.audit(asked.weighing.as_deref(), page(asked.page)).await?;
+        Ok(Response::new(ListAuditResponse { items: all(found.items), next: found.next }))
+    }
+
+    async fn verify_audit(&self, request: Request<VerifyAuditRequest>) -> Result<Response<AuditVerification>, Status> {
+        let asked = read(request)?;
+        Ok(Response::new(self.app.verify_audit(asked.hash.as_deref()).await?.into()))
+    }
+}

@@ -1,0 +1,197 @@
+//! The certificate of a weighing: one page to print, which needs nothing else.
+//!
+//! It says what was measured and where the record of it is; it claims no compliance with anything.
+
+use super::{App, Error, Result, WeighingDetail};
+use crate::domain::weighing::{MeasuredMass, Outcome};
+use crate::store::audit::AuditRecord;
+use crate::store::weighings::Weighing;
+use std::fmt::Write;
+
+/// Content security policy: the page's own style, and nothing else.
+pub const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
+
+const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:46rem;padding:0 1rem;color:#111;background:#fff}\
+h1{font-size:1.4rem;margin:0}h2{font-size:1rem;margin:1.6rem 0 .3rem}table{border-collapse:collapse;width:100%}\
+th,td{text-align:left;padding:.25rem .6rem .25rem 0;border-bottom:1px solid #ddd;vertical-align:top}th{font-weight:500;width:42%}\
+.big{font-size:1.9rem;margin:.6rem 0}.warn{border-left:4px solid #b00;padding:.3rem .8rem;margin:.8rem 0}\
+code{font-size:.8rem;word-break:break-all}footer{margin-top:2rem;font-size:.8rem;color:#555}@media print{body{margin:0}}";
+
+impl App {
+    /// The certificate of a weighing that has ended.
+    ///
+    /// # Errors
+    /// `NotFound`; `Conflict` (`weighing_unfinished`).
+    pub async fn certificate(&self, id: &str) -> Result<String> {
+        let detail = self.weighing(id).await?;
+        if detail.weighing.outcome.is_none() {
+            let advice = format!("weighing {id} has not ended: its certificate can be printed when it has");
+            return Err(Error::conflict("weighing_unfinished", advice));
+        }
+        let mut last = None;
+        let mut records = 0;
+        self.export_audit(Some(id), |record| {
+            records += 1;
+            last = Some(record.clone());
+        })
+        .await?;
+        Ok(html(&detail, records, last.as_ref()))
+    }
+}
+
+/// The page; the same weighing always makes the same bytes.
+fn html(detail: &WeighingDetail, records: usize, last: Option<&AuditRecord>) -> String {
+    let weighing = &detail.weighing;
+    let mut body = format!(
+        "<h1>Weighing certificate</h1><p class=\"big\">{}</p>{}",
+        result(weighing),
+        warnings(weighing).iter().map(|text| format!("<p class=\"warn\">{}</p>", escaped(text))).collect::<String>()
+    );
+    section(&mut body, "What was asked", &asked(weighing));
+    section(&mut body, "What was measured", &measured(weighing));
+    section(&mut body, "With what", &provenance(weighing));
+    let record = last.map(|record| {
+        vec![
+            ("Records of this weighing", records.to_string()),
+            ("Last record", format!("{} of {}", record.seq, record.at)),
+            ("Hash up to there", record.hash.clone()),
+        ]
+    });
+    section(&mut body, "Record", &record.unwrap_or_default());
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n<meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\"/>\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n<title>Weighing {} · FLIP</title>\n<style>{STYLE}</style>\n</head>\n\
+         <body>\n{body}<footer>Made by FLIP {}. It states what was measured and recorded; it does not claim compliance with any regulation. \
+         `flip audit verify --hash HASH` checks the record.</footer>\n</body>\n</html>\n",
+        escaped(&weighing.id),
+        env!("CARGO_PKG_VERSION")
+    )
+}
+
+fn section(body: &mut String, title: &str, rows: &[(&str, String)]) {
+    if rows.is_empty() {
+        return;
+    }
+    let _infallible = write!(body, "<h2>{title}</h2><table>");
+    for (name, value) in rows {
+        let _infallible = write!(body, "<tr><th scope=\"row\">{name}</th><td>{}</td></tr>", escaped(value));
+    }
+    body.push_str("</table>");
+}
+
+/// The net mass with its uncertainty, or that there is none.
+fn result(weighing: &Weighing) -> String {
+    let powder = escaped(&weighing.powder);
+    match (&weighing.measured, weighing.reading_mg) {
+        (Some(measured), _) => {
+            format!("{} mg ± {} mg of {powder}", digits(measured.net_mg), digits(measured.uncertainty_mg))
+        }
+        (None, Some(reading_mg)) => format!("{} mg of {powder}, by the last reading", digits(reading_mg)),
+        (None, None) => format!("no mass of {powder} was measured"),
+    }
+}
+
+/// What a reader must not miss.
+fn warnings(weighing: &Weighing) -> Vec<String> {
+    let mut all = Vec::new();
+    let told = |outcome: Outcome| match outcome {
+        Outcome::Within => None,
+        Outcome::Under => Some("The dose is short of the target beyond its tolerance."),
+        Outcome::Over => Some("The dose is above the target beyond its tolerance: powder cannot be taken back."),
+        Outcome::NotStable => Some("The balance did not come to rest: the mass is not to be relied on."),
+        Outcome::Blocked => Some("Nothing more left the spoon."),
+        Outcome::Stopped => Some("The weighing was stopped."),
+        Outcome::Aborted => Some("The weighing was aborted."),
+        Outcome::Unknown => Some("The process ended during the weighing: what lies in the vial is not known."),
+    };
+    all.extend(weighing.outcome.and_then(told).map(str::to_owned));
+    all.extend(weighing.error.clone());
+    if let Some(measured) = &weighing.measured {
+        match (measured.below_minimum_weight, measured.minimum_mg) {
+            (Some(true), Some(minimum)) => all.push(format!(
+                "Below the minimum weight of this balance, {} mg at the accuracy asked for: not accurately weighed in the sense of USP <41>.",
+                digits(minimum)
+            )),
+            (None, _) => all.push("The balance's repeatability was not checked: its minimum weight is not known.".to_owned()),
+            _ => {}
+        }
+        if !(measured.stable_by_balance && measured.stable_by_window) {
+            all.push("The last reading was not stable by both the balance's flag and our own window.".to_owned());
+        }
+    }
+    all
+}
+
+fn asked(weighing: &Weighing) -> Vec<(&'static str, String)> {
+    let mut rows = vec![
+        ("Powder", weighing.powder.clone()),
+        ("Target", format!("{} mg", digits(weighing.target_mg))),
+        ("Tolerance", format!("-{} / +{} mg", digits(weighing.tolerance_lower_mg), digits(weighing.tolerance_upper_mg))),
+    ];
+    let asked = &weighing.asked;
+    let mut more = |name, value: Option<String>| rows.extend(value.map(|value| (name, value)));
+    more("Lot", asked.lot.clone());
+    more("Vial", asked.vial.clone());
+    more("Asked for by", asked.operator.clone());
+    more("Temperature", asked.temperature_c.map(|c| format!("{c} °C")));
+    more("Relative humidity", asked.relative_humidity_pct.map(|pct| format!("{pct} %")));
+    more("Accuracy asked for", asked.accuracy_pct.map(|pct| format!("{pct} %")));
+    rows
+}
+
+fn measured(weighing: &Weighing) -> Vec<(&'static str, String)> {
+    let mut rows = vec![("Outcome", weighing.outcome.map(word).unwrap_or_default())];
+    let Some(it) = &weighing.measured else { return rows };
+    let mg = |value: Option<f64>| value.map_or_else(|| "not told by the balance".to_owned(), |mg| format!("{} mg", digits(mg)));
+    rows.extend([
+        ("Gross", mg(it.gross_mg)),
+        ("Tare", mg(it.tare_mg)),
+        ("Net", format!("{} mg", digits(it.net_mg))),
+        ("Expanded uncertainty (k = 2)", format!("{} mg", digits(it.uncertainty_mg))),
+        ("Minimum weight", it.minimum_mg.map_or_else(|| "not known: no repeatability check".to_owned(), |mg| format!("{} mg", digits(mg)))),
+        ("Stable by the balance / by our window", format!("{} / {}", yes(it.stable_by_balance), yes(it.stable_by_window))),
+    ]);
+    rows.extend(drift(it));
+    rows.extend(weighing.shakes.map(|n| ("Shakes", n.to_string())));
+    rows.extend(weighing.seconds.map(|s| ("Time on the bench", format!("{s:.1} s"))));
+    let thrown = it.discarded_mg.iter().map(|mg| digits(*mg)).collect::<Vec<_>>().join(", ");
+    rows.extend((!thrown.is_empty()).then(|| ("Thrown away before, mg", thrown)));
+    rows
+}
+
+fn drift(it: &MeasuredMass) -> Option<(&'static str, String)> {
+    let (before, after) = (it.drift_before_mg_min?, it.drift_after_mg_min?);
+    Some(("Drift before / after", format!("{} / {} mg/min", digits(before), digits(after))))
+}
+
+fn provenance(weighing: &Weighing) -> Vec<(&'static str, String)> {
+    let mut rows = vec![("Weighing", weighing.id.clone()), ("Policy", weighing.policy.clone())];
+    rows.push(("Simulator", weighing.under.as_ref().map_or_else(|| "base".to_owned(), |under| under.simulator.clone())));
+    if let Some(measured) = &weighing.measured {
+        let named = |(role, name): (&String, &String)| format!("{role}: {name}");
+        rows.push(("Devices", measured.devices.iter().map(named).collect::<Vec<_>>().join("; ")));
+    }
+    rows.push(("Intent committed", weighing.created_at.to_string()));
+    rows.extend(weighing.started_at.map(|at| ("Armed", at.to_string())));
+    rows.extend(weighing.finished_at.map(|at| ("Ended", at.to_string())));
+    rows
+}
+
+fn word(outcome: Outcome) -> String {
+    serde_json::to_value(outcome).ok().and_then(|value| value.as_str().map(|word| word.replace('_', " "))).unwrap_or_default()
+}
+
+fn yes(is: bool) -> &'static str {
+    if is { "yes" } else { "no" }
+}
+
+/// To a hundredth, without zeros at the end.
+fn digits(value: f64) -> String {
+    let text = format!("{value:.2}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" { "0".to_owned() } else { text.to_owned() }
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}

@@ -1,0 +1,111 @@
+//! `flip audit`: the record of all that happened on the bench, also while a server runs.
+
+use super::Common;
+use super::failure::Failure;
+use super::session::with_reader;
+use crate::app::{AUDIT_CSV_HEADER, AuditVerification, audit_csv};
+use clap::ValueEnum;
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Arguments of `flip audit`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum What {
+    /// Go through the whole chain: is every record what was written?
+    Verify {
+        /// A hash that was kept elsewhere, as a certificate prints it: does the chain still hold it?
+        #[arg(long, value_name = "HASH")]
+        hash: Option<String>,
+    },
+    /// Write the records, oldest first.
+    Export {
+        /// Of this weighing alone.
+        #[arg(long, value_name = "ID")]
+        weighing: Option<String>,
+        /// As what.
+        #[arg(long, value_enum, default_value_t = Format::Json)]
+        format: Format,
+        /// File to write.
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+    },
+    /// Write the certificate of a weighing: an HTML page to print.
+    Certificate {
+        /// The weighing.
+        #[arg(long, value_name = "ID")]
+        weighing: String,
+        /// File to write.
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+    },
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Format {
+    Json,
+    Csv,
+}
+
+/// The document of what was written.
+#[derive(Debug, Serialize)]
+struct Written {
+    file: PathBuf,
+    records: usize,
+}
+
+/// Run one of them.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    match &arguments.what {
+        What::Verify { hash } => verify(common, hash.as_deref()),
+        What::Export { weighing, format, out } => export(common, weighing.as_deref(), *format, out.clone()),
+        What::Certificate { weighing, out } => {
+            let page = with_reader(common, async |app| Ok(app.certificate(weighing).await?))?;
+            std::fs::write(out, page)?;
+            let written = Written { file: out.clone(), records: 1 };
+            common.print(&written, || format!("{} holds the certificate", written.file.display()))
+        }
+    }
+}
+
+fn verify(common: &Common, hash: Option<&str>) -> Result<(), Failure> {
+    let found = with_reader(common, async |app| Ok(app.verify_audit(hash).await?))?;
+    common.print(&found, || text(&found))?;
+    match is_whole(&found) {
+        true => Ok(()),
+        false => Err(Failure::Failed(anyhow::anyhow!("the audit trail is not what was written"))),
+    }
+}
+
+fn is_whole(found: &AuditVerification) -> bool {
+    found.broken.is_none() && found.holds_hash != Some(false)
+}
+
+fn text(found: &AuditVerification) -> String {
+    let state = match (&found.broken, found.holds_hash) {
+        (Some(broken), _) => format!("broken at record {}: {}", broken.seq, broken.why),
+        (None, Some(false)) => "whole, but it does not hold that hash: records were cut off".to_owned(),
+        (None, _) => "whole".to_owned(),
+    };
+    format!("{} records, {state}\nlast hash {}", found.records, found.last_hash)
+}
+
+fn export(common: &Common, weighing: Option<&str>, format: Format, out: PathBuf) -> Result<(), Failure> {
+    let (text, records) = with_reader(common, async |app| {
+        let mut all = Vec::new();
+        app.export_audit(weighing, |record| all.push(record.clone())).await?;
+        let text = match format {
+            Format::Json => serde_json::to_string_pretty(&all)?,
+            Format::Csv => AUDIT_CSV_HEADER.to_owned() + &all.iter().map(audit_csv).collect::<String>(),
+        };
+        Ok((text, all.len()))
+    })?;
+    std::fs::write(&out, text)?;
+    let written = Written { file: out, records };
+    common.print(&written, || format!("{} records in {}", written.records, written.file.display()))
+}

@@ -1,0 +1,76 @@
+//! `flip bench status|clear|repeatability`: what a person does to a bench.
+
+use super::super::Common;
+use super::super::failure::Failure;
+use super::super::session::{with_reader, with_writer};
+use crate::app::{BenchStatus, ClearRequest, RepeatabilityRequest};
+
+/// Arguments of `flip bench clear`.
+#[derive(Debug, clap::Args)]
+pub(in super::super) struct ClearArguments {
+    /// Who looked at the bench.
+    #[arg(long, value_name = "NAME")]
+    by: String,
+    /// What was found and done.
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    note: String,
+    /// Spoon, vial and balance were looked at.
+    #[arg(long)]
+    looked: bool,
+    /// The vial is empty or new, and the balance will be tared.
+    #[arg(long)]
+    vial_ready: bool,
+}
+
+/// Arguments of `flip bench repeatability`.
+#[derive(Debug, Clone, clap::Args)]
+pub(in super::super) struct RepeatabilityArguments {
+    /// Readings of one test weight, put on anew for each, mg; at least ten, separated by commas.
+    #[arg(long, value_name = "MG,…", value_delimiter = ',', allow_negative_numbers = true)]
+    readings_mg: Vec<f64>,
+    /// Step of the display, mg.
+    #[arg(long, value_name = "MG", default_value_t = 1.0)]
+    readability_mg: f64,
+}
+
+/// Print what the bench is and whether it may be used.
+pub(in super::super) fn status(common: &Common) -> Result<(), Failure> {
+    let found = with_reader(common, async |app| Ok(app.bench().await?))?;
+    common.print(&found, || text(&found))
+}
+
+/// A person has looked: weighings may go on.
+pub(in super::super) fn clear(common: &Common, arguments: &ClearArguments) -> Result<(), Failure> {
+    let ClearArguments { by, note, looked, vial_ready } = arguments;
+    let request = ClearRequest { by: by.clone(), note: note.clone(), looked: *looked, vial_ready: *vial_ready };
+    let found = with_writer(common, async |app| Ok(app.clear_bench(request).await?))?;
+    common.print(&found, || text(&found))
+}
+
+/// Keep a check of how well the balance repeats.
+pub(in super::super) fn repeatability(common: &Common, arguments: &RepeatabilityArguments) -> Result<(), Failure> {
+    let RepeatabilityArguments { readings_mg, readability_mg } = arguments.clone();
+    let request = RepeatabilityRequest { readings_mg, readability_mg };
+    let found = with_writer(common, async |app| Ok(app.check_repeatability(request).await?))?;
+    common.print(&found, || {
+        format!(
+            "SD {:.3} mg over {} weighings\nmay weigh from {:.0} mg at 0.1 %, from {:.0} mg at 1 %",
+            found.sd_mg,
+            found.readings_mg.len(),
+            found.minimum_mg(0.001),
+            found.minimum_mg(0.01)
+        )
+    })
+}
+
+fn text(found: &BenchStatus) -> String {
+    let mut lines = vec![format!("bench      {}", found.kind)];
+    lines.extend(found.devices.iter().map(|(role, name)| format!("{role:<10} {name}")));
+    lines.push(match &found.latch {
+        Some(latch) => format!("latched    since {}: {}", latch.at, latch.reason),
+        None => "free       weighings may be made".to_owned(),
+    });
+    lines.extend(found.moving.iter().map(|id| format!("moving     {id}")));
+    lines.extend(found.repeatability.iter().map(|check| format!("repeats    SD {:.3} mg", check.sd_mg)));
+    lines.join("\n")
+}

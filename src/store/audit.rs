@@ -1,0 +1,235 @@
+//! The audit trail: what happened on the bench, in order, each record chained to the one before it by its hash.
+//!
+//! ```text
+//! hash = SHA-256 of  previous hash LF seq LF milliseconds since 1970 LF weighing LF kind LF body     (in hexadecimal; 64 zeros before the first)
+//! ```
+//!
+//! The database refuses to change or delete a record, and whoever edits the file by other means breaks the chain. A chain that was cut off at its end
+//! looks whole: who wants to know keeps a hash elsewhere, as a printed certificate does, and asks whether the chain still holds it.
+
+use super::page::{Page, Window};
+use super::row::{Columns, json};
+use super::{Result, Store, Tx};
+use crate::domain::timestamp::Timestamp;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use sqlx::sqlite::SqliteRow;
+
+/// Records read at once.
+const BATCH: i64 = 2000;
+
+/// One record of the audit trail.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct AuditRecord {
+    /// Position; without gaps.
+    pub seq: i64,
+    /// When.
+    pub at: Timestamp,
+    /// The weighing that it belongs to.
+    pub weighing: Option<String>,
+    /// `intent`, `state`, `sent`, `received`, `reading`, `decision`, `outcome`, `person` or `latch`.
+    pub kind: String,
+    /// What happened; the fields depend on the kind.
+    #[schema(value_type = Object)]
+    pub body: serde_json::Value,
+    /// Hash of this record and, through the one before it, of all before.
+    pub hash: String,
+}
+
+/// Whether the audit trail is whole.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct AuditVerification {
+    /// Records looked at.
+    pub records: i64,
+    /// Hash of the last one; 64 zeros if there is none.
+    pub last_hash: String,
+    /// The first record that is not what was written, and why.
+    pub broken: Option<AuditBreak>,
+    /// Whether a hash that was asked for is in the chain.
+    pub holds_hash: Option<bool>,
+}
+
+/// Where an audit trail is broken.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct AuditBreak {
+    /// Position of the record.
+    pub seq: i64,
+    /// What is wrong with it.
+    pub why: String,
+}
+
+/// What an audit record is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct About<'a> {
+    pub weighing: Option<&'a str>,
+    pub kind: &'a str,
+}
+
+fn beginning() -> String {
+    "0".repeat(64)
+}
+
+fn chained(previous: &str, seq: i64, at_ms: i64, about: About<'_>, body: &str) -> String {
+    let weighing = about.weighing.unwrap_or_default();
+    hex::encode(Sha256::digest(format!("{previous}\n{seq}\n{at_ms}\n{weighing}\n{}\n{body}", about.kind)))
+}
+
+impl Tx {
+    /// Add a record at the end of the chain.
+    pub(crate) async fn audit(&mut self, about: About<'_>, body: &impl Serialize, now: Timestamp) -> Result<()> {
+        let body = json(body)?;
+        let last = sqlx::query("SELECT seq, hash FROM audit ORDER BY seq DESC LIMIT 1");
+        let (seq, previous) = match last.fetch_optional(&mut *self.inner).await? {
+            Some(row) => (row.plain::<i64>("seq")? + 1, row.plain::<String>("hash")?),
+            None => (1, beginning()),
+        };
+        let hash = chained(&previous, seq, now.unix_ms(), about, &body);
+        sqlx::query("INSERT INTO audit (seq, at, weighing, kind, body, hash) VALUES (?1, ?2, ?3, ?4, ?5, ?6)")
+            .bind(seq)
+            .bind(now.unix_ms())
+            .bind(about.weighing)
+            .bind(about.kind)
+            .bind(body)
+            .bind(hash)
+            .execute(&mut *self.inner)
+            .await?;
+        Ok(())
+    }
+}
+
+impl Tx {
+    /// A person did something to a weighing or the bench.
+    pub(crate) async fn audit_person(&mut self, weighing: Option<&str>, action: &str, now: Timestamp) -> Result<()> {
+        self.audit(About { weighing, kind: "person" }, &serde_json::json!({ "action": action }), now).await
+    }
+}
+
+impl Store {
+    /// Records, newest first; of one weighing when named.
+    pub(crate) async fn audit_records(&self, weighing: Option<&str>, window: Window) -> Result<Page<AuditRecord>> {
+        let rows = sqlx::query(
+            "SELECT * FROM audit WHERE seq < ?1 AND (?3 IS NULL OR weighing = ?3) ORDER BY seq DESC LIMIT ?2",
+        )
+        .bind(window.before())
+        .bind(window.rows())
+        .bind(weighing)
+        .fetch_all(&self.reader)
+        .await?;
+        window.page_of(&rows, record)
+    }
+
+    /// Every record after `after`, oldest first, at most some thousands; of one weighing when named.
+    pub(crate) async fn audit_after(&self, weighing: Option<&str>, after: i64) -> Result<Vec<AuditRecord>> {
+        let rows =
+            sqlx::query("SELECT * FROM audit WHERE seq > ?1 AND (?3 IS NULL OR weighing = ?3) ORDER BY seq LIMIT ?2")
+                .bind(after)
+                .bind(BATCH)
+                .bind(weighing)
+                .fetch_all(&self.reader)
+                .await?;
+        rows.iter().map(record).collect()
+    }
+
+    /// Go through the whole chain; `wanted` is a hash that it should hold.
+    pub(crate) async fn verify_audit(&self, wanted: Option<&str>) -> Result<AuditVerification> {
+        let (mut records, mut last_hash, mut found) = (0, beginning(), false);
+        loop {
+            let sql = "SELECT * FROM audit WHERE seq > ?1 ORDER BY seq LIMIT ?2";
+            let rows = sqlx::query(sql).bind(records).bind(BATCH).fetch_all(&self.reader).await?;
+            if rows.is_empty() {
+                let holds_hash = wanted.map(|_| found);
+                return Ok(AuditVerification { records, last_hash, broken: None, holds_hash });
+            }
+            for row in &rows {
+                if let Some(why) = flaw(row, records + 1, &last_hash)? {
+                    let broken = Some(AuditBreak { seq: row.plain("seq")?, why });
+                    return Ok(AuditVerification { records, last_hash, broken, holds_hash: wanted.map(|_| found) });
+                }
+                last_hash = row.plain("hash")?;
+                found |= wanted == Some(last_hash.as_str());
+                records += 1;
+            }
+        }
+    }
+}
+
+/// What is wrong with a record that should be the `seq`-th and follow this hash.
+fn flaw(row: &SqliteRow, seq: i64, previous: &str) -> Result<Option<String>> {
+    let found: i64 = row.plain("seq")?;
+    if found != seq {
+        return Ok(Some(format!("record {seq} is missing")));
+    }
+    let weighing: Option<String> = row.plain("weighing")?;
+    let kind: String = row.plain("kind")?;
+    let about = About { weighing: weighing.as_deref(), kind: &kind };
+    let hash = chained(previous, seq, row.plain("at")?, about, &row.plain::<String>("body")?);
+    let stored: String = row.plain("hash")?;
+    Ok((hash != stored).then(|| "it is not what was written, or the one before it is not".to_owned()))
+}
+
+fn record(row: &SqliteRow) -> Result<AuditRecord> {
+    Ok(AuditRecord {
+        seq: row.plain("seq")?,
+        at: row.time("at")?,
+        weighing: row.plain("weighing")?,
+        kind: row.plain("kind")?,
+        body: row.json("body")?,
+        hash: row.plain("hash")?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::now;
+
+    async fn with_records(folder: &std::path::Path, n: i64) -> Store {
+        let store = Store::open(folder).await.unwrap();
+        for k in 0..n {
+            let mut tx = store.write().await.unwrap();
+            let about = About { weighing: Some("w"), kind: "reading" };
+            tx.audit(about, &serde_json::json!({ "mass_mg": k }), now()).await.unwrap();
+            tx.commit().await.unwrap();
+        }
+        store
+    }
+
+    #[tokio::test]
+    async fn a_chain_is_whole_until_somebody_edits_the_file_and_the_database_itself_refuses() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = with_records(folder.path(), 5).await;
+        let whole = store.verify_audit(None).await.unwrap();
+        assert_eq!((whole.records, &whole.broken), (5, &None));
+        let writer = store.writer().unwrap();
+        for sql in ["UPDATE audit SET body = '{}' WHERE seq = 3", "DELETE FROM audit WHERE seq = 5"] {
+            let refused = sqlx::query(sql).execute(writer).await.unwrap_err().to_string();
+            assert!(refused.contains("only ever added to"), "{refused}");
+        }
+        let tampered = [
+            ("UPDATE audit SET body = '{\"mass_mg\":9}' WHERE seq = 3", 3),
+            ("UPDATE audit SET at = at + 1 WHERE seq = 2", 2),
+            ("DELETE FROM audit WHERE seq = 1", 2),
+        ];
+        for trigger in ["audit_stays", "audit_keeps"] {
+            sqlx::query(sqlx::AssertSqlSafe(format!("DROP TRIGGER {trigger}"))).execute(writer).await.unwrap();
+        }
+        for (sql, seq) in tampered {
+            sqlx::query(sql).execute(writer).await.unwrap();
+            let broken = store.verify_audit(None).await.unwrap().broken.unwrap();
+            assert_eq!(broken.seq, seq, "{sql}: {}", broken.why);
+        }
+    }
+
+    #[tokio::test]
+    async fn a_chain_that_was_cut_off_no_longer_holds_the_hash_that_somebody_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = with_records(folder.path(), 3).await;
+        let kept = store.verify_audit(None).await.unwrap().last_hash;
+        assert_eq!(store.verify_audit(Some(&kept)).await.unwrap().holds_hash, Some(true));
+        let writer = store.writer().unwrap();
+        sqlx::query("DROP TRIGGER audit_keeps").execute(writer).await.unwrap();
+        sqlx::query("DELETE FROM audit WHERE seq = 3").execute(writer).await.unwrap();
+        let cut = store.verify_audit(Some(&kept)).await.unwrap();
+        assert_eq!((cut.broken, cut.holds_hash), (None, Some(false)));
+    }
+}
