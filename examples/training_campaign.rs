@@ -11,14 +11,16 @@
 //! time and ends the program with status 3; called again it goes on from that file. Progress goes to stderr.
 
 use flip::domain::parameters::ParameterSet;
+use flip::domain::weighing::Outcome;
 use flip::jobs::bench::{Pour, Poured, Pouring, simulated};
 use flip::policy::{self, Controller, Dispenser, Fuzzy, Paced, Response, Rules, ScheduledStep};
 use flip::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
 use flip::train::{Event, Level, Preset, Settings, Start, TrainError, train};
-use flip::weigh::Order;
+use flip::weigh::{Accuracy, Order};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::fmt::Write;
+use std::ops::ControlFlow;
 use std::ops::ControlFlow;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
@@ -115,19 +117,20 @@ fn learn(levels: &[Level], settings: &Settings, overrides: &Value) -> anyhow::Re
 
 /// One dose by the loop that real weighings use.
 fn weigh(pour: &Pour, pouring: &Pouring, trace: bool) -> anyhow::Result<Dose> {
-    let poured = pour(pouring, &mut |_| {}, &AtomicBool::new(false));
-    if let Some(error) = poured.error {
-        anyhow::bail!("a weighing was aborted: {error}");
-    }
+    let poured = pour(pouring, &mut |_| ControlFlow::Continue(()), &AtomicBool::new(false));
+    let dispensed_mg = match (poured.dispensed_mg, poured.outcome) {
+        (Some(mg), outcome) if outcome != Outcome::Aborted => mg,
+        _ => anyhow::bail!("a weighing was aborted: {}", poured.error.unwrap_or_default()),
+    };
     if trace {
         let mut told = String::new();
         for tick in &poured.ticks {
             let shake_mm = tick.action.executed_shake_mm();
             write!(told, " {:.0} deg {shake_mm:.0} mm {:.1} mg;", tick.pitch_deg, tick.reading.mass_mg)?;
         }
-        eprintln!("target {} mg, dispensed {:.2} mg:{told}", pouring.order.target_mg, poured.dispensed_mg);
+        eprintln!("target {} mg, dispensed {:.2} mg:{told}", pouring.order.target_mg, dispensed_mg);
     }
-    let Poured { dispensed_mg, reading_mg, shakes, seconds, .. } = poured;
+    let Poured { reading_mg, shakes, seconds, .. } = poured;
     Ok(Dose { dispensed_mg, reading_mg, shakes, seconds })
 }
 
@@ -207,7 +210,8 @@ fn main() -> anyhow::Result<()> {
             readability_mg: settings.balance.readability_mg,
         };
         let (controller, balance) = (controller.clone(), settings.balance);
-        weigh(&pour, &Pouring { order, controller, rules, balance, spoon: settings.spoon, set: *set, seed }, trace)
+        let (spoon, accuracy, shakes) = (settings.spoon, Accuracy::default(), None);
+        weigh(&pour, &Pouring { order, accuracy, controller, rules, balance, spoon, set: *set, shakes, seed }, trace)
     };
     let evaluation = evaluate(&plan, once)?;
     tell(&evaluation);

@@ -6,7 +6,8 @@ use flip::domain::parameters::ParameterSet;
 use flip::hardware::simulated::SimulatedBench;
 use flip::policy::{Controller, Rules, ScheduledStep};
 use flip::sim::{balance, dispense};
-use flip::weigh::{Order, weigh};
+use flip::weigh::{Event, Order, Settings, weigh};
+use std::ops::ControlFlow;
 use std::sync::atomic::AtomicBool;
 
 fn main() -> anyhow::Result<()> {
@@ -21,13 +22,20 @@ fn main() -> anyhow::Result<()> {
     // Gentle shakes at a slant. A learned policy is `Controller::Learned`, and nothing else changes.
     let controller = Controller::Fixed(ScheduledStep { pitch_deg: 24.0, shake_mm: 8.0 });
     let order = Order { target_mg, tolerance_lower_mg: 1.0, tolerance_upper_mg: 1.0, readability_mg: 1.0 };
-    let print = |tick: &flip::domain::bench::Tick| {
-        println!(
-            "{:>2}  {:5.1} s  pitch {:5.1} deg  shake {:4.1} mm  balance {:5.1} mg",
-            tick.step, tick.t_s, tick.pitch_deg, tick.action.shake_mm, tick.reading.mass_mg
-        );
+    // Whoever listens hears of each phase and decision before the motion that follows, and could forbid it.
+    let print = |event: &Event<'_>| {
+        match event {
+            Event::Phase(phase) => println!("{phase:?}"),
+            Event::Decision(decision) => decision.reason.iter().for_each(|reason| println!("    {reason}")),
+            Event::Tick(tick) => println!(
+                "{:>2}  {:5.1} s  pitch {:5.1} deg  shake {:4.1} mm  balance {:5.1} mg",
+                tick.step, tick.t_s, tick.pitch_deg, tick.action.shake_mm, tick.reading.mass_mg
+            ),
+        }
+        ControlFlow::Continue(())
     };
-    let weighed = weigh(&mut bench, &controller, &Rules::FLIP, &order, print, &AtomicBool::new(false));
+    let (rules, settings, stop) = (Rules::FLIP, Settings::BENCH, AtomicBool::new(false));
+    let weighed = weigh(&mut bench, &controller, &rules, &order, &settings, print, &stop);
     println!(
         "{:?}: {:.2} mg in the vial, {:.1} mg read, {target_mg} mg wanted; {} shakes in {:.1} s",
         weighed.outcome,

@@ -32,6 +32,8 @@ CREATE TABLE weighing (
     -- The version on the simulated bench with its conditions, and what they change about the powder; none is the base.
     under              TEXT CHECK (json_valid(under)),
     patch              TEXT CHECK (json_valid(patch)),
+    -- The bench that was armed for it; null until then, and of weighings from before there were others: the simulator.
+    bench              TEXT CHECK (bench IN ('simulated', 'emulated', 'devices')),
     -- What else was asked: lot, vial, operator, what follows an overdose.
     asked              TEXT CHECK (json_valid(asked)),
     -- What was measured beside the net mass: gross, tare, uncertainty, drift, stability, devices, air.

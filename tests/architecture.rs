@@ -4,21 +4,37 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Module, and the modules it may name. A module may always name itself.
-const ARROWS: [(&str, &[&str]); 15] = [
+const ARROWS: [(&str, &[&str]); 16] = [
     ("domain", &[]),
     ("stats", &[]),
     ("sim", &["domain"]),
     ("policy", &["domain", "stats"]),
     ("hardware", &["domain"]),
+    ("emulate", &["domain", "sim", "hardware"]),
     ("calibrate", &["domain", "stats"]),
     ("discover", &["domain", "stats"]),
     ("train", &["domain", "sim", "policy", "stats"]),
     ("weigh", &["domain", "hardware", "policy"]),
     ("store", &["domain"]),
-    ("jobs", &["domain", "stats", "sim", "policy", "hardware", "calibrate", "discover", "train", "weigh", "store"]),
+    (
+        "jobs",
+        &[
+            "domain",
+            "stats",
+            "sim",
+            "policy",
+            "hardware",
+            "emulate",
+            "calibrate",
+            "discover",
+            "train",
+            "weigh",
+            "store",
+        ],
+    ),
     ("app", &["domain", "store", "jobs", "policy", "discover"]),
     ("api", &["domain", "app"]),
-    ("cli", &["domain", "sim", "app", "api", "telemetry"]),
+    ("cli", &["domain", "sim", "hardware", "emulate", "app", "api", "telemetry"]),
     ("telemetry", &[]),
 ];
 
@@ -29,27 +45,34 @@ const EXCEPTIONS: [(&str, &[&str]); 1] = [
 ];
 
 /// What may be named only in some modules: crates that talk to the world, and words that mark asynchronous code.
-const CONFINED: [(&str, &[&str]); 20] = [
+const CONFINED: [(&str, &[&str]); 25] = [
     ("sqlx::", &["store", "jobs"]),
     ("apalis::", &["jobs"]),
     ("apalis_", &["jobs"]),
     ("axum::", &["api"]),
     ("axum_server::", &["api"]),
-    ("tonic::", &["api"]),
+    // The arm's driver is a gRPC server, emulated or not.
+    ("tonic::", &["api", "hardware", "emulate"]),
     ("prost::", &["api"]),
+    ("serialport::", &["hardware"]),
+    ("tokio_modbus::", &["hardware"]),
+    ("tokio_serial::", &["hardware"]),
+    ("toml::", &["hardware", "cli"]),
+    ("png::", &["hardware", "emulate"]),
     ("tower_http::", &["api"]),
     ("tch::", &["train"]),
     ("csv::", &["app"]),
     ("rayon::", &["calibrate", "discover", "train", "jobs", "cli"]),
     ("clap::", &["cli"]),
     ("indicatif::", &["cli"]),
-    ("rustix::", &["cli"]),
+    ("rustix::", &["cli", "emulate"]),
     ("anyhow::", &["cli"]),
-    ("tokio::", &["store", "jobs", "app", "api", "cli"]),
-    ("async fn", &["store", "jobs", "app", "api", "cli"]),
+    // Drivers and emulators are synchronous outside; runtimes of their own wait for remote calls.
+    ("tokio::", &["store", "jobs", "app", "api", "cli", "hardware", "emulate"]),
+    ("async fn", &["store", "jobs", "app", "api", "cli", "hardware", "emulate"]),
     ("std::fs", &["store", "api", "cli"]),
-    ("std::net", &["api", "cli"]),
-    ("Instant", &["hardware", "jobs", "store", "app", "api", "cli", "train"]),
+    ("std::net", &["api", "cli", "hardware", "emulate"]),
+    ("Instant", &["hardware", "emulate", "jobs", "store", "app", "api", "cli", "train"]),
 ];
 
 /// Names that say nothing about what a file holds.

@@ -3,6 +3,7 @@
 use super::check::Check;
 use super::{App, Error, Result};
 use crate::domain::FieldError;
+use crate::domain::bench::BenchKind;
 use crate::domain::bench_check::{CheckKind, Repeatability};
 use crate::store::audit::{AuditRecord, AuditVerification};
 use crate::store::bench::Latch;
@@ -17,8 +18,8 @@ const WORDS_MAX: usize = 2000;
 /// What the bench is and whether it may be used.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct BenchStatus {
-    /// `simulated`, `emulated` or `devices`.
-    pub kind: String,
+    /// What it is made of; absent where another process has it.
+    pub kind: Option<BenchKind>,
     /// Devices by role, as they say themselves.
     pub devices: BTreeMap<String, String>,
     /// Why it may not be used, until a person has cleared it.
@@ -63,8 +64,8 @@ impl App {
         let repeatability = self.store().newest_check(CheckKind::Repeatability).await?.map(|it| it.1);
         let latch = self.store().latch().await?;
         let (kind, devices, moving) = match &self.inner.jobs {
-            Some(jobs) => (jobs.bench().kind().to_owned(), jobs.bench().devices(), jobs.bench().moving_weighing()),
-            None => ("unknown".to_owned(), BTreeMap::new(), None),
+            Some(jobs) => (Some(jobs.bench().kind()), jobs.bench().devices(), jobs.bench().moving_weighing()),
+            None => (None, BTreeMap::new(), None),
         };
         Ok(BenchStatus { kind, devices, latch, moving, repeatability })
     }

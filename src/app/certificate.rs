@@ -126,7 +126,10 @@ fn asked(weighing: &Weighing) -> Vec<(&'static str, String)> {
     let mut rows = vec![
         ("Powder", weighing.powder.clone()),
         ("Target", format!("{} mg", digits(weighing.target_mg))),
-        ("Tolerance", format!("-{} / +{} mg", digits(weighing.tolerance_lower_mg), digits(weighing.tolerance_upper_mg))),
+        (
+            "Tolerance",
+            format!("-{} / +{} mg", digits(weighing.tolerance_lower_mg), digits(weighing.tolerance_upper_mg)),
+        ),
     ];
     let asked = &weighing.asked;
     let mut more = |name, value: Option<String>| rows.extend(value.map(|value| (name, value)));
@@ -142,14 +145,23 @@ fn asked(weighing: &Weighing) -> Vec<(&'static str, String)> {
 fn measured(weighing: &Weighing) -> Vec<(&'static str, String)> {
     let mut rows = vec![("Outcome", weighing.outcome.map(word).unwrap_or_default())];
     let Some(it) = &weighing.measured else { return rows };
-    let mg = |value: Option<f64>| value.map_or_else(|| "not told by the balance".to_owned(), |mg| format!("{} mg", digits(mg)));
+    let mg = |value: Option<f64>| {
+        value.map_or_else(|| "not told by the balance".to_owned(), |mg| format!("{} mg", digits(mg)))
+    };
     rows.extend([
         ("Gross", mg(it.gross_mg)),
         ("Tare", mg(it.tare_mg)),
         ("Net", format!("{} mg", digits(it.net_mg))),
         ("Expanded uncertainty (k = 2)", format!("{} mg", digits(it.uncertainty_mg))),
-        ("Minimum weight", it.minimum_mg.map_or_else(|| "not known: no repeatability check".to_owned(), |mg| format!("{} mg", digits(mg)))),
-        ("Stable by the balance / by our window", format!("{} / {}", yes(it.stable_by_balance), yes(it.stable_by_window))),
+        (
+            "Minimum weight",
+            it.minimum_mg
+                .map_or_else(|| "not known: no repeatability check".to_owned(), |mg| format!("{} mg", digits(mg))),
+        ),
+        (
+            "Stable by the balance / by our window",
+            format!("{} / {}", yes(it.stable_by_balance), yes(it.stable_by_window)),
+        ),
     ]);
     rows.extend(drift(it));
     rows.extend(weighing.shakes.map(|n| ("Shakes", n.to_string())));
@@ -166,7 +178,10 @@ fn drift(it: &MeasuredMass) -> Option<(&'static str, String)> {
 
 fn provenance(weighing: &Weighing) -> Vec<(&'static str, String)> {
     let mut rows = vec![("Weighing", weighing.id.clone()), ("Policy", weighing.policy.clone())];
-    rows.push(("Simulator", weighing.under.as_ref().map_or_else(|| "base".to_owned(), |under| under.simulator.clone())));
+    rows.push((
+        "Simulator",
+        weighing.under.as_ref().map_or_else(|| "base".to_owned(), |under| under.simulator.clone()),
+    ));
     if let Some(measured) = &weighing.measured {
         let named = |(role, name): (&String, &String)| format!("{role}: {name}");
         rows.push(("Devices", measured.devices.iter().map(named).collect::<Vec<_>>().join("; ")));
@@ -178,7 +193,10 @@ fn provenance(weighing: &Weighing) -> Vec<(&'static str, String)> {
 }
 
 fn word(outcome: Outcome) -> String {
-    serde_json::to_value(outcome).ok().and_then(|value| value.as_str().map(|word| word.replace('_', " "))).unwrap_or_default()
+    serde_json::to_value(outcome)
+        .ok()
+        .and_then(|value| value.as_str().map(|word| word.replace('_', " ")))
+        .unwrap_or_default()
 }
 
 fn yes(is: bool) -> &'static str {

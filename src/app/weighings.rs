@@ -4,7 +4,7 @@ use super::check::Check;
 use super::evaluations::unmet;
 use super::trainings::without_sets;
 use super::{App, Error, Result};
-use crate::domain::bench::Tick;
+use crate::domain::bench::{BenchKind, Tick};
 use crate::domain::conditions::Conditions;
 use crate::domain::seed::derive;
 use crate::domain::weighing::{Asked, OnOverdose, WeighRequest};
@@ -110,6 +110,11 @@ impl App {
     async fn plan(&self, request: WeighingRequest) -> Result<(WeighRequest, String)> {
         let (target_mg, tolerance) = masses(&request)?;
         check_asked(&request.asked)?;
+        if request.asked.on_overdose != OnOverdose::Stop && self.jobs_or_refuse()?.bench().kind() == BenchKind::Devices
+        {
+            let advice = "must be `stop`: this bench cannot exchange vials by itself";
+            return Err(FieldError::new("asked.on_overdose", advice).into());
+        }
         let powder = self.powder_of("powder", &request.powder).await?.id;
         let every = PageQuery::first(LIST_LIMIT_MAX).window(LIST_LIMIT_MAX)?;
         let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;

@@ -1,6 +1,7 @@
 //! `flip demo`: from published measurements to weighed doses, once; running it again goes on where it was.
 
 use super::Common;
+use super::benches::BenchArguments;
 use super::calibrate::{Search, Target, calibrate};
 use super::failure::Failure;
 use super::serve::{self, Address};
@@ -11,9 +12,7 @@ use super::train::{Timing, train};
 use super::watch::Watch;
 use super::weigh::{request, weigh};
 use crate::api::ServeError;
-use crate::app::{
-    App, Calibration, Options, Order, Preset, TrainingRequest, TrainingResult, Weighing, WeighingRequest,
-};
+use crate::app::{App, Calibration, Order, Preset, TrainingRequest, TrainingResult, Weighing, WeighingRequest};
 use crate::domain::powder::PUBLISHED;
 use serde::Serialize;
 use std::time::Instant;
@@ -38,6 +37,8 @@ pub(super) struct Arguments {
     search: Search,
     #[command(flatten)]
     address: Address,
+    #[command(flatten)]
+    bench: BenchArguments,
 }
 
 /// The document of `flip demo`.
@@ -83,7 +84,7 @@ struct Learned {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     runtime()?.block_on(async {
         let signals = StopSignals::catch()?;
-        let app = App::open(&common.data_dir, Options::default()).await?;
+        let app = App::open(&common.data_dir, arguments.bench.options()?).await?;
         // Cancelled when the service is to end, and by the service when it ends by itself.
         let stop = CancellationToken::new();
         let service = match serve(&app, arguments, &stop) {

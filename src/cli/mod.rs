@@ -7,10 +7,12 @@
 
 mod audit;
 mod bench;
+mod benches;
 mod calibrate;
 mod compare;
 mod demo;
 mod discover;
+mod emulate;
 mod evaluate;
 mod failure;
 mod health;
@@ -89,12 +91,14 @@ enum Command {
     Policy(policy::Arguments),
     /// Ask measured angles of repose what the simulator gets wrong, and why.
     Discover(discover::Arguments),
-    /// Weigh one dose on the simulated bench.
+    /// Weigh one dose, on the simulator, on emulated devices or on a real bench.
     Weigh(weigh::Arguments),
     /// The bench: look at it, probe and check its devices, clear it; and time the simulator, also beside others.
     Bench(bench::Arguments),
     /// The record of all that happened on the bench: verify it, export it, print certificates.
     Audit(audit::Arguments),
+    /// Run emulated devices, or a whole laboratory of them, until Ctrl-C.
+    Emulate(emulate::Arguments),
     /// List calibrations, trainings, evaluations and investigations, also while a server runs.
     Jobs(jobs::Arguments),
     /// Make API tokens.
@@ -140,6 +144,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Discover(arguments) => discover::run(common, arguments),
         Command::Weigh(arguments) => weigh::run(common, arguments),
         Command::Bench(arguments) => bench::run(common, arguments),
+        Command::Emulate(arguments) => emulate::run(common, arguments),
         Command::Audit(arguments) => audit::run(common, arguments),
         Command::Jobs(arguments) => jobs::run(common, arguments),
         Command::Token(arguments) => token::run(common, arguments),

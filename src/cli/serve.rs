@@ -1,11 +1,12 @@
 //! `flip serve`: REST, gRPC and the page on one port, until SIGTERM or Ctrl-C.
 
 use super::Common;
+use super::benches::BenchArguments;
 use super::failure::Failure;
 use super::session::{StopSignals, runtime};
 use super::token;
 use crate::api::{self, ServeConfig, ServeError, Server, Tls};
-use crate::app::{App, Options};
+use crate::app::App;
 use crate::domain::FieldError;
 use crate::telemetry;
 use clap::ValueEnum;
@@ -18,6 +19,8 @@ use std::path::PathBuf;
 pub(super) struct Arguments {
     #[command(flatten)]
     address: Address,
+    #[command(flatten)]
+    bench: BenchArguments,
     /// How log lines on stderr look; FLIP_LOG chooses which are shown, e.g. FLIP_LOG=flip=debug.
     #[arg(long, value_enum, default_value_t = LogFormat::Text)]
     log_format: LogFormat,
@@ -59,7 +62,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     telemetry::start(arguments.log_format.into(), telemetry::SERVICE);
     runtime()?.block_on(async {
         let signals = StopSignals::catch()?;
-        let app = App::open(&common.data_dir, Options::default()).await?;
+        let app = App::open(&common.data_dir, arguments.bench.options()?).await?;
         let server = match bind(&app, &arguments.address) {
             Ok(server) => server,
             Err(failure) => {

@@ -1,6 +1,7 @@
 //! One command's hold on the application: opened, watched for Ctrl-C, closed in good order.
 
 use super::Common;
+use super::benches::BenchArguments;
 use super::failure::Failure;
 use crate::app::{App, Options};
 use tokio::signal::unix::{Signal, SignalKind, signal};
@@ -11,6 +12,15 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 /// run again goes on from there.
 pub(super) fn with_app<T>(common: &Common, work: impl AsyncFnOnce(&App) -> Result<T, Failure>) -> Result<T, Failure> {
     with_options(common, Options::default(), work)
+}
+
+/// As [`with_app`], with another bench than the simulator.
+pub(super) fn with_bench<T>(
+    common: &Common,
+    bench: &BenchArguments,
+    work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
+) -> Result<T, Failure> {
+    with_options(common, bench.options()?, work)
 }
 
 /// As [`with_app`], but leaving queued jobs and weighings where they are.

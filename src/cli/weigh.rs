@@ -1,13 +1,14 @@
 //! `flip weigh`: one dose, through the same intent, bench and guard as a request over HTTP.
 
 use super::Common;
+use super::benches::BenchArguments;
 use super::calibrate::{Target as CalibrationTarget, calibrate};
 use super::failure::Failure;
-use super::session::with_app;
+use super::session::with_bench;
 use super::simulator::{SimulatorArguments, words};
 use super::train::require_policy;
 use super::watch::Watch;
-use crate::app::{Asked, App, Error, Target, Tolerance, Weighing, WeighingRequest};
+use crate::app::{App, Asked, Error, MeasuredMass, Target, Tolerance, Weighing, WeighingRequest};
 use crate::domain::conditions::{Conditions, Under};
 use crate::domain::weighing::{Outcome, WeighingState};
 use serde::Serialize;
@@ -31,8 +32,16 @@ pub(super) struct Arguments {
     /// Policy id [default: the one with the smallest evaluated error on the powder, the shipped one if none is evaluated].
     #[arg(long, value_name = "ID")]
     policy: Option<String>,
+    /// Lot of the powder.
+    #[arg(long, value_name = "TEXT")]
+    lot: Option<String>,
+    /// Who asks.
+    #[arg(long, value_name = "NAME")]
+    operator: Option<String>,
     #[command(flatten)]
     extended: SimulatorArguments,
+    #[command(flatten)]
+    bench: BenchArguments,
 }
 
 /// The document of `flip weigh`.
@@ -46,6 +55,9 @@ struct Document {
     /// What the balance showed.
     reading_mg: Option<f64>,
     error_mg: Option<f64>,
+    /// Gross, tare, uncertainty, drift, stability, devices: where a balance weighed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    measured: Option<MeasuredMass>,
     shakes: Option<u32>,
     /// Time on the bench, which is simulated and reproducible; not wall time.
     seconds: Option<f64>,
@@ -61,10 +73,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let request = request(&arguments.powder, arguments.target_mg, arguments.tolerance_mg);
     let (simulator, conditions) = (arguments.extended.simulator.clone(), arguments.extended.conditions()?);
     let policy = arguments.policy.clone();
-    let request = WeighingRequest { policy, seed: Some(common.seed), simulator, conditions, ..request };
+    let asked = Asked { lot: arguments.lot.clone(), operator: arguments.operator.clone(), ..Asked::default() };
+    let request = WeighingRequest { policy, seed: Some(common.seed), simulator, conditions, asked, ..request };
     // A fresh key: asking on the command line again means another dose.
     let key = uuid::Uuid::now_v7().to_string();
-    let weighing = with_app(common, async |app| weigh(app, &Watch::new(), request, &key).await)?;
+    let weighing = with_bench(common, &arguments.bench, async |app| weigh(app, &Watch::new(), request, &key).await)?;
     let document = Document {
         outcome: weighing.outcome,
         powder: weighing.powder,
@@ -72,6 +85,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         dispensed_mg: weighing.dispensed_mg,
         reading_mg: weighing.reading_mg,
         error_mg: weighing.error_mg,
+        measured: weighing.measured,
         shakes: weighing.shakes,
         seconds: weighing.seconds,
         policy: weighing.policy,
@@ -79,7 +93,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         under: weighing.under,
         seed: weighing.seed,
     };
-    match weighing.error {
+    match weighing.error.filter(|_| matches!(weighing.state, WeighingState::Aborted | WeighingState::Unknown)) {
         Some(error) => Err(Failure::Failed(anyhow::anyhow!("weighing {}: {error}", weighing.id))),
         None => common.print(&document, || text(&document)),
     }

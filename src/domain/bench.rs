@@ -2,6 +2,25 @@
 
 use serde::{Deserialize, Serialize};
 
+/// What a bench is made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum BenchKind {
+    /// The simulator, asked directly.
+    Simulated,
+    /// Emulated devices over their true protocols, around the simulator.
+    Emulated,
+    /// Devices.
+    Devices,
+}
+
+impl BenchKind {
+    /// Something could be left standing somewhere when the process ends.
+    pub fn has_devices(self) -> bool {
+        self != Self::Simulated
+    }
+}
+
 /// Largest shake amplitude, mm.
 pub const SHAKE_MM_MAX: f64 = 16.0;
 /// An amplitude below this is no shake, mm (as on the published robot).

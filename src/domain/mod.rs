@@ -4,6 +4,7 @@ pub mod bench;
 pub mod bench_check;
 pub mod conditions;
 pub mod job;
+pub mod motion;
 pub mod observable;
 pub mod parameters;
 pub mod powder;

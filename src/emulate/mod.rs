@@ -3,5 +3,11 @@
 //! Drivers cannot tell: they open a path or an address. What lies behind is a [`Pan`](pan::Pan) that powder falls on, read by an emulated balance and filled
 //! by an emulated arm, whose spoon is the simulator.
 
+pub mod arm;
+pub mod balance;
+pub mod gate;
+pub mod gripper;
+pub mod lab;
+mod motion;
 pub mod pan;
 pub mod port;

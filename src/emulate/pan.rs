@@ -68,7 +68,8 @@ impl Pan {
     /// Seconds since the load last changed.
     pub fn quiet_s(&self) -> f64 {
         let now = self.clock.now_s();
-        let last = self.locked().iter().map(|change| change.at_s).filter(|at| *at <= now).fold(f64::NEG_INFINITY, f64::max);
+        let last =
+            self.locked().iter().map(|change| change.at_s).filter(|at| *at <= now).fold(f64::NEG_INFINITY, f64::max);
         now - last
     }
 

@@ -148,7 +148,9 @@ impl Line {
                 self.partial.extend_from_slice(&buffer[..count]);
                 Ok(count)
             }
-            Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted) => {
+            Err(error)
+                if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted) =>
+            {
                 Ok(0)
             }
             Err(error) => Err(DeviceError::Lost { device: self.device, cause: error.to_string() }),

@@ -1,8 +1,16 @@
 //! What a bench is to the weighing loop, and the benches there are.
 
+pub mod arm;
+pub mod balance;
+pub mod bench_file;
 pub mod clock;
+pub mod gate;
+pub mod gripper;
 pub mod line;
+pub mod settle;
 pub mod simulated;
+pub mod station;
+pub mod waypoints;
 pub mod wire;
 
 mod error;

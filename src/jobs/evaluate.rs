@@ -5,6 +5,7 @@ use super::context::{JobContext, JobError};
 use super::spec::EvaluationSpec;
 use crate::domain::job::Progress;
 use crate::domain::parameters::ParameterSet;
+use crate::domain::weighing::Outcome;
 use crate::policy::{
     self, Controller, Dispenser, Fuzzy, Kind, Paced, Pid, Policy, Response, Rules, Schedule, ScheduledStep,
 };
@@ -12,9 +13,10 @@ use crate::sim::{balance, dispense};
 use crate::store;
 use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
 use crate::train::evaluate::{Contender, Dose, Plan, Row, Subject, Summary, evaluate};
-use crate::weigh::Order;
+use crate::weigh::{Accuracy, Order};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// The controllers that an evaluation can compare.
@@ -54,13 +56,19 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
                 balance: balance::Settings { readability_mg: spec.readability_mg, ..balance::Settings::default() },
                 spoon: dispense::Settings { extensions, ..usual },
                 set: patch.powder(set),
+                accuracy: Accuracy::default(),
+                shakes: None,
                 seed,
             };
-            let poured = (context.functions.pour)(&pouring, &mut |_| {}, &AtomicBool::new(false));
-            match poured.error {
-                Some(error) => Err(JobError::Fail(format!("a weighing of {target_mg} mg was aborted: {error}"))),
-                None => Ok(Dose {
-                    dispensed_mg: poured.dispensed_mg,
+            let poured =
+                (context.functions.pour)(&pouring, &mut |_| ControlFlow::Continue(()), &AtomicBool::new(false));
+            match (poured.dispensed_mg, poured.outcome) {
+                (None, _) | (_, Outcome::Aborted | Outcome::NotStable) => {
+                    let cause = poured.error.unwrap_or_default();
+                    Err(JobError::Fail(format!("a weighing of {target_mg} mg was aborted: {cause}")))
+                }
+                (Some(dispensed_mg), _) => Ok(Dose {
+                    dispensed_mg,
                     reading_mg: poured.reading_mg,
                     shakes: poured.shakes,
                     seconds: poured.seconds,

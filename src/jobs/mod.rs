@@ -11,7 +11,7 @@
 //!              load inputs, call the pure function, save what it finds; every write carries the fence
 //! ```
 //!
-//! `reconcile.rs` delivers again what the ledger knows and the queue has lost. Weighings are no jobs: `bench.rs`.
+//! `reconcile.rs` delivers again what the ledger knows and the queue has lost. Weighings are no jobs: `bench/`.
 
 pub mod bench;
 pub mod calibrate;
@@ -66,8 +66,10 @@ pub struct Functions {
     pub observe: Observe,
     /// A training.
     pub train: train::Train,
-    /// One weighing on the bench.
+    /// One weighing on the simulator: what evaluations weigh with.
     pub pour: bench::Pour,
+    /// What the bench's lane drives; none: the same.
+    pub bench: Option<bench::Apparatus>,
 }
 
 impl Default for Functions {
@@ -77,6 +79,7 @@ impl Default for Functions {
             observe: Arc::new(crate::sim::observe::observe),
             train: train::simulated(),
             pour: bench::simulated(),
+            bench: None,
         }
     }
 }
@@ -108,7 +111,8 @@ impl Jobs {
     /// [`store::Error`]
     pub async fn start(store: Store, functions: Functions, workers: bool) -> store::Result<Self> {
         queue::migrate(&store).await?;
-        let bench = Bench::new(store.clone(), functions.pour.clone());
+        let simulated = || bench::Apparatus::without_devices(functions.pour.clone());
+        let bench = Bench::new(store.clone(), functions.bench.clone().unwrap_or_else(simulated));
         let shared = Arc::new(Shared {
             store,
             functions,

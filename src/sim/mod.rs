@@ -64,7 +64,6 @@ mod grid;
 mod lanes;
 pub mod law;
 pub mod mechanisms;
-pub mod motion;
 mod neighbours;
 pub mod observe;
 mod pairs;

@@ -69,12 +69,7 @@ impl Tx {
     /// Keep a check of the bench.
     pub(crate) async fn insert_check(&mut self, kind: CheckKind, body: &impl Serialize, now: Timestamp) -> Result<()> {
         let sql = "INSERT INTO bench_check (at, kind, body) VALUES (?1, ?2, ?3)";
-        sqlx::query(sql)
-            .bind(now.unix_ms())
-            .bind(word(&kind))
-            .bind(json(body)?)
-            .execute(&mut *self.inner)
-            .await?;
+        sqlx::query(sql).bind(now.unix_ms()).bind(word(&kind)).bind(json(body)?).execute(&mut *self.inner).await?;
         let said = serde_json::json!({ "check": word(&kind), "found": body });
         self.audit(About { weighing: None, kind: "check" }, &said, now).await
     }

@@ -3,7 +3,7 @@
 use super::page::{Page, Window};
 use super::row::{Columns, json, word};
 use super::{Result, Store, Tx};
-use crate::domain::bench::Tick;
+use crate::domain::bench::{BenchKind, Tick};
 use crate::domain::conditions::{Patch, Under};
 use crate::domain::timestamp::Timestamp;
 use crate::domain::weighing::{Asked, MeasuredMass, Outcome, WeighRequest, WeighingState};
@@ -40,6 +40,9 @@ pub struct Weighing {
     /// What else was asked.
     #[serde(default, skip_serializing_if = "Asked::is_nothing")]
     pub asked: Asked,
+    /// The bench that was armed for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bench: Option<BenchKind>,
     /// Where it stands.
     pub state: WeighingState,
     /// How it ended.
@@ -197,10 +200,10 @@ impl Tx {
     }
 
     /// The bench is about to move for a weighing. `false`: it waits no longer (stopped before its turn).
-    pub(crate) async fn arm_weighing(&mut self, id: &str, now: Timestamp) -> Result<bool> {
-        let sql =
-            "UPDATE weighing SET state = 'armed', started_at = ?2 WHERE id = ?1 AND state = 'planned' RETURNING *";
-        let row = sqlx::query(sql).bind(id).bind(now.unix_ms()).fetch_optional(&mut *self.inner).await?;
+    pub(crate) async fn arm_weighing(&mut self, id: &str, bench: BenchKind, now: Timestamp) -> Result<bool> {
+        let sql = "UPDATE weighing SET state = 'armed', started_at = ?2, bench = ?3 WHERE id = ?1 AND state = 'planned' RETURNING *";
+        let row =
+            sqlx::query(sql).bind(id).bind(now.unix_ms()).bind(word(&bench)).fetch_optional(&mut *self.inner).await?;
         let Some(row) = row else { return Ok(false) };
         self.announce_weighing(&row).await?;
         self.audit(About { weighing: Some(id), kind: "state" }, &WeighingState::Armed, now).await?;
@@ -260,9 +263,10 @@ impl Tx {
     }
 
     /// Weighings that were moving when the process ended: what lies in their vials nobody knows.
-    pub(crate) async fn interrupted_weighings(&mut self) -> Result<Vec<String>> {
-        let sql = "SELECT id FROM weighing WHERE state IN ('armed', 'dosing', 'settling')";
-        Ok(sqlx::query_scalar(sql).fetch_all(&mut *self.inner).await?)
+    pub(crate) async fn interrupted_weighings(&mut self) -> Result<Vec<(String, BenchKind)>> {
+        let sql = "SELECT id, coalesce(bench, 'simulated') AS bench FROM weighing WHERE state IN ('armed', 'dosing', 'settling')";
+        let rows = sqlx::query(sql).fetch_all(&mut *self.inner).await?;
+        rows.iter().map(|row| Ok((row.plain("id")?, row.word("bench")?))).collect()
     }
 
     async fn announce_weighing(&mut self, row: &SqliteRow) -> Result<Weighing> {
@@ -294,6 +298,7 @@ fn weighing(row: &SqliteRow) -> Result<Weighing> {
         under: row.maybe_json("under")?,
         patch: row.maybe_json("patch")?.unwrap_or_default(),
         asked: row.maybe_json("asked")?.unwrap_or_default(),
+        bench: row.plain::<Option<String>>("bench")?.is_some().then(|| row.word("bench")).transpose()?,
         state: row.word("state")?,
         outcome: row.plain::<Option<String>>("outcome")?.is_some().then(|| row.word("outcome")).transpose()?,
         dispensed_mg: row.plain("dispensed_mg")?,

@@ -3,7 +3,18 @@
 //! Only what [`guard`] returns reaches a device. It is a pure function of what has been read and done, so every rule can
 //! be tested as a table.
 
-use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, PitchLimits, Reading, SHAKE_MM_MAX};
+use super::forecast::{Fall, Forecast};
+use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, PitchLimits, Reading, SHAKE_MM_MAX, SHAKE_MM_MIN};
+use serde::Serialize;
+
+/// So near to its upper limit the pitch is at its end, degrees.
+const AT_THE_END_DEG: f64 = 0.5;
+/// A shake of this share of the largest amplitude is a full one.
+const FULL: f64 = 0.95;
+/// From one amplitude that is tried to the next: the root of a half.
+const GENTLER: f64 = std::f64::consts::FRAC_1_SQRT_2;
+/// From one lower pitch that is tried to the next, degrees.
+const LOWER_DEG: f64 = 1.0;
 
 /// What a weighing may do at most.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -12,35 +23,101 @@ pub struct Limits {
     pub pitch: PitchLimits,
     /// Steps before the weighing ends.
     pub steps_max: u32,
+    /// Bench time before the weighing ends, s.
+    pub seconds_max: f64,
     /// A reading may fall by this much between two steps before the vial counts as moved, mg. Default 3: three steps of
     /// a 1 mg balance.
     pub fall_mg_max: f64,
+    /// A reading may rise by this much in a step without a shake, mg. Default 3, as above; of simulated spoons no inclining alone let more than 0.5 mg fall.
+    pub rise_mg_max: f64,
+    /// So many full shakes in a row at the end of the pitch that give nothing are a blocked spoon. Default 3.
+    pub blocked_shakes: usize,
+    /// Step of the balance's display, mg.
+    pub readability_mg: f64,
+    /// What the next shake may let fall; none: it is not asked.
+    pub forecast: Option<Forecast>,
 }
 
 impl Limits {
+    /// Default of `fall_mg_max`.
+    pub(super) const FALL_MG_MAX: f64 = 3.0;
+
+    /// The same for an episode, which goes on to its end whatever the spoon does.
+    pub fn lenient(self) -> Self {
+        Self { rise_mg_max: f64::INFINITY, blocked_shakes: usize::MAX, ..self }
+    }
+
     /// Limits of a weighing within this frame.
     pub fn new(pitch: PitchLimits, steps_max: u32) -> Self {
-        Self { pitch, steps_max, fall_mg_max: 3.0 }
+        Self {
+            pitch,
+            steps_max,
+            seconds_max: f64::INFINITY,
+            fall_mg_max: Self::FALL_MG_MAX,
+            rise_mg_max: 3.0,
+            blocked_shakes: 3,
+            readability_mg: 1.0,
+            forecast: None,
+        }
     }
 }
 
 /// What is known before a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Situation {
+pub struct Situation<'a> {
     /// Target, mg.
     pub target_mg: f64,
+    /// Accepted excess, mg.
+    pub tolerance_upper_mg: f64,
     /// Steps carried out.
     pub steps: u32,
+    /// Bench time since the tare, s.
+    pub seconds: f64,
+    /// When the last motion ended, s of the same clock.
+    pub moved_s: f64,
+    /// When the reading was complete, s of the same clock.
+    pub read_s: f64,
     /// Pitch now, degrees.
     pub pitch_deg: f64,
     /// Reading before the last step.
     pub before: Reading,
     /// Reading now.
     pub now: Reading,
+    /// The last step was a shake. False before the first step.
+    pub shaken: bool,
+    /// Every shake of this dose and what it gave.
+    pub falls: &'a [Fall],
+}
+
+/// What may be carried out, and what was changed about the proposal.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Allowed {
+    /// The action.
+    pub action: Action,
+    /// Why it is not what was proposed, if it is not.
+    pub cut: Option<Cut>,
+}
+
+/// Why an action is not the one that was proposed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, thiserror::Error)]
+#[serde(rename_all = "snake_case")]
+pub enum Cut {
+    /// It was beyond the bounds of action or spoon.
+    #[error("cut to the bounds of the spoon")]
+    Bounds,
+    /// Too much might have fallen.
+    #[error("made gentler: as proposed {upper_mg:.1} mg might fall, and there is room for {room_mg:.1} mg")]
+    Gentler {
+        /// Forecast of the proposal, mg.
+        upper_mg: f64,
+        /// Up to the target and its tolerance, mg.
+        room_mg: f64,
+    },
 }
 
 /// Why no further action may reach a device.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, thiserror::Error)]
+#[serde(rename_all = "snake_case")]
 pub enum Halt {
     /// The balance shows the target or more: nothing may be added.
     #[error("the balance shows the target")]
@@ -48,14 +125,43 @@ pub enum Halt {
     /// Every step is spent.
     #[error("every step is spent")]
     StepsSpent,
-    /// The reading is not a stable number.
+    /// The time is spent.
+    #[error("the time is spent")]
+    TimeSpent,
+    /// Even the gentlest shake might let too much fall.
+    #[error("even the gentlest shake might let {upper_mg:.1} mg fall, and there is room for {room_mg:.1} mg")]
+    NoRoom {
+        /// Forecast of the gentlest shake, mg.
+        upper_mg: f64,
+        /// Up to the target and its tolerance, mg.
+        room_mg: f64,
+    },
+    /// Full shakes at the end of the pitch give nothing.
+    #[error("the last {shakes} full shakes at the end of the pitch gave nothing: the spoon is empty or blocked")]
+    Blocked {
+        /// How many.
+        shakes: usize,
+    },
+    /// The reading is not stable.
     #[error("the balance gives no stable reading: keep draughts and vibration away and tare again")]
     NotStable,
+    /// The reading or the pitch is not a number.
+    #[error("the balance or the spoon reports what is not a number: look at the bench")]
+    NotANumber,
+    /// The reading was taken before the last motion ended.
+    #[error("the reading is older than the last motion")]
+    Stale,
     /// The reading fell.
     #[error("the reading fell by {fell_mg} mg: the vial was moved or lifted")]
     VialMoved {
         /// By how much, mg.
         fell_mg: f64,
+    },
+    /// The reading rose and nothing was shaken.
+    #[error("the reading rose by {rose_mg} mg without a shake: a draught, a leaking spoon or a hand on the balance")]
+    Rose {
+        /// By how much, mg.
+        rose_mg: f64,
     },
     /// The proposal is not a number.
     #[error("the policy proposed an action that is not a number")]
@@ -63,87 +169,125 @@ pub enum Halt {
 }
 
 impl Halt {
-    /// The weighing has run its course; nothing is wrong.
+    /// The weighing has run its course; nothing is wrong, and the reading says how it went.
     pub fn is_expected(&self) -> bool {
-        matches!(self, Self::TargetReached | Self::StepsSpent)
+        matches!(self, Self::TargetReached | Self::StepsSpent | Self::TimeSpent | Self::NoRoom { .. })
     }
 }
 
-/// The action that may be carried out: the proposal within its bounds and the spoon's.
+/// The action that may be carried out: the proposal within its bounds and the spoon's, and so gentle that the dose stays within its tolerance but for a
+/// small chance.
+///
+/// What might let too much fall is first made gentler, then, if even the smallest shake is too much there, made at a lower pitch. The change of the pitch is
+/// bounded for each step and each step waits for a fresh reading, which bounds its rate.
 ///
 /// # Errors
-/// [`Halt`] when nothing may be carried out; the first rule that applies, in the order of the variants' severity:
-/// unusable reading, moved vial, target reached, steps spent, unusable proposal.
-pub fn guard(limits: &Limits, seen: &Situation, proposed: Action) -> Result<Action, Halt> {
-    if !seen.now.stable || !seen.now.mass_mg.is_finite() || !seen.pitch_deg.is_finite() {
-        return Err(Halt::NotStable);
-    }
-    let fell_mg = seen.before.mass_mg - seen.now.mass_mg;
-    if fell_mg > limits.fall_mg_max {
-        return Err(Halt::VialMoved { fell_mg });
-    }
+/// [`Halt`] when nothing may be carried out; the first rule that applies: unusable reading, moved vial, mass without a shake, target reached, steps or time
+/// spent, blocked, unusable proposal, no room.
+pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<Allowed, Halt> {
+    is_usable(limits, seen)?;
     if seen.now.mass_mg >= seen.target_mg {
         return Err(Halt::TargetReached);
     }
     if seen.steps >= limits.steps_max {
         return Err(Halt::StepsSpent);
     }
+    if seen.seconds >= limits.seconds_max {
+        return Err(Halt::TimeSpent);
+    }
+    if is_blocked(limits, seen.falls) {
+        return Err(Halt::Blocked { shakes: limits.blocked_shakes });
+    }
     if !proposed.incline_change_deg.is_finite() || !proposed.shake_mm.is_finite() {
         return Err(Halt::NotAnAction);
     }
+    let action = bounded(limits, seen.pitch_deg, proposed);
+    match &limits.forecast {
+        Some(forecast) => gentle(limits, forecast, seen, action, proposed),
+        None => Ok(Allowed { action, cut: (action != proposed).then_some(Cut::Bounds) }),
+    }
+}
+
+/// Whether the reading may be built on.
+fn is_usable(limits: &Limits, seen: &Situation<'_>) -> Result<(), Halt> {
+    let numbers = [seen.now.mass_mg, seen.pitch_deg, seen.target_mg, seen.seconds, seen.moved_s, seen.read_s];
+    if numbers.iter().any(|number| !number.is_finite()) {
+        return Err(Halt::NotANumber);
+    }
+    if !seen.now.stable {
+        return Err(Halt::NotStable);
+    }
+    if seen.read_s < seen.moved_s {
+        return Err(Halt::Stale);
+    }
+    let rose_mg = seen.now.mass_mg - seen.before.mass_mg;
+    if -rose_mg > limits.fall_mg_max {
+        return Err(Halt::VialMoved { fell_mg: -rose_mg });
+    }
+    if !seen.shaken && rose_mg > limits.rise_mg_max {
+        return Err(Halt::Rose { rose_mg });
+    }
+    Ok(())
+}
+
+fn is_blocked(limits: &Limits, falls: &[Fall]) -> bool {
+    let Some(first) = falls.len().checked_sub(limits.blocked_shakes) else { return false };
+    let gave_nothing = |fall: &Fall| {
+        fall.pitch_deg > limits.pitch.upper_deg - AT_THE_END_DEG
+            && fall.shake_mm >= FULL * SHAKE_MM_MAX
+            && fall.mass_mg < limits.readability_mg - 1e-9
+    };
+    limits.blocked_shakes > 0 && falls[first..].iter().all(gave_nothing)
+}
+
+fn bounded(limits: &Limits, pitch_deg: f64, proposed: Action) -> Action {
     let change = proposed.incline_change_deg.clamp(-INCLINE_CHANGE_DEG_MAX, INCLINE_CHANGE_DEG_MAX);
-    let pitch = (seen.pitch_deg + change).clamp(limits.pitch.lower_deg, limits.pitch.upper_deg);
-    Ok(Action { incline_change_deg: pitch - seen.pitch_deg, shake_mm: proposed.shake_mm.clamp(0.0, SHAKE_MM_MAX) })
+    let pitch = (pitch_deg + change).clamp(limits.pitch.lower_deg, limits.pitch.upper_deg);
+    Action { incline_change_deg: pitch - pitch_deg, shake_mm: proposed.shake_mm.clamp(0.0, SHAKE_MM_MAX) }
+}
+
+/// The first of these whose forecast leaves room: the action, gentler ones at its pitch, the gentlest ones at lower pitches.
+fn gentle(
+    limits: &Limits,
+    forecast: &Forecast,
+    seen: &Situation<'_>,
+    action: Action,
+    proposed: Action,
+) -> Result<Allowed, Halt> {
+    let room_mg = seen.target_mg + seen.tolerance_upper_mg - seen.now.mass_mg;
+    let pitch_of = |action: &Action| seen.pitch_deg + action.incline_change_deg;
+    let is_safe = |action: &Action| {
+        let (pitch_deg, shake_mm) = (pitch_of(action), action.executed_shake_mm());
+        forecast.chance_above(seen.falls, limits.readability_mg, pitch_deg, shake_mm, room_mg) <= forecast.risk
+    };
+    let upper_mg = |action: &Action| {
+        forecast.upper_mg(seen.falls, limits.readability_mg, pitch_of(action), action.executed_shake_mm())
+    };
+    if is_safe(&action) {
+        return Ok(Allowed { action, cut: (action != proposed).then_some(Cut::Bounds) });
+    }
+    let cut = Some(Cut::Gentler { upper_mg: upper_mg(&action), room_mg });
+    let gentlest = Action { shake_mm: SHAKE_MM_MIN, ..action };
+    let gentler = std::iter::successors(Some(GENTLER * action.shake_mm), |shake_mm| Some(GENTLER * shake_mm))
+        .take_while(|shake_mm| *shake_mm > SHAKE_MM_MIN)
+        .map(|shake_mm| Action { shake_mm, ..action })
+        .chain([gentlest]);
+    let lowest_deg = (seen.pitch_deg - INCLINE_CHANGE_DEG_MAX).max(limits.pitch.lower_deg);
+    let lower = (1..)
+        .map(|k| pitch_of(&action) - f64::from(k) * LOWER_DEG)
+        .take_while(|pitch_deg| *pitch_deg > lowest_deg)
+        .chain([lowest_deg])
+        .map(|pitch_deg| Action { incline_change_deg: pitch_deg - seen.pitch_deg, ..gentlest });
+    let mut tried = gentler.chain(lower);
+    match tried.find(is_safe) {
+        Some(action) => Ok(Allowed { action, cut }),
+        None => {
+            let last = Action { incline_change_deg: lowest_deg - seen.pitch_deg, ..gentlest };
+            Err(Halt::NoRoom { upper_mg: upper_mg(&last), room_mg })
+        }
+    }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const LIMITS: Limits = Limits { pitch: PitchLimits::PAPER, steps_max: 10, fall_mg_max: 3.0 };
-
-    fn seen() -> Situation {
-        let reading = |mass_mg| Reading { mass_mg, stable: true };
-        Situation { target_mg: 15.0, steps: 3, pitch_deg: 30.0, before: reading(4.0), now: reading(6.0) }
-    }
-
-    fn action(incline_change_deg: f64, shake_mm: f64) -> Action {
-        Action { incline_change_deg, shake_mm }
-    }
-
-    #[test]
-    fn a_proposal_is_cut_to_the_bounds_of_action_and_spoon() {
-        for (proposed, allowed) in [
-            (action(4.0, 8.0), action(4.0, 8.0)),
-            (action(90.0, 8.0), action(6.0, 8.0)),
-            (action(-90.0, -5.0), action(-8.0, 0.0)),
-            (action(0.0, 1e9), action(0.0, 16.0)),
-        ] {
-            assert_eq!(guard(&LIMITS, &seen(), proposed), Ok(allowed));
-        }
-    }
-
-    #[test]
-    fn nothing_moves_when_something_is_wrong_or_enough_is_in_the_vial() {
-        let at = |change: fn(&mut Situation)| {
-            let mut situation = seen();
-            change(&mut situation);
-            guard(&LIMITS, &situation, action(1.0, 5.0)).unwrap_err()
-        };
-        assert_eq!(at(|s| s.now.mass_mg = 15.0), Halt::TargetReached);
-        assert_eq!(at(|s| s.now.mass_mg = 40.0), Halt::TargetReached);
-        assert_eq!(at(|s| s.steps = 10), Halt::StepsSpent);
-        assert_eq!(at(|s| s.now.stable = false), Halt::NotStable);
-        assert_eq!(at(|s| s.now.mass_mg = f64::NAN), Halt::NotStable);
-        assert_eq!(at(|s| s.now.mass_mg = 0.0), Halt::VialMoved { fell_mg: 4.0 });
-        assert_eq!(guard(&LIMITS, &seen(), action(f64::NAN, 5.0)), Err(Halt::NotAnAction));
-        assert_eq!(guard(&LIMITS, &seen(), action(1.0, f64::INFINITY)), Err(Halt::NotAnAction));
-    }
-
-    #[test]
-    fn a_lifted_vial_counts_before_a_target_that_is_reached() {
-        let mut situation = seen();
-        (situation.before.mass_mg, situation.now.mass_mg) = (50.0, 20.0);
-        assert_eq!(guard(&LIMITS, &situation, action(1.0, 5.0)), Err(Halt::VialMoved { fell_mg: 30.0 }));
-    }
-}
+#[path = "guard_tests.rs"]
+mod tests;

@@ -1,23 +1,36 @@
 //! The closed loop: read, observe, propose, guard, act, record. It cannot tell a digital bench from a real one.
 //!
 //! ```text
-//!            tare ok                     on target, target reached, steps spent
-//!  [OPEN] ------------> [DOSING] ------------------------------------------------> [level] --> within, under, over
-//!    |                     |  ^
-//!    | device failed       |  +-- read, propose, guard, act: one step
-//!    v                     v
-//!  [level] <------------ halted by the guard, stop pressed, device failed          --> stopped, aborted
+//!  [ARMED]  stand, approach, tare          drift before, spoon filled and level over the vial, zero
+//!     |
+//!  [DOSING] --> read, propose, guard, record, act: one step --+
+//!     |   ^---------------------------------------------------+
+//!     |  on target, target reached, no room, steps or time spent, blocked, halted, stopped, device failed, panic
+//!     v
+//!  [SETTLING]  level, retract, stand       final reading, drift after      --> within, under, over, not_stable, blocked,
+//!     |                                                                         stopped, aborted
+//!     +--> discard                         where the dose ran its course
 //! ```
 //!
-//! Every way out levels the spoon first, a panic of the controller included.
+//! Every way out levels the spoon and takes it away, a panic of the controller or of whoever listens included. A spoon that cannot be levelled is not
+//! taken away: it would pour on its way. Whoever listens hears of each phase and each decision before the motion that follows, and may forbid it: what cannot
+//! be recorded must not move.
 
+mod event;
+pub mod forecast;
 pub mod guard;
+mod result;
 
-use crate::domain::bench::{Action, Reading, Tick};
+pub use event::{Decision, Event, Phase};
+pub use result::{Accuracy, Weighed, minimum_weight_mg, repeatability_mg, uncertainty_mg};
+
+use crate::domain::bench::{Action, Reading, Standing, Tare, Tick};
 use crate::domain::weighing::Outcome;
 use crate::hardware::{Bench, DeviceError};
 use crate::policy::{Controller, Episode, Observation, Rules};
+use forecast::{Fall, Forecast};
 use guard::{Halt, Limits, Situation, guard};
+use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -26,7 +39,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub struct Order {
     /// Target, mg.
     pub target_mg: f64,
-    /// Accepted shortfall, mg.
+    /// Accepted shortfall, mg; 0 for a dose that must not be short.
     pub tolerance_lower_mg: f64,
     /// Accepted excess, mg.
     pub tolerance_upper_mg: f64,
@@ -34,119 +47,320 @@ pub struct Order {
     pub readability_mg: f64,
 }
 
-/// How a weighing went.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Weighed {
-    /// Within, under or over by the last reading; or why it ended early.
-    pub outcome: Outcome,
-    /// Last reading that was a number, mg.
-    pub reading_mg: f64,
-    /// Steps with a shake.
-    pub shakes: u32,
-    /// Bench time from the tare to the last reading, s.
-    pub seconds: f64,
-    /// The reading after the tare, then one tick for each step.
-    pub ticks: Vec<Tick>,
-    /// Why it was aborted, if it was.
-    pub cause: Option<String>,
+/// How to weigh.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// For how long the balance is watched before the first motion and for the final reading, s; 0: not at all, the last reading of the dose counts.
+    pub stand_s: f64,
+    /// Longest time from the tare to the last motion, s.
+    pub seconds_max: f64,
+    /// A spoon that gives nothing, and mass that comes without a shake, end the weighing.
+    pub strict: bool,
+    /// What is believed of the powder; none: the guard does not ask for what may fall.
+    pub forecast: Option<Forecast>,
+    /// What is known of the balance.
+    pub accuracy: Accuracy,
+}
+
+impl Settings {
+    /// On a bench: watched for three seconds, ten minutes at most, a powder of which nothing is known.
+    pub const BENCH: Self = Self {
+        stand_s: 3.0,
+        seconds_max: 600.0,
+        strict: true,
+        forecast: Some(Forecast::GENERIC),
+        accuracy: Accuracy { repeatability_mg: None, class_pct: 0.1 },
+    };
+    /// As an episode of a training goes: nothing is watched, and nothing is forecast.
+    pub const EPISODE: Self =
+        Self { stand_s: 0.0, seconds_max: f64::INFINITY, strict: false, forecast: None, ..Self::BENCH };
 }
 
 /// Why dosing ended.
 enum End {
-    Course,
+    Course(Option<String>),
+    NotStable(String),
+    Blocked(String),
     Stopped,
     Aborted(String),
 }
 
+impl End {
+    fn of(halt: Halt) -> Self {
+        let cause = halt.to_string();
+        match halt {
+            Halt::NoRoom { .. } | Halt::TimeSpent => Self::Course(Some(cause)),
+            halt if halt.is_expected() => Self::Course(None),
+            Halt::NotStable => Self::NotStable(cause),
+            Halt::Blocked { .. } => Self::Blocked(cause),
+            _ => Self::Aborted(cause),
+        }
+    }
+}
+
+/// Why the next thing is not done.
+enum Halted {
+    Stopped,
+    Unrecorded,
+    Device(DeviceError),
+}
+
+impl From<DeviceError> for Halted {
+    fn from(fault: DeviceError) -> Self {
+        Self::Device(fault)
+    }
+}
+
+/// A weighing under way.
+struct Loop<'a, B, F> {
+    bench: &'a mut B,
+    order: &'a Order,
+    settings: &'a Settings,
+    on_event: F,
+    stop: &'a AtomicBool,
+    start_s: f64,
+    tare: Option<Tare>,
+    before: Option<Standing>,
+    after: Option<Standing>,
+    ticks: Vec<Tick>,
+    falls: Vec<Fall>,
+    must_look: bool,
+}
+
 /// Weigh `order` on `bench` with `controller`, within the frame it was made for.
 ///
-/// `on_tick` hears of every step as soon as its reading is known; `stop` is looked at before every motion. The spoon is
-/// level when this returns, unless the arm itself failed, which the cause then says.
+/// `on_event` hears of every phase, decision and tick before the motion that follows it; where it breaks, the spoon is levelled and taken away and
+/// nothing else moves. `stop` is looked at before every motion. The spoon is level and away when this returns, unless
+/// [`Weighed::must_look`] says otherwise. What to do about an overdose is the caller's to decide.
 pub fn weigh(
     bench: &mut impl Bench,
     controller: &Controller,
     rules: &Rules,
     order: &Order,
-    mut on_tick: impl FnMut(&Tick),
+    settings: &Settings,
+    on_event: impl FnMut(&Event<'_>) -> ControlFlow<()>,
     stop: &AtomicBool,
 ) -> Weighed {
     let start_s = bench.elapsed_s();
-    let mut ticks = Vec::new();
-    let mut record = |tick: Tick| {
-        on_tick(&tick);
-        ticks.push(tick);
+    let mut weighing = Loop {
+        bench,
+        order,
+        settings,
+        on_event,
+        stop,
+        start_s,
+        tare: None,
+        before: None,
+        after: None,
+        ticks: Vec::new(),
+        falls: Vec::new(),
+        must_look: false,
     };
-    // A controller that panics must not leave the spoon tilted.
-    let dosed = catch_unwind(AssertUnwindSafe(|| dose(bench, controller, rules, order, start_s, &mut record, stop)));
-    let mut end = match dosed {
-        Ok(Ok(end)) => end,
-        Ok(Err(fault)) => End::Aborted(fault.to_string()),
-        Err(_) => End::Aborted("the weighing loop failed; the log has the details".to_owned()),
-    };
-    if let Err(fault) = bench.level() {
-        end = End::Aborted(format!("the spoon could not be levelled, look at the bench: {fault}"));
-    }
-    let mut readings = ticks.iter().map(|tick| tick.reading.mass_mg);
-    let reading_mg = readings.rfind(|mass| mass.is_finite()).unwrap_or(0.0);
-    let (outcome, cause) = match end {
-        End::Course => (judge(order, reading_mg), None),
+    let dosed = weighing.careful(|it| it.begin().and_then(|()| it.dose(controller, rules)));
+    let ended = weighing.withdraw(dosed);
+    let ended = weighing.read_finally(ended);
+    let seconds = weighing.bench.elapsed_s() - weighing.start_s;
+    let ended = weighing.discard(ended);
+    let reading_mg = weighing.after.map_or_else(|| result::last_reading_mg(&weighing.ticks), |it| it.reading.mass_mg);
+    let (outcome, cause) = match ended {
+        End::Course(cause) => (result::judge(order, reading_mg), cause),
+        // What is within its tolerance is what was asked for, however the spoon is.
+        End::Blocked(cause) => match result::judge(order, reading_mg) {
+            Outcome::Under => (Outcome::Blocked, Some(cause)),
+            judged => (judged, Some(cause)),
+        },
+        End::NotStable(cause) => (Outcome::NotStable, Some(cause)),
         End::Stopped => (Outcome::Stopped, None),
         End::Aborted(cause) => (Outcome::Aborted, Some(cause)),
     };
-    let shakes = ticks.iter().filter(|tick| tick.action.executed_shake_mm() > 0.0).count() as u32;
-    Weighed { outcome, reading_mg, shakes, seconds: bench.elapsed_s() - start_s, ticks, cause }
+    let Loop { tare, before, after, ticks, must_look, .. } = weighing;
+    let tare_mg = tare.and_then(|tare| tare.tare_mg);
+    result::weighed(
+        order,
+        &settings.accuracy,
+        result::Known { outcome, cause, tare_mg, before, after, seconds, must_look, ticks },
+    )
 }
 
-/// The steps from the tare until something ends them.
-fn dose(
-    bench: &mut impl Bench,
-    controller: &Controller,
-    rules: &Rules,
-    order: &Order,
-    start_s: f64,
-    record: &mut impl FnMut(Tick),
-    stop: &AtomicBool,
-) -> Result<End, DeviceError> {
-    bench.tare()?;
-    let mut now = bench.read()?;
-    record(tick(bench, 0, start_s, Action::default(), now));
-    let mut before = now;
-    let limits = Limits::new(rules.pitch, rules.steps_max);
-    let mut dosing = controller.begin(rules, order.readability_mg);
-    for steps in 0.. {
-        if stop.load(Ordering::SeqCst) {
-            return Ok(End::Stopped);
-        }
-        let seen = Observation { reading_mg: now.mass_mg, target_mg: order.target_mg, pitch_deg: bench.pitch_deg() };
-        let situation = Situation { target_mg: order.target_mg, steps, pitch_deg: seen.pitch_deg, before, now };
-        let allowed = guard(&limits, &situation, dosing.propose(&seen));
-        let action = match allowed {
-            Ok(_) if now.stable && rules.after(steps, &seen, order.readability_mg) == Episode::Terminated => {
-                return Ok(End::Course);
+impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
+    /// What `work` comes to, whatever happens in it: a controller that panics must not leave the spoon tilted.
+    fn careful(&mut self, work: impl FnOnce(&mut Self) -> Result<End, Halted>) -> End {
+        match catch_unwind(AssertUnwindSafe(|| work(self))) {
+            Ok(Ok(end)) => end,
+            Ok(Err(Halted::Stopped)) => End::Stopped,
+            Ok(Err(Halted::Unrecorded)) => {
+                End::Aborted("the record could not be written, so nothing may move: make room for it".to_owned())
             }
-            Ok(action) => action,
-            Err(halt) if halt.is_expected() => return Ok(End::Course),
-            Err(halt) => return Ok(End::Aborted(halt.to_string())),
-        };
-        bench.act(action)?;
-        before = now;
-        now = bench.read()?;
-        record(tick(bench, steps + 1, start_s, action, now));
+            Ok(Err(Halted::Device(fault))) => {
+                self.must_look = true;
+                End::Aborted(fault.to_string())
+            }
+            Err(_) => End::Aborted("the weighing loop failed; the log has the details".to_owned()),
+        }
     }
-    Ok(End::Aborted(Halt::StepsSpent.to_string()))
+
+    /// Tell whoever listens; nothing may move where that fails.
+    fn tell(&mut self, event: &Event<'_>) -> Result<(), Halted> {
+        match (self.on_event)(event) {
+            ControlFlow::Continue(()) => Ok(()),
+            ControlFlow::Break(()) => Err(Halted::Unrecorded),
+        }
+    }
+
+    /// Nothing asks for a stop.
+    fn go_on(&self) -> Result<(), Halted> {
+        if self.stop.load(Ordering::SeqCst) { Err(Halted::Stopped) } else { Ok(()) }
+    }
+
+    /// From the bench at rest to a filled spoon over a tared vial.
+    fn begin(&mut self) -> Result<(), Halted> {
+        self.tell(&Event::Phase(Phase::Armed))?;
+        self.go_on()?;
+        if self.settings.stand_s > 0.0 {
+            self.before = Some(self.bench.stand(self.settings.stand_s)?);
+            self.go_on()?;
+        }
+        self.bench.approach()?;
+        self.go_on()?;
+        self.tare = Some(self.bench.tare()?);
+        Ok(())
+    }
+
+    /// The steps from the tare until something ends them.
+    fn dose(&mut self, controller: &Controller, rules: &Rules) -> Result<End, Halted> {
+        let tared_s = self.bench.elapsed_s();
+        let readability_mg = self.order.readability_mg;
+        let Settings { seconds_max, forecast, strict, .. } = *self.settings;
+        let usual = Limits::new(rules.pitch, rules.steps_max);
+        let usual = if strict { usual } else { usual.lenient() };
+        let limits = Limits { seconds_max, readability_mg, forecast, ..usual };
+        self.tell(&Event::Phase(Phase::Dosing))?;
+        let (mut now, mut moved_s, mut shaken) = (self.bench.read()?, tared_s, false);
+        self.record(0, tared_s, Action::default(), now)?;
+        let mut before = now;
+        let mut dosing = controller.begin(rules, readability_mg);
+        for steps in 0.. {
+            self.go_on()?;
+            let read_s = self.bench.elapsed_s();
+            let seen = Observation {
+                reading_mg: now.mass_mg,
+                target_mg: self.order.target_mg,
+                pitch_deg: self.bench.pitch_deg(),
+            };
+            let situation = Situation {
+                target_mg: self.order.target_mg,
+                tolerance_upper_mg: self.order.tolerance_upper_mg,
+                steps,
+                seconds: read_s - tared_s,
+                moved_s,
+                read_s,
+                pitch_deg: seen.pitch_deg,
+                before,
+                now,
+                shaken,
+                falls: &self.falls,
+            };
+            let proposed = dosing.propose(&seen);
+            let allowed = guard(&limits, &situation, proposed);
+            let is_done = rules.after(steps, &seen, readability_mg) == Episode::Terminated;
+            if is_done && (allowed.is_ok() || matches!(allowed, Err(Halt::NoRoom { .. } | Halt::Blocked { .. }))) {
+                return Ok(End::Course(None));
+            }
+            self.tell(&Event::Decision(&Decision::new(steps + 1, proposed, &allowed)))?;
+            let action = match allowed {
+                Ok(allowed) => allowed.action,
+                Err(halt) => return Ok(End::of(halt)),
+            };
+            // Telling may have taken its time.
+            self.go_on()?;
+            self.bench.act(action)?;
+            moved_s = self.bench.elapsed_s();
+            before = now;
+            now = self.bench.read()?;
+            shaken = action.executed_shake_mm() > 0.0;
+            if shaken {
+                let mass_mg = now.mass_mg - before.mass_mg;
+                self.falls.push(Fall { pitch_deg: self.bench.pitch_deg(), shake_mm: action.shake_mm, mass_mg });
+            }
+            self.record(steps + 1, tared_s, action, now)?;
+        }
+        Ok(End::of(Halt::StepsSpent))
+    }
+
+    fn record(&mut self, step: u32, tared_s: f64, action: Action, reading: Reading) -> Result<(), Halted> {
+        let tick =
+            Tick { step, t_s: self.bench.elapsed_s() - tared_s, pitch_deg: self.bench.pitch_deg(), action, reading };
+        self.ticks.push(tick);
+        self.tell(&Event::Tick(&tick))
+    }
+
+    /// Level the spoon and take it away, whatever happened and whoever listens.
+    fn withdraw(&mut self, dosed: End) -> End {
+        let told = self.careful(|it| it.tell(&Event::Phase(Phase::Settling)).map(|()| End::Course(None)));
+        let ended = if matches!(dosed, End::Aborted(_)) { dosed } else { worse(dosed, told) };
+        for (what, motion) in
+            [("levelled", B::level as fn(&mut B) -> Result<(), DeviceError>), ("taken away", B::retract)]
+        {
+            let cause = match catch_unwind(AssertUnwindSafe(|| motion(self.bench))) {
+                Ok(Ok(())) => continue,
+                Ok(Err(fault)) => fault.to_string(),
+                Err(_) => "the driver failed; the log has the details".to_owned(),
+            };
+            self.must_look = true;
+            return End::Aborted(match ended {
+                End::Aborted(first) => {
+                    format!("the spoon could not be {what}, look at the bench: {cause}; before that: {first}")
+                }
+                _ => format!("the spoon could not be {what}, look at the bench: {cause}"),
+            });
+        }
+        ended
+    }
+
+    /// What the vial holds when all is still.
+    fn read_finally(&mut self, ended: End) -> End {
+        if self.settings.stand_s <= 0.0 || self.ticks.is_empty() {
+            return ended;
+        }
+        let last_mg = result::last_reading_mg(&self.ticks);
+        let looked = self.careful(|it| {
+            let after = it.bench.stand(it.settings.stand_s)?;
+            it.after = Some(after);
+            let fell_mg = last_mg - after.reading.mass_mg;
+            Ok(match after.reading.mass_mg {
+                mass_mg if !mass_mg.is_finite() => End::of(Halt::NotANumber),
+                _ if !after.still => End::of(Halt::NotStable),
+                _ if fell_mg > Limits::FALL_MG_MAX => End::of(Halt::VialMoved { fell_mg }),
+                _ => End::Course(None),
+            })
+        });
+        worse(ended, looked)
+    }
+
+    /// What is left goes back where the dose ran its course; after anything else a person decides.
+    fn discard(&mut self, ended: End) -> End {
+        if !matches!(ended, End::Course(_) | End::Blocked(_)) || self.go_on().is_err() {
+            return ended;
+        }
+        let discarded = self.careful(|it| it.bench.discard().map(|()| End::Course(None)).map_err(Halted::from));
+        match (ended, discarded) {
+            // The mass is known all the same.
+            (End::Course(_), End::Aborted(fault)) => {
+                self.must_look = true;
+                End::Course(Some(format!(
+                    "what is left in the spoon could not be returned, look at the bench: {fault}"
+                )))
+            }
+            (ended, _) => ended,
+        }
+    }
 }
 
-fn tick(bench: &impl Bench, step: u32, start_s: f64, action: Action, reading: Reading) -> Tick {
-    Tick { step, t_s: bench.elapsed_s() - start_s, pitch_deg: bench.pitch_deg(), action, reading }
-}
-
-/// By the reading, as a chemist would: the true mass is not to be had on a bench.
-fn judge(order: &Order, reading_mg: f64) -> Outcome {
-    // Readings are multiples of the readability: a billionth keeps 15.1 - 15 from passing 0.1.
-    match reading_mg - order.target_mg {
-        excess if excess > order.tolerance_upper_mg + 1e-9 => Outcome::Over,
-        excess if -excess > order.tolerance_lower_mg + 1e-9 => Outcome::Under,
-        _ => Outcome::Within,
+/// The first end, unless it ran its course and the second did not.
+fn worse(first: End, second: End) -> End {
+    match (&first, &second) {
+        (End::Course(_) | End::Blocked(_), End::NotStable(_) | End::Aborted(_)) => second,
+        _ => first,
     }
 }
 

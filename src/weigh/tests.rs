@@ -1,179 +1,400 @@
-//! Does it stop, and is the spoon level afterwards? A scripted bench misbehaves in every way it can.
+//! Does it stop, and is the spoon level and away afterwards? A scripted bench misbehaves in every way at every call.
 
 use super::*;
 use crate::policy::{Schedule, ScheduledStep};
+use proptest::prelude::*;
 
-/// What goes wrong, and at which call.
+/// What a bench is asked for.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Fault {
-    None,
-    TareFails,
-    ReadFails(u32),
-    ActFails(u32),
-    LevelFails,
-    NotANumber(u32),
-    Unstable(u32),
-    VialLifted(u32),
+enum Call {
+    Stand,
+    Approach,
+    Tare,
+    Read,
+    Act,
+    Level,
+    Retract,
+    Discard,
 }
 
-/// Every shake gives 2 mg, unless something is wrong.
+/// How it goes wrong.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Fault {
+    Silent,
+    Panics,
+    NotANumber,
+    Unstable,
+    VialLifted,
+    /// The reading jumps up.
+    Draught,
+}
+
+/// Each shake gives the next of these masses, the last one again and again, unless something is wrong.
 struct Scripted {
-    fault: Fault,
+    fault: Option<(Call, u32, Fault)>,
+    gives_mg: Vec<f64>,
+    /// Falls while the spoon is levelled.
+    late_mg: f64,
     pitch_deg: f64,
     mass_mg: f64,
-    per_shake_mg: f64,
-    reads: u32,
-    acts: u32,
-    levelled: bool,
+    over_the_vial: bool,
+    calls: Vec<Call>,
 }
 
 impl Scripted {
-    fn new(fault: Fault) -> Self {
-        Self { fault, pitch_deg: 0.0, mass_mg: 0.0, per_shake_mg: 2.0, reads: 0, acts: 0, levelled: false }
+    fn giving(gives_mg: &[f64]) -> Self {
+        Self {
+            fault: None,
+            gives_mg: gives_mg.to_vec(),
+            late_mg: 0.0,
+            pitch_deg: 0.0,
+            mass_mg: 0.0,
+            over_the_vial: false,
+            calls: Vec::new(),
+        }
+    }
+
+    fn with(call: Call, at: u32, fault: Fault) -> Self {
+        Self { fault: Some((call, at, fault)), ..Self::giving(&[2.0]) }
+    }
+
+    /// Note the call; what goes wrong with it, if anything does.
+    fn called(&mut self, call: Call) -> Result<Option<Fault>, DeviceError> {
+        let nth = self.count(call);
+        self.calls.push(call);
+        match self.fault {
+            Some((at, n, fault)) if (at, n) == (call, nth) => match fault {
+                Fault::Silent => Err(DeviceError::Silent { device: "the scripted device" }),
+                Fault::Panics => panic!("a driver's bug"),
+                fault => Ok(Some(fault)),
+            },
+            _ => Ok(None),
+        }
+    }
+
+    fn count(&self, call: Call) -> u32 {
+        self.calls.iter().filter(|it| **it == call).count() as u32
+    }
+
+    fn shown(&self, fault: Option<Fault>) -> Reading {
+        let mass_mg = match fault {
+            Some(Fault::NotANumber) => f64::NAN,
+            Some(Fault::VialLifted) => -20_000.0,
+            Some(Fault::Draught) => self.mass_mg + 5.0,
+            _ => self.mass_mg.round(),
+        };
+        Reading { mass_mg, stable: fault != Some(Fault::Unstable) }
+    }
+
+    fn is_safe(&self) -> bool {
+        self.pitch_deg == 0.0 && !self.over_the_vial
     }
 }
 
-const SILENT: DeviceError = DeviceError::Silent { device: "the scripted device" };
-
 impl Bench for Scripted {
-    fn tare(&mut self) -> Result<(), DeviceError> {
-        if self.fault == Fault::TareFails { Err(SILENT) } else { Ok(()) }
+    fn approach(&mut self) -> Result<(), DeviceError> {
+        self.over_the_vial = true;
+        self.called(Call::Approach).map(|_| ())
+    }
+    fn tare(&mut self) -> Result<Tare, DeviceError> {
+        self.called(Call::Tare).map(|_| Tare { tare_mg: Some(12_000.0) })
     }
     fn read(&mut self) -> Result<Reading, DeviceError> {
-        let read = self.reads;
-        self.reads += 1;
-        match self.fault {
-            Fault::ReadFails(at) if at == read => Err(SILENT),
-            Fault::NotANumber(at) if at == read => Ok(Reading { mass_mg: f64::NAN, stable: true }),
-            Fault::Unstable(at) if at == read => Ok(Reading { mass_mg: self.mass_mg, stable: false }),
-            Fault::VialLifted(at) if at == read => Ok(Reading { mass_mg: -20_000.0, stable: true }),
-            _ => Ok(Reading { mass_mg: self.mass_mg, stable: true }),
-        }
+        self.called(Call::Read).map(|fault| self.shown(fault))
+    }
+    fn stand(&mut self, seconds: f64) -> Result<Standing, DeviceError> {
+        let fault = self.called(Call::Stand)?;
+        let still = fault != Some(Fault::Unstable);
+        Ok(Standing { reading: self.shown(fault), still, drift_mg_min: 1.0, scatter_mg: 0.1, seconds })
     }
     fn act(&mut self, action: Action) -> Result<(), DeviceError> {
-        let act = self.acts;
-        self.acts += 1;
-        self.levelled = false;
-        if self.fault == Fault::ActFails(act) {
-            return Err(SILENT);
-        }
+        // A fault may come after the motion has begun.
         self.pitch_deg += action.incline_change_deg;
+        let shakes = self.count(Call::Act) as usize;
+        self.called(Call::Act)?;
         if action.executed_shake_mm() > 0.0 {
-            self.mass_mg += self.per_shake_mg;
+            self.mass_mg += self.gives_mg[shakes.min(self.gives_mg.len() - 1)];
         }
         Ok(())
     }
     fn level(&mut self) -> Result<(), DeviceError> {
-        if self.fault == Fault::LevelFails {
-            return Err(SILENT);
-        }
+        self.called(Call::Level)?;
+        self.mass_mg += self.late_mg;
         self.pitch_deg = 0.0;
-        self.levelled = true;
         Ok(())
+    }
+    fn retract(&mut self) -> Result<(), DeviceError> {
+        self.called(Call::Retract)?;
+        self.over_the_vial = false;
+        Ok(())
+    }
+    fn discard(&mut self) -> Result<(), DeviceError> {
+        self.called(Call::Discard).map(|_| ())
     }
     fn pitch_deg(&self) -> f64 {
         self.pitch_deg
     }
     fn elapsed_s(&self) -> f64 {
-        f64::from(self.reads)
+        self.calls.len() as f64
     }
 }
 
-fn shaker() -> Controller {
-    Controller::Schedule(Schedule { steps: vec![ScheduledStep { pitch_deg: 8.0, shake_mm: 5.0 }] })
+fn shaker(pitch_deg: f64, shake_mm: f64) -> Controller {
+    Controller::Schedule(Schedule { steps: vec![ScheduledStep { pitch_deg, shake_mm }] })
 }
 
 const ORDER: Order = Order { target_mg: 10.0, tolerance_lower_mg: 1.0, tolerance_upper_mg: 1.0, readability_mg: 1.0 };
+/// What is forecast has its own tests: here the scripted falls have to come.
+const BLIND: Settings = Settings { forecast: None, ..Settings::BENCH };
 
 fn weigh_on(bench: &mut Scripted, rules: &Rules) -> Weighed {
-    weigh(bench, &shaker(), rules, &ORDER, |_| {}, &AtomicBool::new(false))
+    hear(bench, rules, &BLIND, |_| ControlFlow::Continue(()), &AtomicBool::new(false))
+}
+
+fn hear(
+    bench: &mut Scripted,
+    rules: &Rules,
+    settings: &Settings,
+    on_event: impl FnMut(&Event<'_>) -> ControlFlow<()>,
+    stop: &AtomicBool,
+) -> Weighed {
+    weigh(bench, &shaker(8.0, 5.0), rules, &ORDER, settings, on_event, stop)
 }
 
 #[test]
-fn a_dose_ends_on_target_with_a_level_spoon_and_one_tick_for_each_step() {
-    let mut bench = Scripted::new(Fault::None);
-    let mut heard = 0;
-    let weighed = weigh(&mut bench, &shaker(), &Rules::FLIP, &ORDER, |_| heard += 1, &AtomicBool::new(false));
+fn a_dose_goes_through_its_phases_and_its_result_is_complete() {
+    use Call::*;
+    let mut bench = Scripted::giving(&[2.0]);
+    let mut told = Vec::new();
+    let note = |event: &Event<'_>| {
+        told.push(match event {
+            Event::Phase(phase) => format!("{phase:?}"),
+            Event::Decision(decision) => format!("decision {}", decision.step),
+            Event::Tick(tick) => format!("tick {}", tick.step),
+        });
+        ControlFlow::Continue(())
+    };
+    let weighed = hear(&mut bench, &Rules::FLIP, &BLIND, note, &AtomicBool::new(false));
+    let steps = [Act, Read].repeat(5);
+    assert_eq!(bench.calls, [&[Stand, Approach, Tare, Read], &steps[..], &[Level, Retract, Stand, Discard]].concat());
+    assert_eq!(told[..4], ["Armed", "Dosing", "tick 0", "decision 1"]);
+    assert_eq!(told[told.len() - 3..], ["tick 5", "decision 6", "Settling"]);
     assert_eq!((weighed.outcome, weighed.reading_mg, weighed.shakes), (Outcome::Within, 10.0, 5));
-    assert_eq!((weighed.ticks.len(), heard), (6, 6));
-    assert!(bench.levelled && bench.pitch_deg == 0.0);
+    assert_eq!((weighed.tare_mg, weighed.gross_mg), (Some(12_000.0), Some(12_010.0)));
+    assert_eq!((weighed.stable_by_flag, weighed.stable_by_window), (Some(true), Some(true)));
+    assert_eq!((weighed.drift_before_mg_min, weighed.drift_after_mg_min), (Some(1.0), Some(1.0)));
+    assert_eq!((weighed.in_flight_mg, weighed.cause.clone(), weighed.must_look), (Some(0.0), None, false));
+    assert!(weighed.below_minimum_weight && weighed.below_class_minimum_weight, "no 10 mg on a balance of 1 mg");
+    assert!((1.4..2.0).contains(&weighed.uncertainty_mg) && weighed.seconds > 10.0 && weighed.ticks.len() == 6);
+    assert!(bench.is_safe());
 }
 
 #[test]
 fn even_a_policy_that_never_ends_early_adds_nothing_once_the_target_shows() {
-    let mut bench = Scripted::new(Fault::None);
+    let mut bench = Scripted::giving(&[2.0]);
     let weighed = weigh_on(&mut bench, &Rules::PAPER);
-    assert_eq!((weighed.reading_mg, bench.acts), (10.0, 5));
+    assert_eq!((weighed.reading_mg, bench.count(Call::Act)), (10.0, 5));
 }
 
 #[test]
-fn an_order_that_the_steps_cannot_fill_ends_under() {
-    let mut bench = Scripted { per_shake_mg: 0.1, ..Scripted::new(Fault::None) };
-    let weighed = weigh_on(&mut bench, &Rules::FLIP);
-    assert_eq!((weighed.outcome, weighed.shakes, bench.acts), (Outcome::Under, 10, 10));
-    assert!(bench.levelled);
-}
-
-#[test]
-fn an_avalanche_ends_over_and_nothing_more_is_poured() {
-    let mut bench = Scripted { per_shake_mg: 13.0, ..Scripted::new(Fault::None) };
-    let weighed = weigh_on(&mut bench, &Rules::FLIP);
-    assert_eq!((weighed.outcome, bench.acts), (Outcome::Over, 1));
-}
-
-#[test]
-fn every_fault_aborts_names_its_cause_and_levels_the_spoon() {
-    for fault in [
-        Fault::TareFails,
-        Fault::ReadFails(0),
-        Fault::ReadFails(3),
-        Fault::ActFails(0),
-        Fault::ActFails(2),
-        Fault::NotANumber(2),
-        Fault::Unstable(1),
-        Fault::VialLifted(2),
+fn masses_decide_how_a_dose_ends() {
+    for (gives_mg, outcome, acts) in [
+        // Steps spent, an avalanche, one that comes late, and just enough.
+        (vec![0.1], Outcome::Under, 10),
+        (vec![13.0], Outcome::Over, 1),
+        (vec![2.0, 2.0, 2.0, 9.0], Outcome::Over, 4),
+        (vec![5.0, 6.0], Outcome::Within, 2),
     ] {
-        let mut bench = Scripted::new(fault);
+        let mut bench = Scripted::giving(&gives_mg);
         let weighed = weigh_on(&mut bench, &Rules::FLIP);
-        assert_eq!(weighed.outcome, Outcome::Aborted, "{fault:?}");
-        assert!(weighed.cause.as_deref().is_some_and(|cause| cause.len() > 10), "{fault:?}");
-        assert!(bench.levelled && weighed.reading_mg.is_finite(), "{fault:?}");
+        assert_eq!((weighed.outcome, bench.count(Call::Act)), (outcome, acts), "{gives_mg:?}");
+        assert!(bench.is_safe() && !weighed.must_look && bench.count(Call::Discard) == 1, "{gives_mg:?}");
     }
 }
 
 #[test]
-fn a_spoon_that_cannot_be_levelled_is_said_so() {
-    let mut bench = Scripted::new(Fault::LevelFails);
+fn a_blocked_spoon_is_said_so() {
+    let mut bench = Scripted::giving(&[0.0]);
+    let rules = Rules { steps_max: 30, ..Rules::FLIP };
+    let go = AtomicBool::new(false);
+    let weighed = weigh(&mut bench, &shaker(50.0, 16.0), &rules, &ORDER, &BLIND, |_| ControlFlow::Continue(()), &go);
+    assert_eq!((weighed.outcome, weighed.shakes), (Outcome::Blocked, 3));
+    assert!(bench.is_safe() && weighed.cause.unwrap().contains("blocked"));
+}
+
+/// A fault at a call: the spoon is level and away or a person is called, and nothing acts after it.
+fn check(call: Call, at: u32, fault: Fault) -> Weighed {
+    let mut bench = Scripted::with(call, at, fault);
     let weighed = weigh_on(&mut bench, &Rules::FLIP);
-    assert_eq!(weighed.outcome, Outcome::Aborted);
-    assert!(weighed.cause.unwrap().contains("could not be levelled"));
+    let case = format!("{fault:?} at {call:?} {at}");
+    let mut seen = 0;
+    let hit = bench.calls.iter().position(|it| {
+        seen += u32::from(*it == call);
+        *it == call && seen == at + 1
+    });
+    let hit = hit.unwrap_or_else(|| panic!("{case}: never came to it"));
+    let motions = [Call::Act, Call::Approach, Call::Tare, Call::Discard];
+    assert!(bench.calls[hit + 1..].iter().all(|it| !motions.contains(it)), "{case}: {:?}", bench.calls);
+    assert_eq!((bench.count(Call::Level), bench.calls.contains(&Call::Retract)), (1, call != Call::Level), "{case}");
+    assert!(bench.is_safe() || weighed.must_look, "{case}");
+    assert!(weighed.cause.as_deref().is_some_and(|cause| cause.len() > 10), "{case}");
+    assert!(weighed.reading_mg.is_finite() && weighed.uncertainty_mg.is_finite(), "{case}");
+    weighed
 }
 
 #[test]
-fn a_stop_is_obeyed_before_the_next_motion() {
-    let mut bench = Scripted::new(Fault::None);
-    let stop = AtomicBool::new(false);
-    let press = |tick: &Tick| stop.store(tick.step == 2, Ordering::SeqCst);
-    let weighed = weigh(&mut bench, &shaker(), &Rules::FLIP, &ORDER, press, &stop);
-    assert_eq!((weighed.outcome, bench.acts), (Outcome::Stopped, 2));
-    assert!(bench.levelled);
-}
-
-#[test]
-fn a_controller_that_panics_leaves_a_level_spoon() {
-    let mut bench = Scripted::new(Fault::None);
-    let panic = |tick: &Tick| assert!(tick.step < 2, "a bug");
-    let weighed = weigh(&mut bench, &shaker(), &Rules::FLIP, &ORDER, panic, &AtomicBool::new(false));
-    assert_eq!(weighed.outcome, Outcome::Aborted);
-    assert!(bench.levelled);
-}
-
-#[test]
-fn tolerances_are_judged_by_the_reading_on_either_side() {
-    let order = Order { target_mg: 15.0, tolerance_lower_mg: 2.0, tolerance_upper_mg: 0.1, readability_mg: 1.0 };
-    for (reading, outcome) in
-        [(12.9, Outcome::Under), (13.0, Outcome::Within), (15.1, Outcome::Within), (15.2, Outcome::Over)]
+fn a_device_that_fails_at_any_call_aborts_and_a_person_is_called() {
+    for call in
+        [Call::Stand, Call::Approach, Call::Tare, Call::Read, Call::Act, Call::Level, Call::Retract, Call::Discard]
     {
-        assert_eq!(judge(&order, reading), outcome, "{reading}");
+        let times = match call {
+            Call::Act => 5,
+            Call::Read => 6,
+            Call::Stand => 2,
+            _ => 1,
+        };
+        for at in 0..times {
+            for fault in [Fault::Silent, Fault::Panics] {
+                let weighed = check(call, at, fault);
+                // Powder that cannot be returned changes nothing about the dose.
+                let outcome = if call == Call::Discard { Outcome::Within } else { Outcome::Aborted };
+                assert_eq!(weighed.outcome, outcome, "{fault:?} at {call:?} {at}");
+                let looks = fault == Fault::Silent || matches!(call, Call::Level | Call::Retract | Call::Discard);
+                assert_eq!(weighed.must_look, looks, "{fault:?} at {call:?} {at}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_reading_that_cannot_be_trusted_ends_the_dose_by_its_name() {
+    for at in 0..5 {
+        for (fault, outcome) in [
+            (Fault::NotANumber, Outcome::Aborted),
+            (Fault::Unstable, Outcome::NotStable),
+            (Fault::VialLifted, Outcome::Aborted),
+        ] {
+            // The first reading has none before it to have fallen from.
+            if (at, fault) != (0, Fault::VialLifted) {
+                let weighed = check(Call::Read, at, fault);
+                assert_eq!((weighed.outcome, weighed.must_look), (outcome, false), "{fault:?} at {at}");
+            }
+            assert_eq!(check(Call::Stand, 1, fault).outcome, outcome, "{fault:?} at the final reading");
+        }
+    }
+}
+
+#[test]
+fn mass_that_comes_without_a_shake_aborts() {
+    let mut bench = Scripted::with(Call::Read, 1, Fault::Draught);
+    let go = AtomicBool::new(false);
+    // Two inclines before the first shake.
+    let weighed =
+        weigh(&mut bench, &shaker(16.0, 5.0), &Rules::FLIP, &ORDER, &BLIND, |_| ControlFlow::Continue(()), &go);
+    assert_eq!((weighed.outcome, bench.count(Call::Act), bench.is_safe()), (Outcome::Aborted, 1, true));
+    assert!(weighed.cause.unwrap().contains("without a shake"));
+}
+
+#[test]
+fn a_balance_that_is_restless_before_the_dose_does_not_hold_it_up() {
+    let mut bench = Scripted::with(Call::Stand, 0, Fault::Unstable);
+    assert_eq!(
+        weigh_on(&mut bench, &Rules::FLIP).outcome,
+        Outcome::Within,
+        "the guard asks for each reading of the dose"
+    );
+}
+
+#[test]
+fn what_falls_while_the_spoon_is_levelled_is_told_and_judged() {
+    let mut bench = Scripted { late_mg: 4.0, ..Scripted::giving(&[2.0]) };
+    let weighed = weigh_on(&mut bench, &Rules::FLIP);
+    assert_eq!((weighed.outcome, weighed.reading_mg, weighed.in_flight_mg), (Outcome::Over, 14.0, Some(4.0)));
+}
+
+#[test]
+fn a_stop_is_obeyed_before_the_next_motion_wherever_it_comes() {
+    // Pressed at the n-th thing that is heard: no more acts than had been carried out by then.
+    for n in 0..13 {
+        let mut bench = Scripted::giving(&[2.0]);
+        let (stop, mut heard, mut acts) = (AtomicBool::new(false), 0, 0);
+        let press = |event: &Event<'_>| {
+            acts += u32::from(matches!(event, Event::Tick(tick) if tick.step > 0 && heard <= n));
+            stop.store(heard >= n, Ordering::SeqCst);
+            heard += 1;
+            ControlFlow::Continue(())
+        };
+        let weighed = hear(&mut bench, &Rules::FLIP, &BLIND, press, &stop);
+        assert_eq!(
+            (weighed.outcome, bench.count(Call::Act), bench.count(Call::Discard)),
+            (Outcome::Stopped, acts, 0),
+            "{n}"
+        );
+        assert!(bench.is_safe() && bench.count(Call::Retract) == 1, "{n}");
+    }
+}
+
+#[test]
+fn what_cannot_be_recorded_does_not_move_and_neither_does_what_panics() {
+    for panics in [false, true] {
+        for n in 0..14 {
+            let mut bench = Scripted::giving(&[2.0]);
+            let (mut heard, mut acts) = (0, 0);
+            let refuse = |event: &Event<'_>| {
+                acts += u32::from(matches!(event, Event::Tick(tick) if tick.step > 0 && heard <= n));
+                heard += 1;
+                assert!(!panics || heard <= n, "a bug");
+                if heard > n { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            };
+            let weighed = hear(&mut bench, &Rules::FLIP, &BLIND, refuse, &AtomicBool::new(false));
+            assert_eq!((weighed.outcome, bench.count(Call::Act)), (Outcome::Aborted, acts), "{n}");
+            assert_eq!((bench.is_safe(), bench.count(Call::Retract), bench.count(Call::Discard)), (true, 1, 0), "{n}");
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn over_spoons_with_heavy_tails_no_shake_is_let_through_that_might_pass_the_tolerance(
+        gives in prop::collection::vec((0.0..1.0f64, 0.3..3.0f64), 30), target_mg in 3.0..20.0f64, tolerance_mg in 0.0..2.0f64, pitch_deg in 5.0..50.0f64, shake_mm in 0.9..16.0f64, fault_at in 0u32..60,
+    ) {
+        // A Pareto tail of exponent 1.2: what comes is often small and sometimes an avalanche.
+        let gives_mg: Vec<f64> = gives.iter().map(|(u, scale)| scale * (1.0 - 0.999 * u).powf(-1.0 / 1.2) - scale).collect();
+        let mut bench = Scripted { fault: Some((Call::Read, fault_at, Fault::Unstable)), ..Scripted::giving(&gives_mg) };
+        let order = Order { target_mg, tolerance_lower_mg: tolerance_mg, tolerance_upper_mg: tolerance_mg, readability_mg: 1.0 };
+        let rules = Rules { steps_max: 30, ..Rules::FLIP };
+        let (mut falls, mut last, mut halted, mut broken) = (Vec::<Fall>::new(), (0.0, 0.0), false, None);
+        let mut acts = 0;
+        let watch = |event: &Event<'_>| {
+            match event {
+                Event::Decision(Decision { allowed: Some(action), .. }) => {
+                    let (pitch_deg, shake_mm) = (last.1 + action.incline_change_deg, action.executed_shake_mm());
+                    let upper_mg = Forecast::GENERIC.upper_mg(&falls, 1.0, pitch_deg, shake_mm);
+                    let room_mg = target_mg + tolerance_mg - last.0;
+                    if halted || upper_mg > room_mg + 1e-6 {
+                        broken = Some(format!("{action:?} may give {upper_mg} mg, room {room_mg} mg"));
+                    }
+                }
+                Event::Decision(_) => halted = true,
+                Event::Tick(tick) => {
+                    if tick.action.executed_shake_mm() > 0.0 {
+                        let mass_mg = tick.reading.mass_mg - last.0;
+                        falls.push(Fall { pitch_deg: tick.pitch_deg, shake_mm: tick.action.shake_mm, mass_mg });
+                    }
+                    acts += u32::from(tick.step > 0);
+                    if halted {
+                        broken = Some("it acted after it was halted".to_owned());
+                    }
+                    last = (tick.reading.mass_mg, tick.pitch_deg);
+                }
+                Event::Phase(_) => {}
+            }
+            ControlFlow::Continue(())
+        };
+        let go = AtomicBool::new(false);
+        let weighed = weigh(&mut bench, &shaker(pitch_deg, shake_mm), &rules, &order, &Settings::BENCH, watch, &go);
+        prop_assert_eq!(broken, None);
+        prop_assert!(bench.is_safe() && bench.count(Call::Act) == acts && !weighed.must_look);
+        prop_assert!(fault_at > acts || weighed.outcome == Outcome::NotStable, "{:?}", weighed.outcome);
     }
 }

@@ -7,8 +7,10 @@ use flip::domain::weighing::Outcome;
 use flip::jobs::bench::{Poured, Pouring};
 use flip::policy::{self, Controller, Kind, Manifest, Policy, Rules, ScheduledStep};
 use flip::sim::repose::{Refusal, Repose, Settings};
+use flip::weigh::{Event, Phase};
 use sha2::{Digest, Sha256};
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -35,7 +37,7 @@ impl Bench {
         let bench = self.clone();
         Functions {
             simulate: Arc::new(heap),
-            pour: Arc::new(move |pouring, on_tick, stop| bench.pour(pouring, on_tick, stop)),
+            pour: Arc::new(move |pouring, on_event, stop| bench.pour(pouring, on_event, stop)),
             ..Functions::default()
         }
     }
@@ -50,11 +52,17 @@ impl Bench {
     }
 
     /// Half of the target, then all of it, unless stopped.
-    fn pour(&self, pouring: &Pouring, on_tick: &mut dyn FnMut(&Tick), stop: &AtomicBool) -> Poured {
+    fn pour(
+        &self,
+        pouring: &Pouring,
+        on_event: &mut dyn FnMut(&Event<'_>) -> ControlFlow<()>,
+        stop: &AtomicBool,
+    ) -> Poured {
         self.pours.fetch_add(1, Ordering::SeqCst);
         while self.held.load(Ordering::SeqCst) && !stop.load(Ordering::SeqCst) {
             std::thread::sleep(Duration::from_millis(1));
         }
+        let _recorded = on_event(&Event::Phase(Phase::Dosing));
         let mut ticks = Vec::new();
         for step in 0..3_u32 {
             if stop.load(Ordering::SeqCst) {
@@ -64,19 +72,21 @@ impl Bench {
             let action = Action { incline_change_deg: 1.0, shake_mm: 4.0 };
             let (t_s, pitch_deg) = (f64::from(step) * 0.7, f64::from(step));
             let tick = Tick { step, t_s, pitch_deg, action, reading: Reading { mass_mg, stable: true } };
-            on_tick(&tick);
+            let _recorded = on_event(&Event::Tick(&tick));
             ticks.push(tick);
         }
         let stopped = stop.load(Ordering::SeqCst);
         let reading_mg = ticks.last().map_or(0.0, |tick| tick.reading.mass_mg);
         Poured {
             outcome: if stopped { Outcome::Stopped } else { Outcome::Within },
-            dispensed_mg: reading_mg,
+            dispensed_mg: Some(reading_mg),
             reading_mg,
+            measured: None,
             shakes: 2,
             seconds: 1.4,
             ticks,
             error: None,
+            must_look: None,
         }
     }
 }

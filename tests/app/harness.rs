@@ -13,7 +13,9 @@ use flip::jobs::train::Train;
 use flip::sim::repose::{self, Refusal, Repose};
 use flip::train::formula::Formula;
 use flip::train::train_on;
+use flip::weigh::{Event, Phase};
 use futures::StreamExt;
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -56,8 +58,12 @@ fn train() -> Train {
     })
 }
 
+/// Who hears of what a pour does.
+pub type OnEvent<'a> = &'a mut dyn FnMut(&Event<'_>) -> ControlFlow<()>;
+
 /// A pour of three ticks that is 0.25 mg too much; it stops when asked to.
-pub fn pour(pouring: &Pouring, on_tick: &mut dyn FnMut(&Tick), stop: &AtomicBool) -> Poured {
+pub fn pour(pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Poured {
+    let _recorded = on_event(&Event::Phase(Phase::Dosing));
     let mut ticks = Vec::new();
     let end_mg = pouring.order.target_mg + 0.25;
     for step in 0..3u32 {
@@ -67,17 +73,33 @@ pub fn pour(pouring: &Pouring, on_tick: &mut dyn FnMut(&Tick), stop: &AtomicBool
         let mass_mg = end_mg * f64::from(step) / 2.0;
         let reading = Reading { mass_mg, stable: true };
         let tick = Tick { step, t_s: f64::from(step), pitch_deg: 10.0, action: Action::default(), reading };
-        on_tick(&tick);
+        let _recorded = on_event(&Event::Tick(&tick));
         ticks.push(tick);
     }
     let reading_mg = ticks.last().map_or(0.0, |tick| tick.reading.mass_mg);
     let outcome = if ticks.len() == 3 { Outcome::Within } else { Outcome::Stopped };
-    Poured { outcome, dispensed_mg: reading_mg, reading_mg, shakes: 2, seconds: 2.0, ticks, error: None }
+    Poured {
+        outcome,
+        dispensed_mg: Some(reading_mg),
+        reading_mg,
+        measured: None,
+        shakes: 2,
+        seconds: 2.0,
+        ticks,
+        error: None,
+        must_look: None,
+    }
 }
 
 /// The formulas.
 pub fn functions() -> Functions {
-    Functions { simulate: Arc::new(heap), observe: Arc::new(observe), train: train(), pour: Arc::new(pour) }
+    Functions {
+        simulate: Arc::new(heap),
+        observe: Arc::new(observe),
+        train: train(),
+        pour: Arc::new(pour),
+        bench: None,
+    }
 }
 
 /// A fresh data folder, opened with workers.

@@ -1,11 +1,10 @@
 //! An extended version of the simulator: made by an investigation, and then calibrated, trained, evaluated and weighed on.
 
-use crate::harness::{calibration_of, ended, functions, heap, mg, open, pour, training_of};
+use crate::harness::{OnEvent, calibration_of, ended, functions, heap, mg, open, pour, training_of};
 use flip::app::{
     App, CalibrationRequest, Error, EvaluationRequest, Functions, InvestigationRequest, Job, JobState, Report,
     TrainingRequest, WeighingRequest,
 };
-use flip::domain::bench::Tick;
 use flip::domain::conditions::{Condition, Conditions};
 use flip::domain::parameters::ParameterSet;
 use flip::jobs::bench::Pouring;
@@ -35,9 +34,9 @@ fn wet(seen: &Arc<Seen>) -> Functions {
         let dry = heap(set, settings, seed)?;
         Ok(Repose { tip_deg: dry.tip_deg + STEEPENS_DEG * settings.extensions.humidity, ..dry })
     };
-    let pour = move |pouring: &Pouring, on_tick: &mut dyn FnMut(&Tick), stop: &AtomicBool| {
+    let pour = move |pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
         of_pours.pours.lock().unwrap().push(pouring.spoon.extensions.humidity);
-        pour(pouring, on_tick, stop)
+        pour(pouring, on_event, stop)
     };
     Functions { simulate: Arc::new(simulate), pour: Arc::new(pour), ..functions() }
 }

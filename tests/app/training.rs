@@ -1,9 +1,8 @@
 //! Trainings and evaluations: from calibrated sets to a policy and its errors.
 
-use crate::harness::{calibrated, ended, functions, mg, open, open_in, pour, trained, training_of, until};
+use crate::harness::{OnEvent, calibrated, ended, functions, mg, open, open_in, pour, trained, training_of, until};
 use flip::app::{App, Episode, Error, EvaluationRequest, Functions, JobState, PageQuery, SERIES_LIMIT_MAX};
 use flip::app::{Preset, TrainingRequest};
-use flip::domain::bench::Tick;
 use flip::jobs::bench::{Poured, Pouring};
 use flip::policy::{self, Controller};
 use std::sync::Arc;
@@ -111,10 +110,10 @@ fn walk(folder: std::path::PathBuf) -> Vec<std::path::PathBuf> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
-    let worse = Arc::new(|pouring: &Pouring, on_tick: &mut dyn FnMut(&Tick), stop: &AtomicBool| {
-        let poured = pour(pouring, on_tick, stop);
+    let worse = Arc::new(|pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
+        let poured = pour(pouring, on_event, stop);
         let more_mg = if matches!(pouring.controller, Controller::Paced(_)) { 0.25 } else { 0.0 };
-        Poured { dispensed_mg: poured.dispensed_mg + more_mg, ..poured }
+        Poured { dispensed_mg: poured.dispensed_mg.map(|mg| mg + more_mg), ..poured }
     });
     let (_folder, app) = open(Functions { pour: worse, ..functions() }).await;
     let policy = trained(&app, "sand").await;

@@ -1,6 +1,6 @@
 //! Weighings: committed before they move, never poured twice, stopped, interrupted.
 
-use crate::harness::{calibrated, functions, mg, open, open_in, pour, trained, until};
+use crate::harness::{OnEvent, calibrated, functions, mg, open, open_in, pour, trained, until};
 use flip::app::{App, Error, Functions, PageQuery, Target, Tolerance, Topic, Weighing, WeighingRequest};
 use flip::domain::weighing::{Outcome, WeighingState};
 use futures::StreamExt;
@@ -27,7 +27,7 @@ impl Gate {
     fn functions(self: &Arc<Self>) -> Functions {
         let gate = self.clone();
         Functions {
-            pour: Arc::new(move |pouring, on_tick, stop: &AtomicBool| {
+            pour: Arc::new(move |pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
                 gate.pours.fetch_add(1, Ordering::SeqCst);
                 let mut open = gate.open.lock().unwrap();
                 while !*open && !stop.load(Ordering::SeqCst) {
@@ -35,7 +35,7 @@ impl Gate {
                     open = gate.opened.wait_timeout(open, wait).unwrap().0;
                 }
                 drop(open);
-                pour(pouring, on_tick, stop)
+                pour(pouring, on_event, stop)
             }),
             ..functions()
         }
@@ -162,9 +162,9 @@ async fn shutting_down_stops_what_moves_and_keeps_what_waits() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_pour_that_panics_is_recorded_and_the_next_one_goes_on() {
     let frail = Functions {
-        pour: Arc::new(|pouring, on_tick, stop| {
+        pour: Arc::new(|pouring, on_event, stop| {
             assert!(pouring.order.target_mg > 6.0, "the bench is broken");
-            pour(pouring, on_tick, stop)
+            pour(pouring, on_event, stop)
         }),
         ..functions()
     };

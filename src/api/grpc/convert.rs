@@ -4,7 +4,7 @@ use super::proto;
 use crate::app;
 use crate::app::PageQuery;
 use crate::domain::FieldError;
-use crate::domain::bench::Tick;
+use crate::domain::bench::{BenchKind, Tick};
 use crate::domain::conditions::{Condition, Conditions, Under};
 use crate::domain::job::{JobKind, JobState};
 use crate::domain::observable::{Observable, Observation};
@@ -243,7 +243,8 @@ same_fields! {
     l: app::Latch => Latch { reason weighing } {
         at: at(l.at),
     }
-    b: app::BenchStatus => BenchStatus { kind moving } {
+    b: app::BenchStatus => BenchStatus { moving } {
+        kind: b.kind.map(bench_kind),
         devices: b.devices.into_iter().collect(),
         latch: b.latch.map(Into::into),
         repeatability: b.repeatability.map(Into::into),
@@ -274,6 +275,15 @@ same_fields! {
         data_json: e.data.to_string(),
         at: at(e.at),
     }
+}
+
+fn bench_kind(kind: BenchKind) -> String {
+    let name = match kind {
+        BenchKind::Simulated => "simulated",
+        BenchKind::Emulated => "emulated",
+        BenchKind::Devices => "devices",
+    };
+    name.to_owned()
 }
 
 impl From<ParameterSet> for proto::ParameterSet {

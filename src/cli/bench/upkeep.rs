@@ -4,6 +4,7 @@ use super::super::Common;
 use super::super::failure::Failure;
 use super::super::session::{with_reader, with_writer};
 use crate::app::{BenchStatus, ClearRequest, RepeatabilityRequest};
+use crate::domain::bench::BenchKind;
 
 /// Arguments of `flip bench clear`.
 #[derive(Debug, clap::Args)]
@@ -63,8 +64,17 @@ pub(in super::super) fn repeatability(common: &Common, arguments: &Repeatability
     })
 }
 
+fn kind(found: &BenchStatus) -> &'static str {
+    match found.kind {
+        Some(BenchKind::Simulated) => "simulated",
+        Some(BenchKind::Emulated) => "emulated",
+        Some(BenchKind::Devices) => "devices",
+        None => "another process has it",
+    }
+}
+
 fn text(found: &BenchStatus) -> String {
-    let mut lines = vec![format!("bench      {}", found.kind)];
+    let mut lines = vec![format!("bench      {}", kind(found))];
     lines.extend(found.devices.iter().map(|(role, name)| format!("{role:<10} {name}")));
     lines.push(match &found.latch {
         Some(latch) => format!("latched    since {}: {}", latch.at, latch.reason),

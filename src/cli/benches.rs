@@ -1,0 +1,37 @@
+//! `--bench`: what weighs.
+
+use super::failure::Failure;
+use crate::app::{Functions, Options, emulated_bench, file_bench};
+use crate::domain::FieldError;
+use crate::hardware::bench_file::BenchFile;
+use std::path::Path;
+
+/// Which bench.
+#[derive(Debug, Clone, clap::Args)]
+pub(super) struct BenchArguments {
+    /// What weighs: `simulated` (the simulator itself), `emulated` (devices that speak their true protocols, around the simulator), or the file
+    /// of a real bench.
+    #[arg(long, value_name = "BENCH", default_value = "simulated")]
+    bench: String,
+}
+
+impl BenchArguments {
+    /// The application with this bench.
+    pub(super) fn options(&self) -> Result<Options, Failure> {
+        let bench = match self.bench.as_str() {
+            "simulated" => None,
+            "emulated" => Some(emulated_bench()),
+            file => Some(file_bench(read(Path::new(file))?)),
+        };
+        Ok(Options { functions: Functions { bench, ..Functions::default() }, ..Options::default() })
+    }
+}
+
+/// The bench file at this path.
+pub(super) fn read(path: &Path) -> Result<BenchFile, Failure> {
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        let advice = format!("must be `simulated`, `emulated` or a file that can be read; {}: {error}", path.display());
+        FieldError::new("bench", advice)
+    })?;
+    Ok(BenchFile::parse(&text)?)
+}

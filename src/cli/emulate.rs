@@ -1,0 +1,243 @@
+//! `flip emulate`: devices that are not there, for trying out FLIP and for testing other software that talks to such devices.
+
+use super::Common;
+use super::failure::Failure;
+use super::session::{StopSignals, runtime};
+use crate::domain::FieldError;
+use crate::domain::parameters::ParameterSet;
+use crate::emulate::arm::{self, Arm, Flow, FormulaSpoon, GrainsSpoon, Spoon};
+use crate::emulate::balance::{self, Balance, Socket};
+use crate::emulate::gate::{self, EmulatedGate, Slide};
+use crate::emulate::gripper::{self, EmulatedGripper, Fingers};
+use crate::emulate::lab::{self, Laboratory};
+use crate::emulate::pan::Pan;
+use crate::emulate::port::Port;
+use crate::hardware::balance::Dialect;
+use crate::hardware::clock::Clock;
+use crate::sim::dispense;
+use serde::Serialize;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+/// What lies on an emulated balance that stands alone, mg.
+const VIAL_MG: f64 = 12_000.0;
+
+/// Arguments of `flip emulate`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    #[command(subcommand)]
+    what: What,
+    /// Bench seconds in a second of the room.
+    #[arg(long, global = true, value_name = "FACTOR", default_value_t = 1.0)]
+    speed: f64,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum What {
+    /// Balance, arm, gripper and gate around one vial; writes the bench file that finds them.
+    Lab(LabArguments),
+    /// A balance with a vial on it.
+    Balance(BalanceArguments),
+    /// An arm with a spoon of powder, over nothing.
+    Arm(DeviceArguments),
+    /// A gripper that holds a spoon.
+    Gripper(DeviceArguments),
+    /// A slide gate.
+    Gate(DeviceArguments),
+}
+
+#[derive(Debug, clap::Args)]
+struct LabArguments {
+    /// Bench file to write.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Language of the balance.
+    #[arg(long, value_name = "NAME", default_value = "mt_sics")]
+    dialect: Dialect,
+    /// Step of the balance's display, mg.
+    #[arg(long, value_name = "MG", default_value_t = 1.0)]
+    readability_mg: f64,
+    /// The powder follows a formula instead of simulated grains: thousands of doses a minute.
+    #[arg(long)]
+    formula: bool,
+    /// File to which each motion is appended, one JSON document a line.
+    #[arg(long, value_name = "FILE")]
+    motions: Option<PathBuf>,
+}
+
+#[derive(Debug, clap::Args)]
+struct BalanceArguments {
+    /// Language of the balance.
+    #[arg(long, value_name = "NAME", default_value = "mt_sics")]
+    dialect: Dialect,
+    /// Step of the display, mg.
+    #[arg(long, value_name = "MG", default_value_t = 1.0)]
+    readability_mg: f64,
+    /// TCP address to listen on; a pseudo-terminal if absent.
+    #[arg(long, value_name = "ADDRESS")]
+    listen: Option<SocketAddr>,
+    /// Misbehave: draught, auto_print, partial_line and others; a wrong name lists them.
+    #[arg(long, value_name = "NAME")]
+    fault: Option<balance::Fault>,
+}
+
+#[derive(Debug, clap::Args)]
+struct DeviceArguments {
+    /// Misbehave; a wrong name lists the faults that there are.
+    #[arg(long, value_name = "NAME")]
+    fault: Option<String>,
+}
+
+/// What runs where.
+#[derive(Debug, Serialize)]
+struct Document {
+    device: &'static str,
+    /// A path, `tcp://host:port`, `http://host:port`, or the bench file.
+    address: String,
+}
+
+/// Run it until told to stop.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    if !(arguments.speed.is_finite() && (0.1..=1000.0).contains(&arguments.speed)) {
+        let advice = format!("must be from 0.1 to 1000, got {}", arguments.speed);
+        return Err(FieldError::new("speed", advice).into());
+    }
+    let clock = Clock::fast(arguments.speed);
+    match &arguments.what {
+        What::Lab(lab) => laboratory(common, lab, clock),
+        What::Balance(asked) => {
+            let settings = balance::Settings {
+                dialect: asked.dialect,
+                readability_mg: asked.readability_mg,
+                seed: common.seed,
+                ..balance::Settings::default()
+            };
+            let socket = asked.listen.map_or(Socket::Pty, Socket::Tcp);
+            let mut device = Balance::start(settings.checked()?, Pan::holding(VIAL_MG, clock), socket)?;
+            asked.fault.into_iter().for_each(|fault| device.inject(fault));
+            until_stopped(common, "balance", device.address())
+        }
+        What::Arm(asked) => {
+            let pan = Pan::holding(VIAL_MG, clock);
+            let device = Arm::start(arm::Settings::default(), pan, spoon(common, false))?;
+            if let Some(fault) = fault::<arm::Fault>(asked)? {
+                device.inject(fault);
+            }
+            until_stopped(common, "arm", device.url())
+        }
+        What::Gripper(asked) => {
+            let fingers = Fingers::holding(clock);
+            if let Some(fault) = fault::<gripper::Fault>(asked)? {
+                fingers.cause(fault, u32::MAX);
+            }
+            let port = Port::pty(EmulatedGripper::new(fingers))?;
+            until_stopped(common, "gripper", port.address())
+        }
+        What::Gate(asked) => {
+            let slide = Slide::new(gate::Settings::default(), clock);
+            if let Some(fault) = fault::<gate::Fault>(asked)? {
+                slide.cause(fault, u32::MAX);
+            }
+            let port = Port::pty(EmulatedGate::new(slide))?;
+            until_stopped(common, "gate", port.address())
+        }
+    }
+}
+
+fn fault<F: std::str::FromStr<Err = FieldError>>(asked: &DeviceArguments) -> Result<Option<F>, FieldError> {
+    asked.fault.as_deref().map(str::parse).transpose()
+}
+
+/// A spoon of the default powder.
+fn spoon(common: &Common, formula: bool) -> Box<dyn Spoon> {
+    match formula {
+        true => Box::new(FormulaSpoon::new(Flow::default(), common.seed)),
+        false => Box::new(GrainsSpoon::new(&ParameterSet::default(), &dispense::Settings::default(), common.seed)),
+    }
+}
+
+fn laboratory(common: &Common, asked: &LabArguments, clock: Clock) -> Result<(), Failure> {
+    let settings = balance::Settings {
+        dialect: asked.dialect,
+        readability_mg: asked.readability_mg,
+        seed: common.seed,
+        ..balance::Settings::default()
+    };
+    let settings = lab::Settings { balance: settings.checked()?, ..lab::Settings::default() };
+    let laboratory = Laboratory::start(settings, clock, spoon(common, asked.formula))?;
+    let text = toml::to_string(&laboratory.file()).map_err(anyhow::Error::from)?;
+    std::fs::write(&asked.out, text)?;
+    let motions = asked.motions.clone().map(|path| Motions { path, written: 0 });
+    runtime()?.block_on(async {
+        let mut signals = StopSignals::catch()?;
+        say(common, "lab", &asked.out.display().to_string())?;
+        let Some(mut motions) = motions else {
+            signals.received().await;
+            return Ok(());
+        };
+        loop {
+            tokio::select! {
+                _ = signals.received() => return motions.append(&laboratory),
+                () = tokio::time::sleep(std::time::Duration::from_millis(20)) => motions.append(&laboratory)?,
+            }
+        }
+    })
+}
+
+/// What the arm did, as a file that others read.
+struct Motions {
+    path: PathBuf,
+    written: usize,
+}
+
+/// One motion of the arm.
+#[derive(Debug, Serialize)]
+struct Motion {
+    at_s: f64,
+    motion: String,
+    why: String,
+    ended: Option<String>,
+    pitch_deg: f64,
+    poured_mg: f64,
+    /// Powder in the vial when everything has landed, mg.
+    vial_mg: f64,
+}
+
+impl Motions {
+    fn append(&mut self, laboratory: &Laboratory) -> Result<(), Failure> {
+        use std::io::Write;
+        let events = laboratory.arm.log();
+        if events.len() == self.written {
+            return Ok(());
+        }
+        let mut file = std::fs::OpenOptions::new().create(true).append(true).open(&self.path)?;
+        for event in &events[self.written..] {
+            let motion = Motion {
+                at_s: event.at_s,
+                motion: format!("{:?}", event.motion),
+                why: format!("{:?}", event.why),
+                ended: event.ended.map(|end| format!("{end:?}")),
+                pitch_deg: event.pitch_deg,
+                poured_mg: event.poured_mg,
+                vial_mg: laboratory.dispensed_mg(),
+            };
+            writeln!(file, "{}", serde_json::to_string(&motion)?)?;
+        }
+        self.written = events.len();
+        Ok(())
+    }
+}
+
+fn say(common: &Common, device: &'static str, address: &str) -> Result<(), Failure> {
+    let document = Document { device, address: address.to_owned() };
+    common.print(&document, || format!("{device} at {address}, until Ctrl-C"))
+}
+
+fn until_stopped(common: &Common, device: &'static str, address: &str) -> Result<(), Failure> {
+    runtime()?.block_on(async {
+        let mut signals = StopSignals::catch()?;
+        say(common, device, address)?;
+        signals.received().await;
+        Ok(())
+    })
+}

@@ -1,0 +1,332 @@
+//! The arm that holds the spoon, behind a driver process (`proto/flip/bench/v1/arm.proto`).
+//!
+//! Calls are synchronous and return when the motion is complete. A thread of the arm's own renews the lease, so that the driver levels and
+//! retracts the spoon by itself when this process dies; it ceases when the owner has not called for [`Deadlines::idle`], so that a thread that hangs counts
+//! as dead too. Whoever may have to stop the arm takes a [`Stopper`] beforehand.
+//!
+//! After an error it is unknown whether the spoon moved. A motion whose answer does not come is stopped; then as after every error: [`Arm::retract`], or
+//! drop the arm.
+
+mod background;
+mod limits;
+mod remote;
+mod stopper;
+
+pub use limits::Limits;
+pub use proto::{Description, Executed, Mode, State, Station};
+pub use stopper::Stopper;
+
+/// Messages, servers and clients, generated from the contract.
+#[expect(missing_docs, reason = "generated; the contract has the comments")]
+pub mod proto {
+    tonic::include_proto!("flip.bench.v1");
+}
+
+use super::DeviceError;
+use super::wire::Tap;
+use background::{Attended, Renewals, States};
+use proto::arm_client::ArmClient;
+use remote::{DEVICE, Remote, forbidden};
+use std::time::Duration;
+use tonic::transport::Channel;
+
+/// The contract that this client speaks.
+pub const PROTOCOL_VERSION: u32 = 1;
+
+/// How long answers may take, by the clock of the room.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Deadlines {
+    /// Calls that move nothing. Default 1 s.
+    pub call: Duration,
+    /// Motions. Default 30 s.
+    pub motion: Duration,
+    /// Between renewals. Default 50 ms; the contract asks for 100 at most.
+    pub renewal: Duration,
+    /// Renewals cease when the owner has not called for so long. Default 30 s.
+    pub idle: Duration,
+}
+
+impl Default for Deadlines {
+    fn default() -> Self {
+        Self {
+            call: Duration::from_secs(1),
+            motion: Duration::from_secs(30),
+            renewal: Duration::from_millis(50),
+            idle: Duration::from_secs(30),
+        }
+    }
+}
+
+/// An arm. Dropping it gives control back, which levels and retracts the spoon.
+pub struct Arm {
+    remote: Remote,
+    url: String,
+    deadlines: Deadlines,
+    description: Description,
+    limits: Limits,
+    states: States,
+    attended: Attended,
+    control: Option<Control>,
+}
+
+/// What a client that has control knows.
+struct Control {
+    lease_id: String,
+    sequence: u64,
+    renewals: Renewals,
+}
+
+impl Arm {
+    /// Connect to the driver at `url` (`http://host:port`) and ask who it is. Nothing moves, nobody's control is taken.
+    ///
+    /// # Errors
+    /// [`DeviceError::Lost`], [`DeviceError::Silent`]; [`DeviceError::Garbled`] for limits that mean nothing,
+    /// [`DeviceError::Forbidden`] for another version of the contract.
+    pub fn connect(url: &str, tap: Tap, deadlines: Deadlines) -> Result<Self, DeviceError> {
+        let remote = Remote::connect(url, tap, deadlines.call)?;
+        let (description, limits) = described(&remote, deadlines)?;
+        let states = States::watch(&remote);
+        let attended = Attended::new(deadlines.idle);
+        Ok(Self { remote, url: url.to_owned(), deadlines, description, limits, states, attended, control: None })
+    }
+
+    /// Who the arm said it is.
+    pub fn description(&self) -> &Description {
+        &self.description
+    }
+
+    /// What may be asked of it: the narrower of its own bounds and FLIP's.
+    pub fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    /// Ask again who it is: why it is latched may have changed.
+    ///
+    /// # Errors
+    /// As [`Arm::connect`].
+    pub fn describe(&mut self) -> Result<&Description, DeviceError> {
+        self.attended.now();
+        (self.description, self.limits) = described(&self.remote, self.deadlines)?;
+        Ok(&self.description)
+    }
+
+    /// The newest state that the arm sent: at rest it may be a tenth of a second old.
+    ///
+    /// # Errors
+    /// [`DeviceError::Lost`] when none came for a second.
+    pub fn state(&self) -> Result<State, DeviceError> {
+        self.attended.now();
+        self.states.newest()
+    }
+
+    /// The owner is well and waits for something else: counts as a call.
+    pub fn attend(&self) {
+        self.attended.now();
+    }
+
+    /// A way to stop the arm from any thread, on a connection of its own.
+    ///
+    /// # Errors
+    /// [`DeviceError::Lost`]
+    pub fn stopper(&self) -> Result<Stopper, DeviceError> {
+        Stopper::connect(&self.remote, &self.url, self.deadlines.call)
+    }
+
+    /// Take control, and keep it until [`Arm::release`], drop, or a fault.
+    ///
+    /// # Errors
+    /// [`DeviceError::Forbidden`] while somebody else has control or the arm is latched.
+    pub fn acquire(&mut self) -> Result<(), DeviceError> {
+        self.attended.now();
+        if self.control.as_ref().is_some_and(|control| control.renewals.ended().is_none()) {
+            return Ok(());
+        }
+        self.control = None;
+        let request = proto::AcquireRequest { client: format!("flip, process {}", std::process::id()) };
+        let call = |mut client: ArmClient<Channel>| async move { client.acquire(request).await };
+        let lease = self.remote.ask("Acquire".to_owned(), self.deadlines.call, call)?;
+        let renewals = Renewals::start(&self.remote, &lease.lease_id, self.deadlines.renewal, &self.attended);
+        self.control = Some(Control { lease_id: lease.lease_id, sequence: 0, renewals });
+        Ok(())
+    }
+
+    /// Give control back: the driver levels and retracts the spoon first. Nothing happens where there is no control.
+    ///
+    /// # Errors
+    /// A device failed: the arm is latched, or its dead-man acts.
+    pub fn release(&mut self) -> Result<(), DeviceError> {
+        // Renewals go on until this returns; if the call never arrives, their end lets the dead-man act.
+        let Some(control) = self.control.take() else { return Ok(()) };
+        self.attended.for_next(self.deadlines.motion);
+        let request = proto::ReleaseRequest { lease_id: control.lease_id.clone() };
+        let call = |mut client: ArmClient<Channel>| async move { client.release(request).await };
+        self.remote.ask("Release".to_owned(), self.deadlines.motion, call).map(drop)
+    }
+
+    /// Bring the level spoon over the vial.
+    ///
+    /// # Errors
+    /// A device failed or must not do this; the spoon may stand anywhere.
+    pub fn approach(&mut self) -> Result<Executed, DeviceError> {
+        self.fresh_motion("Approach", |mut client, ticket| async move {
+            client.approach(proto::ApproachRequest { ticket: Some(ticket) }).await
+        })
+    }
+
+    /// Level the spoon and bring it away from the vial, from wherever it is. The one motion that is also tried when states no longer come.
+    ///
+    /// # Errors
+    /// As [`Arm::approach`].
+    pub fn retract(&mut self) -> Result<Executed, DeviceError> {
+        self.motion("Retract", |mut client, ticket| async move {
+            client.retract(proto::RetractRequest { ticket: Some(ticket) }).await
+        })
+    }
+
+    /// Turn the spoon to this pitch, degrees, positive is tip down.
+    ///
+    /// # Errors
+    /// As [`Arm::approach`]; [`DeviceError::Forbidden`] before anything is sent for a pitch out of [`Limits`].
+    pub fn pitch(&mut self, pitch_deg: f64) -> Result<Executed, DeviceError> {
+        let pitch_deg = self.limits.pitch_deg(pitch_deg)?;
+        self.fresh_motion(&format!("Pitch to {pitch_deg} deg"), move |mut client, ticket| async move {
+            client.pitch(proto::PitchRequest { ticket: Some(ticket), pitch_deg }).await
+        })
+    }
+
+    /// Shake the spoon once, out by this amplitude and back, mm.
+    ///
+    /// # Errors
+    /// As [`Arm::pitch`].
+    pub fn shake(&mut self, amplitude_mm: f64) -> Result<Executed, DeviceError> {
+        let amplitude_mm = self.limits.shake_mm(amplitude_mm)?;
+        self.fresh_motion(&format!("Shake by {amplitude_mm} mm"), move |mut client, ticket| async move {
+            client.shake(proto::ShakeRequest { ticket: Some(ticket), amplitude_mm }).await
+        })
+    }
+
+    /// Fill the retracted spoon from the powder's container and shake off the surplus there.
+    ///
+    /// # Errors
+    /// As [`Arm::approach`].
+    pub fn scoop(&mut self) -> Result<Executed, DeviceError> {
+        self.fresh_motion("Scoop", |mut client, ticket| async move {
+            client.scoop(proto::ScoopRequest { ticket: Some(ticket) }).await
+        })
+    }
+
+    /// Return what is left in the retracted spoon to the container.
+    ///
+    /// # Errors
+    /// As [`Arm::approach`].
+    pub fn discard(&mut self) -> Result<Executed, DeviceError> {
+        self.fresh_motion("Discard", |mut client, ticket| async move {
+            client.discard(proto::DiscardRequest { ticket: Some(ticket) }).await
+        })
+    }
+
+    /// Turn the filled platform over the funnel, for an angle of repose.
+    ///
+    /// # Errors
+    /// As [`Arm::approach`].
+    pub fn invert(&mut self) -> Result<Executed, DeviceError> {
+        self.fresh_motion("Invert", |mut client, ticket| async move {
+            client.invert(proto::InvertRequest { ticket: Some(ticket) }).await
+        })
+    }
+
+    /// `person` has looked at the arm and says that it may move: it levels and retracts the spoon and can be acquired again.
+    ///
+    /// # Errors
+    /// The cause lasts, or the motion failed: the arm stays latched.
+    pub fn recover(&mut self, person: &str) -> Result<(), DeviceError> {
+        self.attended.for_next(self.deadlines.motion);
+        let request = proto::RecoverRequest { person: person.chars().take(100).collect() };
+        let call = |mut client: ArmClient<Channel>| async move { client.recover(request).await };
+        self.remote.ask(format!("Recover, says {person}"), self.deadlines.motion, call).map(drop)
+    }
+
+    /// A motion that needs somebody to see where the arm is.
+    fn fresh_motion<F>(
+        &mut self,
+        what: &str,
+        call: impl Fn(ArmClient<Channel>, proto::Ticket) -> F,
+    ) -> Result<Executed, DeviceError>
+    where
+        F: Future<Output = Result<tonic::Response<Executed>, tonic::Status>> + Send + 'static,
+    {
+        self.states.newest()?;
+        self.motion(what, call)
+    }
+
+    /// Ask for a motion under the next sequence number. Where the connection breaks, ask once more under the same number: the
+    /// driver answers again and moves nothing twice.
+    fn motion<F>(
+        &mut self,
+        what: &str,
+        call: impl Fn(ArmClient<Channel>, proto::Ticket) -> F,
+    ) -> Result<Executed, DeviceError>
+    where
+        F: Future<Output = Result<tonic::Response<Executed>, tonic::Status>> + Send + 'static,
+    {
+        let limit = self.deadlines.motion;
+        self.attended.for_next(limit);
+        let control =
+            self.control.as_mut().ok_or_else(|| forbidden("nobody has taken control: acquire the arm first"))?;
+        if let Some(ended) = control.renewals.ended() {
+            return Err(ended);
+        }
+        control.sequence += 1;
+        let ticket = proto::Ticket { lease_id: control.lease_id.clone(), sequence: control.sequence };
+        let ask = || {
+            let ticket = ticket.clone();
+            self.remote.ask(format!("{} {what}", ticket.sequence), limit, |client| call(client, ticket))
+        };
+        let answer = match ask() {
+            Err(DeviceError::Lost { .. }) => ask(),
+            answer => answer,
+        };
+        let answer = answer.and_then(|executed| checked(executed, ticket.sequence));
+        if let Err(DeviceError::Silent { .. } | DeviceError::Lost { .. } | DeviceError::Garbled { .. }) = &answer {
+            self.stop_unanswered();
+        }
+        self.attended.now();
+        answer
+    }
+
+    /// Nobody knows whether the spoon still moves: after Stop it does not, and this lease can but bring it back.
+    fn stop_unanswered(&self) {
+        let request = proto::StopRequest { reason: "a motion was not answered".to_owned() };
+        let call = |mut client: ArmClient<Channel>| async move { client.stop(request).await };
+        // The tap hears of a failure; the dead-man acts where the driver cannot be reached.
+        let _ = self.remote.ask("Stop".to_owned(), self.deadlines.call, call);
+    }
+}
+
+impl Drop for Arm {
+    fn drop(&mut self) {
+        // Nobody is left to hear of a failure: the dead-man acts on it.
+        let _ = self.release();
+    }
+}
+
+fn described(remote: &Remote, deadlines: Deadlines) -> Result<(Description, Limits), DeviceError> {
+    let call = |mut client: ArmClient<Channel>| async move { client.describe(proto::DescribeRequest {}).await };
+    let description = remote.ask("Describe".to_owned(), deadlines.call, call)?;
+    if description.protocol_version != PROTOCOL_VERSION {
+        let theirs = description.protocol_version;
+        return Err(forbidden(format!("its driver speaks version {theirs} of the contract, FLIP {PROTOCOL_VERSION}")));
+    }
+    let limits = Limits::narrowed(description.limits.as_ref())?;
+    Ok((description, limits))
+}
+
+/// The answer, if its numbers can be those of this motion.
+fn checked(executed: Executed, sequence: u64) -> Result<Executed, DeviceError> {
+    let lengths = [executed.amplitude_mm, executed.peak_speed_m_s, executed.duration_s];
+    let sound = lengths.iter().all(|number| number.is_finite() && *number >= 0.0) && executed.pitch_deg.is_finite();
+    if sound && executed.sequence == sequence {
+        return Ok(executed);
+    }
+    Err(DeviceError::Garbled { device: DEVICE, got: format!("{executed:?}") })
+}

@@ -1,0 +1,186 @@
+//! A connection to the driver process: asynchronous within, synchronous to whoever asks, from any thread.
+
+use super::proto::arm_client::ArmClient;
+use crate::hardware::DeviceError;
+use crate::hardware::wire::Tap;
+use std::error::Error as _;
+use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
+use tokio::runtime::{Builder, Handle};
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Code, Response, Status};
+
+/// As messages name it.
+pub(super) const DEVICE: &str = "the arm";
+/// Longest text of a driver that is passed on, characters.
+const TEXT_MAX: usize = 200;
+/// A connection over which nothing comes is asked for a sign of life so often, and given up after so long again.
+const ALIVE: Duration = Duration::from_secs(1);
+/// How much later than the deadline an answer of our own thread may come.
+const GRACE: Duration = Duration::from_millis(500);
+
+/// A thread for what waits. It may be dropped anywhere, also where waiting is not allowed.
+pub(super) struct Runtime(Option<tokio::runtime::Runtime>);
+
+impl Drop for Runtime {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.0.take() {
+            runtime.shutdown_background();
+        }
+    }
+}
+
+/// One connection. Clones share it.
+#[derive(Clone)]
+pub(super) struct Remote {
+    /// Kept for as long as somebody may ask.
+    runtime: Arc<Runtime>,
+    handle: Handle,
+    client: ArmClient<Channel>,
+    tap: Tap,
+}
+
+impl Remote {
+    /// Connect, with a thread of its own.
+    pub(super) fn connect(url: &str, tap: Tap, limit: Duration) -> Result<Self, DeviceError> {
+        let thread = Builder::new_multi_thread().worker_threads(1).thread_name("arm").enable_all().build();
+        let runtime = thread.map_err(|error| lost(error.to_string()))?;
+        let handle = runtime.handle().clone();
+        Self::open(Arc::new(Runtime(Some(runtime))), handle, url, tap, limit)
+    }
+
+    /// Another connection on the same thread.
+    pub(super) fn beside(&self, url: &str, limit: Duration) -> Result<Self, DeviceError> {
+        Self::open(self.runtime.clone(), self.handle.clone(), url, self.tap.clone(), limit)
+    }
+
+    fn open(runtime: Arc<Runtime>, handle: Handle, url: &str, tap: Tap, limit: Duration) -> Result<Self, DeviceError> {
+        let endpoint = Endpoint::from_shared(url.to_owned()).map_err(|error| lost(format!("{url}: {error}")))?;
+        let endpoint = endpoint
+            .connect_timeout(limit)
+            .tcp_nodelay(true)
+            .http2_keep_alive_interval(ALIVE)
+            .keep_alive_timeout(ALIVE)
+            .keep_alive_while_idle(true);
+        let connected = wait(&handle, limit, async move { endpoint.connect().await }).ok_or_else(silent)?;
+        let channel = connected.map_err(|error| lost(format!("{url}: {}", root(&error))))?;
+        Ok(Self { runtime, handle, client: ArmClient::new(channel), tap })
+    }
+
+    /// Make one call and wait for its answer; both go to the tap.
+    pub(super) fn ask<A, F>(
+        &self,
+        what: String,
+        limit: Duration,
+        call: impl FnOnce(ArmClient<Channel>) -> F,
+    ) -> Result<A, DeviceError>
+    where
+        A: std::fmt::Debug + Send + 'static,
+        F: Future<Output = Result<Response<A>, Status>> + Send + 'static,
+    {
+        self.tap.sent(DEVICE, what);
+        let answer = match wait(&self.handle, limit, call(self.client.clone())) {
+            Some(Ok(answer)) => Ok(answer.into_inner()),
+            Some(Err(status)) => Err(refusal(&status)),
+            None => Err(silent()),
+        };
+        match &answer {
+            Ok(answer) => self.tap.received(DEVICE, format!("{answer:?}")),
+            Err(error) => self.tap.received(DEVICE, error.to_string()),
+        }
+        answer
+    }
+
+    pub(super) fn handle(&self) -> &Handle {
+        &self.handle
+    }
+
+    pub(super) fn client(&self) -> ArmClient<Channel> {
+        self.client.clone()
+    }
+}
+
+/// What `work` gives on the thread behind `handle`; `None` when the limit has passed. The caller may be on any thread, also on
+/// one that runs asynchronous code.
+fn wait<A: Send + 'static>(
+    handle: &Handle,
+    limit: Duration,
+    work: impl Future<Output = A> + Send + 'static,
+) -> Option<A> {
+    let (say, hear) = sync_channel(1);
+    handle.spawn(async move {
+        if let Ok(answer) = tokio::time::timeout(limit, work).await {
+            // Whoever asked may have given up.
+            let _ = say.send(answer);
+        }
+    });
+    hear.recv_timeout(limit + GRACE).ok()
+}
+
+/// What a status means to whoever asked.
+pub(super) fn refusal(status: &Status) -> DeviceError {
+    // A status with a source was made by this side's transport; the driver never sent it.
+    if status.source().is_some() {
+        return lost(root(status));
+    }
+    let text: String = status.message().chars().filter(|c| !c.is_control()).take(TEXT_MAX).collect();
+    match status.code() {
+        Code::DeadlineExceeded => silent(),
+        Code::Unavailable | Code::Cancelled => lost(text),
+        Code::InvalidArgument
+        | Code::FailedPrecondition
+        | Code::PermissionDenied
+        | Code::ResourceExhausted
+        | Code::AlreadyExists
+        | Code::Unimplemented => forbidden(text),
+        _ => DeviceError::Faulted { device: DEVICE, cause: text },
+    }
+}
+
+/// The innermost cause of an error: what the system said.
+fn root(error: &dyn std::error::Error) -> String {
+    let mut inner = error;
+    while let Some(cause) = inner.source() {
+        inner = cause;
+    }
+    inner.to_string()
+}
+
+pub(super) fn lost(cause: impl Into<String>) -> DeviceError {
+    DeviceError::Lost { device: DEVICE, cause: cause.into() }
+}
+
+pub(super) fn silent() -> DeviceError {
+    DeviceError::Silent { device: DEVICE }
+}
+
+pub(super) fn forbidden(cause: impl Into<String>) -> DeviceError {
+    DeviceError::Forbidden { device: DEVICE, cause: cause.into() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_status_says_what_a_caller_can_do_about_it() {
+        let check = |code: Code, expected: DeviceError| assert_eq!(refusal(&Status::new(code, "why")), expected);
+        check(Code::DeadlineExceeded, silent());
+        check(Code::Unavailable, lost("why"));
+        for code in [Code::InvalidArgument, Code::FailedPrecondition, Code::PermissionDenied, Code::ResourceExhausted] {
+            check(code, forbidden("why"));
+        }
+        check(Code::AlreadyExists, forbidden("why"));
+        for code in [Code::Aborted, Code::Internal, Code::Unknown, Code::DataLoss] {
+            check(code, DeviceError::Faulted { device: DEVICE, cause: "why".to_owned() });
+        }
+    }
+
+    #[test]
+    fn a_drivers_text_is_cut_and_holds_no_control_characters() {
+        let long = format!("\u{1b}[31m{}", "x".repeat(1000));
+        let DeviceError::Faulted { cause, .. } = refusal(&Status::internal(long)) else { panic!("a fault") };
+        assert!(cause.starts_with("[31mx") && cause.chars().count() == TEXT_MAX);
+    }
+}

@@ -1,0 +1,40 @@
+//! Stop, from any thread, whatever the arm's owner is doing.
+
+use super::proto::{StopRequest, arm_client::ArmClient};
+use super::remote::Remote;
+use crate::hardware::DeviceError;
+use std::time::Duration;
+use tonic::transport::Channel;
+
+/// Stops the arm on a connection of its own. Clones share it.
+///
+/// This is a message and no emergency stop: that one is wired.
+#[derive(Clone)]
+pub struct Stopper {
+    remote: Remote,
+    limit: Duration,
+}
+
+impl Stopper {
+    pub(super) fn connect(beside: &Remote, url: &str, limit: Duration) -> Result<Self, DeviceError> {
+        Ok(Self { remote: beside.beside(url, limit)?, limit })
+    }
+
+    /// Stop now; returns when the spoon stands still. It is not level yet: [`Arm::retract`](super::Arm::retract), or drop the arm.
+    ///
+    /// # Errors
+    /// The driver did not answer, or cannot be reached: its dead-man acts if the connection is gone.
+    pub fn stop(&self, reason: &str) -> Result<(), DeviceError> {
+        // The first call after a broken connection may find that out; the second makes a new one.
+        match self.once(reason) {
+            Err(DeviceError::Lost { .. }) => self.once(reason),
+            answer => answer,
+        }
+    }
+
+    fn once(&self, reason: &str) -> Result<(), DeviceError> {
+        let request = StopRequest { reason: reason.chars().take(200).collect() };
+        let call = |mut client: ArmClient<Channel>| async move { client.stop(request).await };
+        self.remote.ask("Stop".to_owned(), self.limit, call).map(drop)
+    }
+}

@@ -1,0 +1,132 @@
+//! Questions and answers over one wire: which line answers what, and how to get back into step.
+
+use super::reply::{Reply, Said};
+use super::{Command, DEVICE, Dialect, Wants, faulted, garbled};
+use crate::hardware::DeviceError;
+use crate::hardware::line::Line;
+use std::time::{Duration, Instant};
+
+/// How long the driver listens on after an answer while lines come unasked.
+const CHATTER: Duration = Duration::from_millis(300);
+/// How long it listens on after every other answer: what follows at once says that the line before it came unasked.
+const GLANCE: Duration = Duration::from_millis(1);
+/// Most lines that are looked at for one answer.
+const LINES_MAX: usize = 64;
+
+/// A wire to a balance.
+pub(super) struct Dialogue {
+    line: Line,
+    dialect: Dialect,
+    /// How long an answer may take.
+    limit: Duration,
+    /// Lines may come unasked.
+    chatty: bool,
+    /// An answer may be under way that nobody waits for.
+    behind: bool,
+}
+
+impl Dialogue {
+    pub(super) fn new(line: Line, dialect: Dialect, limit: Duration) -> Self {
+        Self { line, dialect, limit, chatty: true, behind: true }
+    }
+
+    /// One question and its answer, with the line that it was read from.
+    pub(super) fn ask(&mut self, command: Command, limit: Duration) -> Result<(Reply, Vec<u8>), DeviceError> {
+        self.prepare()?;
+        self.line.send(command.bytes)?;
+        let answer = self.answer(command, limit);
+        self.behind = answer.is_err();
+        answer
+    }
+
+    /// Give an order that is not answered.
+    pub(super) fn tell(&mut self, command: Command) -> Result<(), DeviceError> {
+        self.prepare()?;
+        self.line.send(command.bytes)
+    }
+
+    /// Nothing that is under way or has come may be taken for the next answer.
+    fn prepare(&mut self) -> Result<(), DeviceError> {
+        if self.behind {
+            self.catch_up()?;
+            self.behind = false;
+        }
+        if self.line.discard_input()? > 0 {
+            self.chatty = true;
+        }
+        Ok(())
+    }
+
+    fn catch_up(&mut self) -> Result<(), DeviceError> {
+        self.line.discard_input()?;
+        let Some(barrier) = self.dialect.commands().barrier else { return self.wait_for_quiet() };
+        self.line.send(barrier.bytes)?;
+        let until = Instant::now() + self.limit;
+        for _ in 0..LINES_MAX {
+            let line = self.line.receive(until.saturating_duration_since(Instant::now()))?;
+            let Ok(reply) = self.dialect.parse(&line) else { continue };
+            let is_answer = match barrier.answer {
+                Some(_) => reply.to.as_deref() == barrier.answer,
+                None => matches!(reply.said, Said::Text(_)),
+            };
+            if is_answer {
+                return Ok(());
+            }
+        }
+        Err(DeviceError::Silent { device: DEVICE })
+    }
+
+    fn wait_for_quiet(&mut self) -> Result<(), DeviceError> {
+        for _ in 0..LINES_MAX {
+            match self.line.receive(self.limit) {
+                Err(DeviceError::Silent { .. }) => return Ok(()),
+                Ok(_) | Err(DeviceError::Garbled { .. }) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Err(faulted("it never stops sending: switch auto-print and stream mode off".to_owned()))
+    }
+
+    /// The first line that can be the answer, or the last one where lines come unasked.
+    fn answer(&mut self, command: Command, limit: Duration) -> Result<(Reply, Vec<u8>), DeviceError> {
+        let mut found = self.next_for(command, limit)?;
+        let mut until = Instant::now() + if self.chatty { CHATTER } else { GLANCE };
+        self.chatty = false;
+        for _ in 0..LINES_MAX {
+            match self.next_for(command, until.saturating_duration_since(Instant::now())) {
+                Ok(newer) if self.chatty => found = newer,
+                Ok(newer) => {
+                    (found, self.chatty) = (newer, true);
+                    until = Instant::now() + CHATTER;
+                }
+                Err(DeviceError::Silent { .. }) => break,
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(found)
+    }
+
+    fn next_for(&mut self, command: Command, limit: Duration) -> Result<(Reply, Vec<u8>), DeviceError> {
+        let until = Instant::now() + limit;
+        for _ in 0..LINES_MAX {
+            let raw = self.line.receive(until.saturating_duration_since(Instant::now()))?;
+            let reply = self.dialect.parse(&raw).map_err(|_| garbled(&raw))?;
+            if is_for(command, &reply) {
+                return Ok((reply, raw));
+            }
+        }
+        Err(DeviceError::Silent { device: DEVICE })
+    }
+}
+
+/// This line may answer this question.
+fn is_for(command: Command, reply: &Reply) -> bool {
+    match (command.answer, reply.to.as_deref()) {
+        (Some(answer), Some(to)) => answer == to,
+        _ => match command.wants {
+            Wants::Reading => reply.said != Said::Done,
+            Wants::Words => !matches!(reply.said, Said::Weight(_) | Said::Done),
+            Wants::Done => true,
+        },
+    }
+}

@@ -1,0 +1,386 @@
+//! A balance on a serial port or a TCP connection.
+//!
+//! One driver for all dialects: a dialect is a table of commands and a function that reads one line. What the driver promises, whatever is plugged in:
+//!
+//! * A number is returned only from an undamaged frame, in mg, g or kg, that came after the question. Everything else is an error that says what to do.
+//! * Nothing stale: what came unasked is discarded before each question. After an answer that failed to come, and before the first question, the driver asks
+//!   for something that cannot be taken for a reading (the serial number, the version) and waits until that answer has come, because answers keep their
+//!   order. A&D has no such question that is known for sure: there the wire must have been quiet for as long as an answer may take.
+//! * Lines that come unasked (auto-print, the print key) look like answers in most dialects. When the driver has seen one, it listens on for
+//!   0.3 s after each answer and takes the last line, which is at least as new as the answer.
+//! * Frames carry no checksum. A frame of another width than the first ones is damaged. A frame in another unit or with other decimals than the last is asked
+//!   for again and believed when it comes twice. One wrong digit cannot be noticed, so use parity where the balance has it.
+//!
+//! Reading is repeated once after a damaged answer, taring and zeroing never are: whether they happened is read off the display.
+
+pub mod aandd;
+mod dialogue;
+pub mod mt_sics;
+pub mod ohaus;
+pub mod probe;
+pub mod reply;
+pub mod sbi;
+mod settings;
+#[cfg(test)]
+mod tests;
+pub mod value;
+mod wait;
+
+pub use settings::{Dialect, Settings, StableBy};
+
+use super::DeviceError;
+use super::clock::Clock;
+use super::line::Line;
+use super::wire::{Tap, shown};
+use dialogue::Dialogue;
+use reply::{Condition, Reply, Said, Weight};
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+use value::Unit;
+use wait::Patience;
+
+/// As messages name it.
+const DEVICE: &str = "the balance";
+/// Bench time between two questions to a balance that is not ready or not stable, s.
+const PAUSE_S: f64 = 0.05;
+
+/// Bench time that a balance gets to carry out an order which it does not answer, s: a tare that came later would shift what is weighed by then.
+const SILENT_ORDER_S: f64 = 2.0;
+
+/// One question and how its answer is known; `None`: by what it says alone.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Command {
+    bytes: &'static [u8],
+    answer: Option<&'static str>,
+    wants: Wants,
+}
+
+/// What kind of answer a question wants; lines of another kind that come meanwhile are passed over where they can be known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Wants {
+    Reading,
+    Done,
+    Words,
+}
+
+/// What a dialect can be asked.
+#[derive(Debug)]
+pub(crate) struct Commands {
+    immediate: Command,
+    stable: Option<Command>,
+    tare: Command,
+    zero: Command,
+    /// Taring and zeroing are answered.
+    acknowledges: bool,
+    /// A question whose answer cannot be taken for a reading.
+    barrier: Option<Command>,
+    model: &'static [Command],
+    serial: Option<Command>,
+    software: Option<Command>,
+}
+
+/// One reading.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Sample {
+    /// Bench time at which it came, s.
+    pub t_s: f64,
+    /// mg
+    pub mass_mg: f64,
+    /// The balance says so.
+    pub stable: bool,
+    /// The line that it was read from, control characters escaped.
+    pub raw: String,
+}
+
+/// Who a balance says it is, as far as its dialect tells.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Identity {
+    /// From the dialect.
+    pub maker: String,
+    /// Model.
+    pub model: Option<String>,
+    /// Serial number.
+    pub serial: Option<String>,
+    /// Version of its software.
+    pub software: Option<String>,
+}
+
+/// Unit and decimals: the same in every undamaged frame until somebody changes the display.
+type Form = (Unit, i32);
+
+/// An open balance.
+pub struct Balance {
+    dialogue: Dialogue,
+    settings: Settings,
+    commands: &'static Commands,
+    clock: Clock,
+    /// Of the last frame.
+    form: Option<Form>,
+    /// Of every frame, known from the first two that had the same form.
+    width: Option<usize>,
+}
+
+/// A reading is either a mass, or the balance's reason why there is none.
+enum Seen {
+    Mass(Sample),
+    None(Condition),
+}
+
+impl Balance {
+    /// Open the port; nothing is sent yet.
+    ///
+    /// # Errors
+    /// [`DeviceError::Lost`]
+    pub fn open(settings: &Settings, tap: Tap, clock: Clock) -> Result<Self, DeviceError> {
+        let serial = settings.serial.unwrap_or_else(|| settings.dialect.factory_serial());
+        let line = Line::open(DEVICE, &settings.port, &serial, tap)?;
+        let dialogue = Dialogue::new(line, settings.dialect, seconds(settings.timeout_s));
+        Ok(Self {
+            dialogue,
+            settings: settings.clone(),
+            commands: settings.dialect.commands(),
+            clock,
+            form: None,
+            width: None,
+        })
+    }
+
+    /// What the display shows now. A balance that is not ready is asked again until `timeout_s` has passed.
+    ///
+    /// # Errors
+    /// [`DeviceError`]: overload, underload, a foreign unit, a fault and not ready are [`DeviceError::Faulted`], a running adjustment is
+    /// [`DeviceError::Forbidden`].
+    pub fn immediate(&mut self) -> Result<Sample, DeviceError> {
+        let patience = Patience::new(&self.clock, self.settings.timeout_s);
+        loop {
+            match self.look(self.commands.immediate, seconds(self.settings.timeout_s))? {
+                Seen::Mass(sample) => return Ok(sample),
+                Seen::None(condition) if condition.passes() && !patience.is_spent() => self.clock.wait_s(PAUSE_S),
+                Seen::None(condition) => return Err(refusal(condition)),
+            }
+        }
+    }
+
+    /// A reading that is flagged stable, or the last one, flagged unstable, after `timeout_s` of bench time.
+    ///
+    /// # Errors
+    /// As [`Self::immediate`]. A balance that does not answer at all is [`DeviceError::Silent`] long before `timeout_s`.
+    pub fn stable(&mut self, timeout_s: f64) -> Result<Sample, DeviceError> {
+        let patience = Patience::new(&self.clock, timeout_s);
+        if let (StableBy::Command, Some(command)) = (self.settings.stable_by, self.commands.stable) {
+            match self.look(command, seconds(timeout_s) + seconds(self.settings.timeout_s))? {
+                Seen::Mass(sample) => return Ok(sample),
+                // Ohaus answers alike when it waited in vain and when it does not know the command.
+                Seen::None(condition) if condition.passes() || condition == Condition::Unknown => {}
+                Seen::None(condition) => return Err(refusal(condition)),
+            }
+        }
+        self.poll_until_stable(&patience)
+    }
+
+    /// Take what lies on the pan for nothing, and see that the display then shows it; returns that reading.
+    ///
+    /// # Errors
+    /// [`DeviceError::Faulted`] if the reading is not stable, or does not come to zero within `stable_timeout_s`; else as [`Self::immediate`]. The balance may
+    /// have tared, or may yet: tare again before anything is weighed.
+    pub fn tare(&mut self) -> Result<Sample, DeviceError> {
+        self.bring_to_zero(self.commands.tare, "tare")
+    }
+
+    /// Set the zero point, with an empty pan, and see that the display shows it; returns that reading.
+    ///
+    /// # Errors
+    /// As [`Self::tare`]; a balance with a vial on it may refuse.
+    pub fn zero(&mut self) -> Result<Sample, DeviceError> {
+        self.bring_to_zero(self.commands.zero, "zero")
+    }
+
+    /// Who the balance says it is.
+    ///
+    /// # Errors
+    /// [`DeviceError::Silent`] if it tells nothing, else as [`Self::immediate`].
+    pub fn identify(&mut self) -> Result<Identity, DeviceError> {
+        let mut model = None;
+        for command in self.commands.model {
+            if model.is_none() {
+                model = self.words(*command)?;
+            }
+        }
+        let serial = self.commands.serial.map_or(Ok(None), |command| self.words(command))?;
+        let software = self.commands.software.map_or(Ok(None), |command| self.words(command))?;
+        if model.is_none() && serial.is_none() && software.is_none() {
+            return Err(DeviceError::Silent { device: DEVICE });
+        }
+        Ok(Identity { maker: maker(self.settings.dialect).to_owned(), model, serial, software })
+    }
+
+    fn poll_until_stable(&mut self, patience: &Patience) -> Result<Sample, DeviceError> {
+        let mut last = None;
+        loop {
+            match self.look(self.commands.immediate, seconds(self.settings.timeout_s))? {
+                Seen::Mass(sample) if sample.stable => return Ok(sample),
+                Seen::Mass(sample) => last = Some(sample),
+                Seen::None(condition) if condition.passes() && !patience.is_spent() => {}
+                Seen::None(condition) => return last.filter(|_| condition.passes()).ok_or(refusal(condition)),
+            }
+            if let Some(sample) = last.take_if(|_| patience.is_spent()) {
+                return Ok(sample);
+            }
+            self.clock.wait_s(PAUSE_S);
+        }
+    }
+
+    fn bring_to_zero(&mut self, command: Command, verb: &str) -> Result<Sample, DeviceError> {
+        let limit_s = self.settings.stable_timeout_s;
+        if !self.stable(limit_s)?.stable {
+            return Err(faulted(format!("no stable reading to {verb} at: keep draughts and vibration away")));
+        }
+        self.order(command, verb)?;
+        let patience = Patience::new(&self.clock, limit_s);
+        loop {
+            let sample = self.stable(limit_s)?;
+            if sample.stable && sample.mass_mg.abs() <= self.zero_mg_max() {
+                return Ok(sample);
+            }
+            if patience.is_spent() {
+                return Err(faulted(format!("it did not {verb}: it shows {} mg", sample.mass_mg)));
+            }
+            self.clock.wait_s(PAUSE_S);
+        }
+    }
+
+    /// Give an order; where the dialect answers orders, hear the answer. One that is damaged counts as none: the display tells.
+    fn order(&mut self, command: Command, verb: &str) -> Result<(), DeviceError> {
+        if !self.commands.acknowledges {
+            self.dialogue.tell(command)?;
+            self.clock.wait_s(SILENT_ORDER_S);
+            return Ok(());
+        }
+        let limit = seconds(self.settings.stable_timeout_s) + seconds(self.settings.timeout_s);
+        match self.dialogue.ask(command, limit) {
+            Ok((Reply { said: Said::Condition(Condition::NotReady), .. }, _)) => {
+                Err(faulted(format!("it refused to {verb}: not stable, or busy")))
+            }
+            Ok((Reply { said: Said::Condition(Condition::Overload | Condition::Underload), .. }, _)) => {
+                Err(faulted(format!("it refused to {verb}: too much or too little on the pan")))
+            }
+            Ok((Reply { said: Said::Condition(condition), .. }, _)) => Err(refusal(condition)),
+            Ok(_) | Err(DeviceError::Garbled { .. }) => Ok(()),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// What "shows nothing" means: two of the display's last places, but at least 0.5 mg for a display of tenths, whose noise is that of the room.
+    fn zero_mg_max(&self) -> f64 {
+        let last_place_mg = self.form.map_or(0.0, |(unit, decimals)| value::place_mg(unit, decimals));
+        (2.0 * last_place_mg).max(0.5)
+    }
+
+    /// One reading from an undamaged frame in the form of the last, or the reason why there is none.
+    fn look(&mut self, command: Command, limit: Duration) -> Result<Seen, DeviceError> {
+        // One for a damaged frame, one for a form that is new.
+        let mut retries = 2;
+        loop {
+            match self.look_once(command, limit) {
+                Err(DeviceError::Garbled { .. }) if retries > 0 => retries -= 1,
+                seen => return seen,
+            }
+        }
+    }
+
+    fn look_once(&mut self, command: Command, limit: Duration) -> Result<Seen, DeviceError> {
+        let (reply, raw) = self.dialogue.ask(command, limit)?;
+        let weight = match reply.said {
+            Said::Weight(weight) => weight,
+            Said::Condition(condition) => return Ok(Seen::None(condition)),
+            Said::Done | Said::Text(_) => return Err(garbled(&raw)),
+        };
+        let Some(unit) = weight.unit.or(self.unit_of_moving(&weight)) else {
+            return Ok(Seen::None(Condition::NotReady));
+        };
+        let form = (unit, weight.number.decimals());
+        if let Some(step_mg) =
+            self.settings.readability_mg.filter(|step| !is_same(weight.number.last_place_mg(unit), *step))
+        {
+            let got = format!("{} (the last place should be {step_mg} mg)", shown(&raw));
+            return Err(DeviceError::Garbled { device: DEVICE, got });
+        }
+        if self.width.is_some_and(|width| width != weight.width) || self.form.replace(form) != Some(form) {
+            return Err(garbled(&raw));
+        }
+        self.width = Some(weight.width);
+        let mass_mg = weight.number.mg(unit);
+        Ok(Seen::Mass(Sample { t_s: self.clock.now_s(), mass_mg, stable: weight.stable, raw: shown(&raw) }))
+    }
+
+    /// The unit of a frame without one: that of the last frame, if the number has its form.
+    fn unit_of_moving(&self, weight: &Weight) -> Option<Unit> {
+        let (unit, decimals) = self.form?;
+        (decimals == weight.number.decimals()).then_some(unit)
+    }
+
+    /// The words that answer a question; `None` if the balance does not know it, or says nothing.
+    fn words(&mut self, command: Command) -> Result<Option<String>, DeviceError> {
+        let limit = seconds(self.settings.timeout_s);
+        let answer = match self.dialogue.ask(command, limit) {
+            Err(DeviceError::Garbled { .. }) => self.dialogue.ask(command, limit),
+            answer => answer,
+        };
+        match answer {
+            Ok((Reply { said: Said::Text(text), .. }, _)) if !text.is_empty() => Ok(Some(text)),
+            Ok(_) | Err(DeviceError::Silent { .. }) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+impl Condition {
+    /// It may be over in a moment: worth asking again.
+    fn passes(&self) -> bool {
+        matches!(self, Self::NotReady | Self::NotStable)
+    }
+}
+
+/// What a caller hears instead of a number.
+fn refusal(condition: Condition) -> DeviceError {
+    faulted(match condition {
+        Condition::Overload => "overload: take something off the pan".to_owned(),
+        Condition::Underload => "underload: is the pan in place and free?".to_owned(),
+        Condition::NotReady => "not ready: it may be adjusting itself, or a person uses its keys".to_owned(),
+        Condition::NotStable => "no stable reading: keep draughts and vibration away".to_owned(),
+        Condition::Unknown => "it does not know a command: is the dialect right?".to_owned(),
+        Condition::ForeignUnit(unit) => format!("it shows {unit}: set its unit to g or mg"),
+        Condition::Fault(words) => words,
+        Condition::Adjusting => {
+            let cause = "it adjusts itself: wait until it has ended, then tare again".to_owned();
+            return DeviceError::Forbidden { device: DEVICE, cause };
+        }
+    })
+}
+
+fn faulted(cause: String) -> DeviceError {
+    DeviceError::Faulted { device: DEVICE, cause }
+}
+
+fn garbled(raw: &[u8]) -> DeviceError {
+    DeviceError::Garbled { device: DEVICE, got: shown(raw) }
+}
+
+/// A limit from settings or a caller.
+fn seconds(limit_s: f64) -> Duration {
+    Duration::try_from_secs_f64(limit_s).unwrap_or(Duration::ZERO)
+}
+
+/// Equal but for the rounding of a setting that was written in decimal.
+fn is_same(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 1e-9 * b.abs()
+}
+
+fn maker(dialect: Dialect) -> &'static str {
+    match dialect {
+        Dialect::MtSics => "Mettler-Toledo or compatible",
+        Dialect::Ohaus => "Ohaus",
+        Dialect::Sbi => "Sartorius or compatible",
+        Dialect::Aandd => "A&D",
+    }
+}

@@ -1,0 +1,94 @@
+//! What a balance can say, whatever its dialect.
+
+use super::value::{Decimal, Unit};
+
+/// One line, understood.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reply {
+    /// Which command it answers, where the dialect says so: `S`, `T`, `I4`.
+    pub to: Option<String>,
+    /// What it says.
+    pub said: Said,
+}
+
+/// What one line says.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Said {
+    /// A mass on the display.
+    Weight(Weight),
+    /// A command was carried out.
+    Done,
+    /// The balance has no number to give, and why.
+    Condition(Condition),
+    /// Words: a name, a serial number, or a line that is printed for people.
+    Text(String),
+}
+
+/// A mass on the display.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Weight {
+    /// The number as shown.
+    pub number: Decimal,
+    /// Its unit; `None` where the dialect leaves the unit out while the mass is not stable.
+    pub unit: Option<Unit>,
+    /// The balance says that the mass is stable.
+    pub stable: bool,
+    /// Bytes of the line up to the number's last digit: the same in every undamaged frame of one balance.
+    pub width: usize,
+}
+
+/// Why there is no number.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Condition {
+    /// More on the pan than the balance can weigh.
+    Overload,
+    /// Less than nothing on the pan: it is lifted or not in place.
+    Underload,
+    /// Not now: the balance is busy with something.
+    NotReady,
+    /// The balance waited for a stable mass in vain.
+    NotStable,
+    /// An adjustment is running.
+    Adjusting,
+    /// The balance does not know the command, or cannot carry it out.
+    Unknown,
+    /// The display shows a unit that FLIP does not weigh in.
+    ForeignUnit(String),
+    /// A fault of its own, in its own words.
+    Fault(String),
+}
+
+/// A line that no frame of the dialect allows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("no frame of this dialect")]
+pub struct Unreadable;
+
+impl Reply {
+    pub(super) fn condition(condition: Condition) -> Self {
+        Self { to: None, said: Said::Condition(condition) }
+    }
+
+    pub(super) fn text(text: &str) -> Self {
+        Self { to: None, said: Said::Text(text.trim().to_owned()) }
+    }
+}
+
+/// A mass in this unit, or the refusal of a unit that FLIP does not know.
+pub(super) fn weight(number: Decimal, unit: &[u8], stable: bool, width: usize) -> Result<Said, Unreadable> {
+    if let Some(unit) = Unit::named(unit) {
+        return Ok(Said::Weight(Weight { number, unit: Some(unit), stable, width }));
+    }
+    let is_name = !unit.is_empty()
+        && unit.len() <= 5
+        && unit.iter().all(|byte| byte.is_ascii_alphabetic() || b"%/".contains(byte));
+    if !is_name {
+        return Err(Unreadable);
+    }
+    Ok(Said::Condition(Condition::ForeignUnit(String::from_utf8_lossy(unit).into_owned())))
+}
+
+/// The line as text if it is printable ASCII.
+pub(super) fn printable(line: &[u8]) -> Result<&str, Unreadable> {
+    let text = std::str::from_utf8(line).map_err(|_| Unreadable)?;
+    if text.bytes().all(|byte| (b' '..=b'~').contains(&byte)) { Ok(text) } else { Err(Unreadable) }
+}

@@ -1,0 +1,131 @@
+//! The file that says which devices make a bench, as TOML.
+//!
+//! ```toml
+//! [balance]
+//! dialect = "mt_sics"            # mt_sics, ohaus, sbi, aandd; `flip bench probe` finds it
+//! port = "/dev/ttyUSB0"          # or tcp://host:port
+//! readability_mg = 1.0
+//!
+//! [arm]
+//! url = "http://127.0.0.1:50061" # a driver process, proto/flip/bench/v1/arm.proto
+//!
+//! [gripper]                      # that holds the spoon; may be absent
+//! port = "/dev/ttyUSB1"
+//! ```
+
+use super::balance;
+use crate::domain::{FieldError, bounded};
+use serde::{Deserialize, Serialize};
+
+/// A bench.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BenchFile {
+    /// The balance.
+    pub balance: balance::Settings,
+    /// The arm.
+    pub arm: ArmAddress,
+    /// The gripper that holds the spoon, where FLIP can ask it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gripper: Option<PortAddress>,
+    /// The gate under the funnel.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gate: Option<PortAddress>,
+    /// How readings are taken.
+    #[serde(default)]
+    pub readings: Readings,
+}
+
+/// Where an arm's driver process listens.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ArmAddress {
+    /// `http://host:port`.
+    pub url: String,
+}
+
+/// Where a device is plugged in.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PortAddress {
+    /// A path.
+    pub port: String,
+}
+
+/// How readings are taken.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Readings {
+    /// Noise of one reading, mg: a display finer than this never stands still. Default 0.1.
+    pub noise_mg: f64,
+    /// Longest wait for a reading to settle while dosing, s. Default 6.
+    pub settle_max_s: f64,
+    /// Longest wait for the balance to stand still before and after a dose, s. Default 20.
+    pub stand_max_s: f64,
+}
+
+impl Default for Readings {
+    fn default() -> Self {
+        Self { noise_mg: 0.1, settle_max_s: 6.0, stand_max_s: 20.0 }
+    }
+}
+
+impl BenchFile {
+    /// Read the file's text.
+    ///
+    /// # Errors
+    /// What is wrong with it, by line or field.
+    pub fn parse(text: &str) -> Result<Self, FieldError> {
+        let file: Self = toml::from_str(text).map_err(|error| FieldError::new("bench file", error.to_string()))?;
+        file.checked()
+    }
+
+    fn checked(mut self) -> Result<Self, FieldError> {
+        let within =
+            |part: &'static str| move |e: FieldError| FieldError::new(format!("{part}.{}", e.field), e.message);
+        self.balance = self.balance.checked().map_err(within("balance"))?;
+        if !self.arm.url.starts_with("http://") {
+            return Err(FieldError::new("arm.url", "must be http://host:port of the arm's driver process"));
+        }
+        for (part, address) in [("gripper", &self.gripper), ("gate", &self.gate)] {
+            if address.as_ref().is_some_and(|it| it.port.trim().is_empty()) {
+                return Err(FieldError::new(format!("{part}.port"), "must be a path, as /dev/ttyUSB1"));
+            }
+        }
+        bounded("readings.noise_mg", self.readings.noise_mg, 0.0, 100.0, "mg")?;
+        bounded("readings.settle_max_s", self.readings.settle_max_s, 0.5, 60.0, "s")?;
+        bounded("readings.stand_max_s", self.readings.stand_max_s, 0.5, 120.0, "s")?;
+        Ok(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LEAST: &str =
+        "[balance]\ndialect = \"sbi\"\nport = \"/dev/ttyS0\"\n[arm]\nurl = \"http://127.0.0.1:50061\"\n";
+
+    #[test]
+    fn a_balance_and_an_arm_make_a_bench_and_it_is_written_as_it_is_read() {
+        let file = BenchFile::parse(LEAST).unwrap();
+        assert_eq!((file.balance.dialect, &file.gripper), (balance::Dialect::Sbi, &None));
+        assert_eq!(BenchFile::parse(&toml::to_string(&file).unwrap()).unwrap(), file);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for (text, named) in [
+            (LEAST.replace("sbi", "scales"), "scales"),
+            (LEAST.replace("http://", "tcp://"), "arm.url"),
+            (LEAST.replace("/dev/ttyS0", ""), "balance.port"),
+            (LEAST.replace("[arm]\nurl", "[arm]\nurll"), "urll"),
+            (format!("{LEAST}[gripper]\nport = \"\"\n"), "gripper.port"),
+            (format!("{LEAST}[readings]\nsettle_max_s = 0.0\n"), "readings.settle_max_s"),
+            (format!("{LEAST}[kettle]\n"), "kettle"),
+        ] {
+            let refused = BenchFile::parse(&text).unwrap_err().to_string();
+            assert!(refused.contains(named), "{refused}");
+        }
+    }
+}

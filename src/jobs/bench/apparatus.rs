@@ -1,0 +1,267 @@
+//! What moves when a weighing is carried out: the simulator itself, a laboratory that is emulated around it, or devices.
+
+use crate::domain::bench::{BenchKind, Tick};
+use crate::domain::bench_check::ShakeCalibration;
+use crate::domain::parameters::ParameterSet;
+use crate::domain::weighing::{MeasuredMass, Outcome};
+use crate::emulate::arm::GrainsSpoon;
+use crate::emulate::lab::{self, Laboratory};
+use crate::hardware::DeviceError;
+use crate::hardware::arm::Stopper;
+use crate::hardware::bench_file::BenchFile;
+use crate::hardware::clock::Clock;
+use crate::hardware::simulated::SimulatedBench;
+use crate::hardware::station::Station;
+use crate::hardware::wire::{Exchange, Tap};
+use crate::policy::{Controller, Rules};
+use crate::sim::{balance, dispense};
+use crate::weigh::{self, Accuracy, Event, Order, Settings, Weighed, weigh};
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Everything that one weighing needs.
+#[derive(Debug, Clone)]
+pub struct Pouring {
+    /// What is asked for.
+    pub order: Order,
+    /// What is known of the balance, and how accurate the mass must be.
+    pub accuracy: Accuracy,
+    /// Who decides what to do.
+    pub controller: Controller,
+    /// The frame that the controller was made for.
+    pub rules: Rules,
+    /// The simulated balance.
+    pub balance: balance::Settings,
+    /// The simulated spoon; its pitch range is that of the rules.
+    pub spoon: dispense::Settings,
+    /// The simulated powder on the bench.
+    pub set: ParameterSet,
+    /// What the arm makes of commanded shakes, if that was measured.
+    pub shakes: Option<ShakeCalibration>,
+    /// Seed of the simulated powder.
+    pub seed: u64,
+}
+
+impl Pouring {
+    /// Smallest net mass that may be weighed at the accuracy asked for, mg.
+    pub fn minimum_mg(&self) -> f64 {
+        let s = weigh::repeatability_mg(&self.accuracy, self.order.readability_mg);
+        weigh::minimum_weight_mg(s, self.accuracy.class_pct / 100.0)
+    }
+
+    fn powder(&self) -> dispense::Settings {
+        dispense::Settings { pitch: self.rules.pitch, ..self.spoon }
+    }
+}
+
+/// How a pour ended.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Poured {
+    /// Outcome.
+    pub outcome: Outcome,
+    /// True mass in the vial, mg; unknown on devices.
+    pub dispensed_mg: Option<f64>,
+    /// Last reading, mg.
+    pub reading_mg: f64,
+    /// What was measured beside it.
+    pub measured: Option<MeasuredMass>,
+    /// Shakes made.
+    pub shakes: u32,
+    /// Bench time, s.
+    pub seconds: f64,
+    /// What was done and read, in order.
+    pub ticks: Vec<Tick>,
+    /// Why it ended as it did, where that needs words.
+    pub error: Option<String>,
+    /// Why a person must look before anything moves again.
+    pub must_look: Option<String>,
+}
+
+/// One weighing on the bench: what to weigh, who hears of each event before the motion that follows and may forbid it, and the stop flag.
+/// On every way out the spoon is level and away, or a person must look.
+pub type Pour =
+    Arc<dyn Fn(&Pouring, &mut dyn FnMut(&Event<'_>) -> ControlFlow<()>, &AtomicBool) -> Poured + Send + Sync>;
+
+/// What the lane drives.
+#[derive(Clone)]
+pub struct Apparatus {
+    /// What it is made of.
+    pub kind: BenchKind,
+    /// One weighing.
+    pub pour: Pour,
+    /// Make the arm stand still at once, from any thread; returns when it was told.
+    pub halt: Arc<dyn Fn() + Send + Sync>,
+    /// What passed over the wires since this was last asked.
+    pub exchanges: Arc<dyn Fn() -> Vec<Exchange> + Send + Sync>,
+    /// Devices by role, as they said themselves when they were last open.
+    pub devices: Arc<dyn Fn() -> BTreeMap<String, String> + Send + Sync>,
+    /// Step of the balance's display, mg, where it is known beforehand.
+    pub readability_mg: Arc<dyn Fn() -> Option<f64> + Send + Sync>,
+}
+
+impl Apparatus {
+    /// What has no devices: the simulator, or a test's formula.
+    pub fn without_devices(pour: Pour) -> Self {
+        Self {
+            kind: BenchKind::Simulated,
+            pour,
+            halt: Arc::new(|| {}),
+            exchanges: Arc::new(Vec::new),
+            devices: Arc::new(BTreeMap::new),
+            readability_mg: Arc::new(|| None),
+        }
+    }
+}
+
+/// The closed loop on the simulator.
+pub fn simulated() -> Pour {
+    Arc::new(|pouring, on_event, stop| {
+        let mut bench = SimulatedBench::new(&pouring.set, &pouring.powder(), &pouring.balance, pouring.seed);
+        let settings = Settings { accuracy: pouring.accuracy, ..Settings::EPISODE };
+        let weighed = weigh(&mut bench, &pouring.controller, &pouring.rules, &pouring.order, &settings, on_event, stop);
+        poured(weighed, Some(bench.vial_mg()))
+    })
+}
+
+/// The closed loop on a laboratory that is emulated in this process, around the simulator; its time is virtual, so a dose is quick and always the same.
+pub fn emulated() -> Apparatus {
+    let settings = lab::Settings::default();
+    let wires = Wires::default();
+    let readability_mg = settings.balance.readability_mg;
+    let opened = wires.clone();
+    let pour: Pour = Arc::new(move |pouring, on_event, stop| {
+        let clock = Clock::standing();
+        let spoon = GrainsSpoon::new(&pouring.set, &pouring.powder(), pouring.seed);
+        let settings = lab::Settings {
+            balance: crate::emulate::balance::Settings { seed: pouring.seed, ..settings.balance.clone() },
+            ..settings.clone()
+        };
+        match Laboratory::start(settings, clock.clone(), Box::new(spoon)) {
+            Ok(laboratory) => {
+                let poured = on_devices(&opened, &laboratory.file(), clock, pouring, on_event, stop);
+                Poured { dispensed_mg: Some(laboratory.dispensed_mg()), ..poured }
+            }
+            Err(error) => not_begun(format!("the emulated laboratory cannot be set up: {error}")),
+        }
+    });
+    wires.apparatus(BenchKind::Emulated, pour, readability_mg)
+}
+
+/// The closed loop on the devices of this file.
+pub fn devices(file: BenchFile) -> Apparatus {
+    let wires = Wires::default();
+    let readability_mg = file.balance.readability_mg.unwrap_or(1.0);
+    let opened = wires.clone();
+    let pour: Pour =
+        Arc::new(move |pouring, on_event, stop| on_devices(&opened, &file, Clock::wall(), pouring, on_event, stop));
+    wires.apparatus(BenchKind::Devices, pour, readability_mg)
+}
+
+/// What outlives the weighing that opened the devices.
+#[derive(Clone, Default)]
+struct Wires {
+    exchanges: Arc<Mutex<Vec<Exchange>>>,
+    stopper: Arc<Mutex<Option<Stopper>>>,
+    devices: Arc<Mutex<BTreeMap<String, String>>>,
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Wires {
+    fn tap(&self) -> Tap {
+        let exchanges = self.exchanges.clone();
+        Tap::new(move |exchange| locked(&exchanges).push(exchange))
+    }
+
+    fn apparatus(self, kind: BenchKind, pour: Pour, readability_mg: f64) -> Apparatus {
+        let Self { exchanges, stopper, devices } = self;
+        let halt = move || {
+            let stopper = locked(&stopper).clone();
+            if let Some(Err(error)) = stopper.map(|stopper| stopper.stop("stop was pressed")) {
+                tracing::error!(%error, "the arm could not be told to stop: its dead-man acts");
+            }
+        };
+        Apparatus {
+            kind,
+            pour,
+            halt: Arc::new(halt),
+            exchanges: Arc::new(move || std::mem::take(&mut *locked(&exchanges))),
+            devices: Arc::new(move || locked(&devices).clone()),
+            readability_mg: Arc::new(move || Some(readability_mg)),
+        }
+    }
+}
+
+/// Open the devices, weigh, close them.
+fn on_devices(
+    wires: &Wires,
+    file: &BenchFile,
+    clock: Clock,
+    pouring: &Pouring,
+    on_event: &mut dyn FnMut(&Event<'_>) -> ControlFlow<()>,
+    stop: &AtomicBool,
+) -> Poured {
+    let opened = Station::open(file, pouring.shakes.clone(), clock, &wires.tap()).and_then(|mut station| {
+        *locked(&wires.devices) = station.devices()?;
+        *locked(&wires.stopper) = Some(station.stopper()?);
+        Ok(station)
+    });
+    let mut station = match opened {
+        Ok(station) => station,
+        Err(error) => return refused(error),
+    };
+    let settings = Settings { accuracy: pouring.accuracy, ..Settings::BENCH };
+    let weighed = weigh(&mut station, &pouring.controller, &pouring.rules, &pouring.order, &settings, on_event, stop);
+    *locked(&wires.stopper) = None;
+    poured(weighed, None)
+}
+
+/// The devices could not be opened: nothing moved.
+fn refused(error: DeviceError) -> Poured {
+    not_begun(error.to_string())
+}
+
+fn not_begun(cause: String) -> Poured {
+    Poured {
+        outcome: Outcome::Aborted,
+        dispensed_mg: None,
+        reading_mg: 0.0,
+        measured: None,
+        shakes: 0,
+        seconds: 0.0,
+        ticks: Vec::new(),
+        error: Some(cause),
+        must_look: None,
+    }
+}
+
+fn poured(weighed: Weighed, dispensed_mg: Option<f64>) -> Poured {
+    let measured = MeasuredMass {
+        tare_mg: weighed.tare_mg,
+        gross_mg: weighed.gross_mg,
+        net_mg: weighed.reading_mg,
+        uncertainty_mg: weighed.uncertainty_mg,
+        stable_by_balance: weighed.stable_by_flag.unwrap_or(false),
+        stable_by_window: weighed.stable_by_window.unwrap_or(false),
+        drift_before_mg_min: weighed.drift_before_mg_min,
+        drift_after_mg_min: weighed.drift_after_mg_min,
+        in_flight_mg: weighed.in_flight_mg,
+        ..MeasuredMass::default()
+    };
+    let must_look = weighed.must_look.then(|| weighed.cause.clone().unwrap_or_else(|| "a device failed".to_owned()));
+    Poured {
+        outcome: weighed.outcome,
+        dispensed_mg,
+        reading_mg: weighed.reading_mg,
+        measured: weighed.stable_by_flag.map(|_| measured),
+        shakes: weighed.shakes,
+        seconds: weighed.seconds,
+        ticks: weighed.ticks,
+        error: weighed.cause,
+        must_look,
+    }
+}

@@ -1,0 +1,154 @@
+use super::*;
+use proptest::prelude::*;
+
+fn limits() -> Limits {
+    Limits::new(PitchLimits::PAPER, 10)
+}
+
+fn careful() -> Limits {
+    Limits { forecast: Some(Forecast::GENERIC), ..limits() }
+}
+
+fn reading(mass_mg: f64) -> Reading {
+    Reading { mass_mg, stable: true }
+}
+
+fn seen(falls: &[Fall]) -> Situation<'_> {
+    Situation {
+        target_mg: 15.0,
+        tolerance_upper_mg: 1.0,
+        steps: 3,
+        seconds: 20.0,
+        moved_s: 19.0,
+        read_s: 20.0,
+        pitch_deg: 30.0,
+        before: reading(4.0),
+        now: reading(6.0),
+        shaken: true,
+        falls,
+    }
+}
+
+fn action(incline_change_deg: f64, shake_mm: f64) -> Action {
+    Action { incline_change_deg, shake_mm }
+}
+
+fn fall(pitch_deg: f64, shake_mm: f64, mass_mg: f64) -> Fall {
+    Fall { pitch_deg, shake_mm, mass_mg }
+}
+
+#[test]
+fn a_proposal_is_cut_to_the_bounds_of_action_and_spoon() {
+    for (proposed, allowed, cut) in [
+        (action(4.0, 8.0), action(4.0, 8.0), None),
+        (action(90.0, 8.0), action(6.0, 8.0), Some(Cut::Bounds)),
+        (action(-90.0, -5.0), action(-8.0, 0.0), Some(Cut::Bounds)),
+        (action(0.0, 1e9), action(0.0, 16.0), Some(Cut::Bounds)),
+    ] {
+        assert_eq!(guard(&limits(), &seen(&[]), proposed), Ok(Allowed { action: allowed, cut }));
+    }
+}
+
+#[test]
+fn nothing_moves_when_something_is_wrong_or_enough_is_in_the_vial() {
+    let at = |change: fn(&mut Situation<'_>)| {
+        let mut situation = seen(&[]);
+        change(&mut situation);
+        let limits = Limits { seconds_max: 600.0, ..limits() };
+        guard(&limits, &situation, action(1.0, 5.0)).unwrap_err()
+    };
+    assert_eq!(at(|s| s.now.mass_mg = 15.0), Halt::TargetReached);
+    assert_eq!(at(|s| s.now.mass_mg = 40.0), Halt::TargetReached);
+    assert_eq!(at(|s| s.steps = 10), Halt::StepsSpent);
+    assert_eq!(at(|s| s.seconds = 600.0), Halt::TimeSpent);
+    assert_eq!(at(|s| s.now.stable = false), Halt::NotStable);
+    assert_eq!(at(|s| s.now.mass_mg = f64::NAN), Halt::NotANumber);
+    assert_eq!(at(|s| s.pitch_deg = f64::INFINITY), Halt::NotANumber);
+    assert_eq!(at(|s| s.read_s = 18.9), Halt::Stale);
+    assert_eq!(at(|s| s.now.mass_mg = 0.0), Halt::VialMoved { fell_mg: 4.0 });
+    assert_eq!(at(|s| (s.shaken, s.now.mass_mg) = (false, 8.0)), Halt::Rose { rose_mg: 4.0 });
+    assert_eq!(guard(&limits(), &seen(&[]), action(f64::NAN, 5.0)), Err(Halt::NotAnAction));
+    assert_eq!(guard(&limits(), &seen(&[]), action(1.0, f64::INFINITY)), Err(Halt::NotAnAction));
+}
+
+#[test]
+fn a_small_rise_without_a_shake_is_dust_and_a_large_one_with_a_shake_is_powder() {
+    let dust = Situation { shaken: false, now: reading(7.0), ..seen(&[]) };
+    let powder = Situation { now: reading(14.0), ..seen(&[]) };
+    assert!([dust, powder].iter().all(|seen| guard(&limits(), seen, action(1.0, 5.0)).is_ok()));
+}
+
+#[test]
+fn what_is_wrong_with_the_reading_counts_before_a_target_that_is_reached() {
+    let lifted = Situation { before: reading(50.0), now: reading(20.0), ..seen(&[]) };
+    assert_eq!(guard(&limits(), &lifted, action(1.0, 5.0)), Err(Halt::VialMoved { fell_mg: 30.0 }));
+    let draught = Situation { shaken: false, now: reading(40.0), ..seen(&[]) };
+    assert_eq!(guard(&limits(), &draught, action(1.0, 5.0)), Err(Halt::Rose { rose_mg: 36.0 }));
+}
+
+#[test]
+fn a_spoon_is_blocked_when_full_shakes_at_the_end_of_the_pitch_give_nothing() {
+    let dry = fall(36.0, 16.0, 0.0);
+    for (falls, is_blocked) in [
+        (vec![dry, dry, dry], true),
+        (vec![fall(36.0, 16.0, 3.0), dry, dry, dry], true),
+        (vec![dry, dry], false),
+        (vec![dry, dry, fall(36.0, 16.0, 1.0)], false),
+        (vec![dry, dry, fall(36.0, 12.0, 0.0)], false),
+        (vec![dry, dry, fall(30.0, 16.0, 0.0)], false),
+    ] {
+        let found = guard(&limits(), &seen(&falls), action(0.0, 16.0));
+        assert_eq!(found == Err(Halt::Blocked { shakes: 3 }), is_blocked, "{falls:?}");
+    }
+}
+
+#[test]
+fn what_might_let_too_much_fall_is_made_gentler_then_lower_then_ends_the_dose() {
+    // The room is 10 mg; spoons that gave little, much, and ever more at 30 deg.
+    let calm = [fall(28.0, 2.0, 1.0), fall(30.0, 2.0, 1.0), fall(30.0, 2.0, 1.0)];
+    let proposed = action(2.0, 2.0);
+    assert_eq!(guard(&careful(), &seen(&calm), proposed), Ok(Allowed { action: proposed, cut: None }));
+    let hard = guard(&careful(), &seen(&calm), action(2.0, 16.0)).unwrap();
+    assert!(hard.action.incline_change_deg == 2.0 && hard.action.shake_mm < 16.0, "{hard:?}");
+    assert!(matches!(hard.cut, Some(Cut::Gentler { upper_mg, room_mg }) if upper_mg > room_mg && room_mg == 10.0));
+
+    let near = Situation { before: reading(13.0), now: reading(14.0), ..seen(&calm) };
+    let lower = guard(&careful(), &near, proposed).unwrap().action;
+    assert!(lower.incline_change_deg < 2.0 && lower.shake_mm == SHAKE_MM_MIN, "{lower:?}");
+
+    let wild = [fall(28.0, 0.9, 6.0), fall(30.0, 0.9, 9.0), fall(30.0, 0.9, 12.0)];
+    let halt = guard(&careful(), &Situation { before: reading(13.0), now: reading(14.0), ..seen(&wild) }, proposed)
+        .unwrap_err();
+    assert!(matches!(halt, Halt::NoRoom { upper_mg, room_mg: 2.0 } if upper_mg > 2.0) && halt.is_expected());
+}
+
+#[test]
+fn an_incline_without_a_shake_needs_no_room() {
+    let wild = [fall(30.0, 0.9, 12.0); 3];
+    let near = Situation { before: reading(13.0), now: reading(14.0), ..seen(&wild) };
+    assert!(guard(&careful(), &near, action(-8.0, 0.0)).is_ok());
+}
+
+prop_compose! {
+    fn any_falls()(falls in prop::collection::vec((-10.0..36.0, 0.9..16.0, -1.0..40.0), 0..12)) -> Vec<Fall> {
+        falls.into_iter().map(|(pitch_deg, shake_mm, mass_mg)| fall(pitch_deg, shake_mm, mass_mg)).collect()
+    }
+}
+
+proptest! {
+    #[test]
+    fn whatever_was_read_and_proposed_the_action_is_within_bounds_and_its_forecast_within_the_room(
+        falls in any_falls(), pitch_deg in -10.0..36.0, now_mg in 0.0..30.0, change in -20.0..20.0, shake_mm in -1.0..30.0, readability_mg in 0.1..1.0,
+    ) {
+        let limits = Limits { readability_mg, ..careful() };
+        let seen = Situation { pitch_deg, before: reading(now_mg), now: reading(now_mg), ..seen(&falls) };
+        if let Ok(Allowed { action, cut }) = guard(&limits, &seen, action(change, shake_mm)) {
+            let pitch_deg = pitch_deg + action.incline_change_deg;
+            prop_assert!((-10.0 - 1e-9..=36.0 + 1e-9).contains(&pitch_deg) && action.incline_change_deg.abs() <= 8.0 + 1e-9);
+            prop_assert!((0.0..=16.0).contains(&action.shake_mm) && action.shake_mm <= shake_mm.max(SHAKE_MM_MIN));
+            let upper_mg = Forecast::GENERIC.upper_mg(&falls, readability_mg, pitch_deg, action.executed_shake_mm());
+            prop_assert!(now_mg + upper_mg <= 16.0 + 1e-6, "{upper_mg} mg on {now_mg} mg");
+            prop_assert!(cut.is_some() || action.shake_mm == shake_mm);
+        }
+    }
+}
