@@ -52,6 +52,7 @@ fn main() -> anyhow::Result<()> {
     println!("| estimator | AoR deg | refused | bias deg | SD deg | stated u deg | of it frames deg | within 2 u % |");
     println!("|---|---|---|---|---|---|---|---|");
     let (mut seconds, mut measured) = (0.0, 0);
+    let mut refusals = Vec::new();
     let mut rows = vec![Vec::new(); ESTIMATORS.len()];
     for deg in ANGLES_DEG {
         let mut found = vec![Vec::new(); ESTIMATORS.len()];
@@ -67,12 +68,12 @@ fn main() -> anyhow::Result<()> {
         }
         for ((estimator, found), row) in ESTIMATORS.iter().zip(&found).zip(&mut rows) {
             row.push(line(estimator.name, &format!("{deg}"), found));
-            row.extend(
-                found.iter().filter_map(|r| r.as_ref().err()).map(|refusal| format!("<!-- {deg}: {refusal} -->")),
-            );
+            let refused = found.iter().filter_map(|result| result.as_ref().err());
+            refusals.extend(refused.map(|refusal| format!("{}, {deg} deg: {refusal}", estimator.name)));
         }
     }
     rows.iter().flatten().for_each(|row| println!("{row}"));
+    refusals.iter().for_each(|refusal| println!("\nrefused: {refusal}"));
     println!("\n{:.3} s for a measurement of {FRAMES} frames, mean of {measured}", seconds / f64::from(measured));
     Ok(())
 }

@@ -5,6 +5,7 @@ pub mod domain;
 pub mod sim;
 pub mod stats;
 
+pub mod pile;
 pub mod policy;
 
 pub mod calibrate;

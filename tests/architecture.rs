@@ -4,13 +4,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Module, and the modules it may name. A module may always name itself.
-const ARROWS: [(&str, &[&str]); 16] = [
+const ARROWS: [(&str, &[&str]); 17] = [
     ("domain", &[]),
     ("stats", &[]),
     ("sim", &["domain"]),
     ("policy", &["domain", "stats"]),
     ("hardware", &["domain"]),
-    ("emulate", &["domain", "sim", "hardware"]),
+    ("emulate", &["domain", "stats", "sim", "hardware"]),
+    ("pile", &["domain", "stats", "hardware"]),
     ("calibrate", &["domain", "stats"]),
     ("discover", &["domain", "stats"]),
     ("train", &["domain", "sim", "policy", "stats"]),

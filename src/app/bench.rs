@@ -4,7 +4,7 @@ use super::check::Check;
 use super::{App, Error, Result};
 use crate::domain::FieldError;
 use crate::domain::bench::BenchKind;
-use crate::domain::bench_check::{CheckKind, Repeatability};
+use crate::domain::bench_check::{CheckKind, Repeatability, ShakeCalibration};
 use crate::store::audit::{AuditRecord, AuditVerification};
 use crate::store::bench::Latch;
 use crate::store::now;
@@ -104,6 +104,10 @@ impl App {
         }
         check.done()?;
         let jobs = self.jobs_or_refuse()?;
+        if self.store().latch().await?.is_some() {
+            // Before the latch is gone: a bench whose arm cannot move must not look free.
+            jobs.bench().recover(by).await.map_err(|error| Error::conflict("arm_not_recovered", error.to_string()))?;
+        }
         let mut tx = self.store().write().await?;
         if tx.clear_latch(by, &request.note, now()).await?.is_none() {
             return Err(Error::conflict("bench_not_latched", "the bench is not latched: there is nothing to clear"));
@@ -124,11 +128,32 @@ impl App {
             return Err(FieldError::new("readability_mg", advice).into());
         }
         let found = Repeatability::of(readings_mg, readability_mg)?;
+        self.keep_check(CheckKind::Repeatability, &found).await?;
+        Ok(found)
+    }
+
+    /// Keep what the arm makes of commanded shakes; weighings command accordingly from now on.
+    ///
+    /// # Errors
+    /// `Unavailable` when opened to read.
+    pub async fn keep_shakes(&self, found: &ShakeCalibration) -> Result<()> {
+        self.keep_check(CheckKind::Shakes, found).await
+    }
+
+    /// Keep a dry test of the devices, whatever it found.
+    ///
+    /// # Errors
+    /// `Unavailable` when opened to read.
+    pub async fn keep_conformance(&self, found: &impl Serialize) -> Result<()> {
+        self.keep_check(CheckKind::Conformance, found).await
+    }
+
+    async fn keep_check(&self, kind: CheckKind, found: &impl Serialize) -> Result<()> {
         self.jobs_or_refuse()?;
         let mut tx = self.store().write().await?;
-        tx.insert_check(CheckKind::Repeatability, &found, now()).await?;
+        tx.insert_check(kind, found, now()).await?;
         tx.commit().await?;
-        Ok(found)
+        Ok(())
     }
 
     /// Records of the audit trail, newest first; of one weighing when named.

@@ -142,7 +142,7 @@ impl Fingers {
             follows: false,
             fault: 0,
             requested: 0,
-            motion: Motion::standing(OPEN_AT),
+            motion: Motion { per_second: 60.0, ..Motion::standing(OPEN_AT) },
         })))
     }
 
@@ -153,8 +153,7 @@ impl Fingers {
             let mut body = fingers.locked();
             (body.spoon, body.is_active, body.follows) = (Spoon::Held, true, true);
             body.requested = 255;
-            body.motion = Motion::standing(SPOON_AT);
-            body.motion.to = SPOON_AT;
+            body.motion = Motion { per_second: 60.0, ..Motion::standing(SPOON_AT) };
         }
         fingers
     }

@@ -5,6 +5,7 @@
 
 pub mod arm;
 pub mod balance;
+pub mod camera;
 pub mod gate;
 pub mod gripper;
 pub mod lab;

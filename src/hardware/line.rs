@@ -100,7 +100,7 @@ impl Line {
                 return Ok(line);
             }
             if self.partial.len() > LINE_BYTES_MAX {
-                let got = shown(&std::mem::take(&mut self.partial)[..64]);
+                let got = shown(&self.forget()[..64]);
                 return Err(DeviceError::Garbled { device: self.device, got });
             }
             if Instant::now() >= until {
@@ -115,17 +115,22 @@ impl Line {
     /// # Errors
     /// [`DeviceError::Lost`]
     pub fn discard_input(&mut self) -> Result<usize, DeviceError> {
-        let mut forgotten = std::mem::take(&mut self.partial);
-        while self.look()? > 0 {
-            forgotten.append(&mut self.partial);
-            if forgotten.len() > 64 * LINE_BYTES_MAX {
-                break;
-            }
+        let mut seen = self.look();
+        while matches!(seen, Ok(1..)) && self.partial.len() <= 64 * LINE_BYTES_MAX {
+            seen = self.look();
         }
+        // What came before the connection broke is on record too.
+        let forgotten = self.forget().len();
+        seen.map(|_| forgotten)
+    }
+
+    /// Give up what came and ends no line; it is on record.
+    fn forget(&mut self) -> Vec<u8> {
+        let forgotten = std::mem::take(&mut self.partial);
         if !forgotten.is_empty() {
             self.tap.received(self.device, shown(&forgotten));
         }
-        Ok(forgotten.len())
+        forgotten
     }
 
     fn take_line(&mut self) -> Option<Vec<u8>> {
@@ -155,6 +160,12 @@ impl Line {
             }
             Err(error) => Err(DeviceError::Lost { device: self.device, cause: error.to_string() }),
         }
+    }
+}
+
+impl Drop for Line {
+    fn drop(&mut self) {
+        self.forget();
     }
 }
 

@@ -3,11 +3,14 @@
 pub mod arm;
 pub mod balance;
 pub mod bench_file;
+pub mod camera;
 pub mod clock;
+pub mod conformance;
 pub mod gate;
 pub mod gripper;
 pub mod line;
 pub mod settle;
+pub mod shake_calibration;
 pub mod simulated;
 pub mod station;
 pub mod waypoints;

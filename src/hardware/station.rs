@@ -4,7 +4,7 @@ use super::arm::{Arm, Deadlines, Stopper};
 use super::balance::{Balance, Sample};
 use super::bench_file::{BenchFile, Readings};
 use super::clock::Clock;
-use super::gripper::Gripper;
+use super::gripper::{Gripper, fault_words};
 use super::settle::{Settling, Shown, settled, standing};
 use super::wire::Tap;
 use super::{Bench, DeviceError};
@@ -16,6 +16,8 @@ use std::collections::BTreeMap;
 const ASK_EVERY_S: f64 = 0.05;
 /// A pitch this near is where the spoon is, degrees.
 const PITCH_DEG_MIN: f64 = 1e-6;
+/// A vial may weigh this much less than the one that was tared before, mg.
+const LIGHTER_MG_MAX: f64 = 2000.0;
 /// Largest step of a display that is weighed by, mg, where the file does not say.
 const STEP_MG_DEFAULT: f64 = 1.0;
 
@@ -47,9 +49,23 @@ impl Station {
         clock: Clock,
         tap: &Tap,
     ) -> Result<Self, DeviceError> {
+        Self::open_within(Deadlines::default(), file, shakes, clock, tap)
+    }
+
+    /// The same with other deadlines for the arm: for benches whose motions take their time, and for emulated ones, whose motions take none.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn open_within(
+        deadlines: Deadlines,
+        file: &BenchFile,
+        shakes: Option<ShakeCalibration>,
+        clock: Clock,
+        tap: &Tap,
+    ) -> Result<Self, DeviceError> {
         let balance = Balance::open(&file.balance, tap.clone(), clock.clone())?;
         let mut gripper = file.gripper.as_ref().map(|it| Gripper::open(&it.port, tap.clone())).transpose()?;
-        let mut arm = Arm::connect(&file.arm.url, tap.clone(), Deadlines::default())?;
+        let mut arm = Arm::connect(&file.arm.url, tap.clone(), deadlines)?;
         if let Some(gripper) = &mut gripper {
             require_spoon(gripper)?;
         }
@@ -118,7 +134,12 @@ impl Station {
 }
 
 fn require_spoon(gripper: &mut Gripper) -> Result<(), DeviceError> {
-    match gripper.holds_spoon()? {
+    let status = gripper.status()?;
+    if status.fault != 0 {
+        let cause = format!("fault {}: {}", status.fault, fault_words(status.fault));
+        return Err(DeviceError::Faulted { device: "the gripper", cause });
+    }
+    match status.holds() {
         true => Ok(()),
         false => Err(DeviceError::Forbidden {
             device: "the gripper",
@@ -141,6 +162,10 @@ impl Bench for Station {
 
     fn tare(&mut self) -> Result<Tare, DeviceError> {
         let vial = self.balance.stable(self.readings.stand_max_s)?;
+        if vial.mass_mg < -LIGHTER_MG_MAX {
+            let cause = format!("it shows {} mg less than when it was tared: is a vial on it?", -vial.mass_mg);
+            return Err(DeviceError::Forbidden { device: "the balance", cause });
+        }
         self.balance.tare()?;
         self.moved();
         Ok(Tare { tare_mg: Some(vial.mass_mg) })
@@ -150,8 +175,10 @@ impl Bench for Station {
         let settling = self.settling;
         let shown = self.watch(self.readings.settle_max_s, |shown| settled(&settling, shown).is_some())?;
         let last = shown.last().ok_or(DeviceError::Silent { device: "the balance" })?;
-        // Our own criterion, or the balance's flag where it came first.
-        let stable = settled(&settling, &shown).is_some() || last.flag;
+        // Our own criterion, or the balance's flag if the reading before agrees.
+        let before = shown.len().checked_sub(2).map(|k| shown[k].mass_mg);
+        let agrees = before.is_some_and(|mass_mg| (mass_mg - last.mass_mg).abs() <= settling.step_mg + 1e-9);
+        let stable = settled(&settling, &shown).is_some() || (last.flag && agrees);
         Ok(Reading { mass_mg: last.mass_mg, stable })
     }
 
@@ -171,6 +198,9 @@ impl Bench for Station {
     }
 
     fn act(&mut self, action: Action) -> Result<(), DeviceError> {
+        if let Some(gripper) = &mut self.gripper {
+            require_spoon(gripper)?;
+        }
         let pitch_deg = self.pitch_deg + action.incline_change_deg;
         if action.incline_change_deg.abs() > PITCH_DEG_MIN {
             self.pitch_deg = self.arm.pitch(pitch_deg)?.pitch_deg;

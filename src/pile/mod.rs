@@ -150,7 +150,9 @@ impl Pile<'_> {
         let points = self.points();
         self.is_quiet(limits)?;
         let rough = flank::height(&points, axis, self.rig)?;
-        let slope = flank::flank(&points, axis, rough, self.rig)?.1.parameters[1];
+        // A flank without depth is refused as such, not for its shape.
+        let no_depth = |none| self.invalid_share(limits, rough).err().unwrap_or(none);
+        let slope = flank::flank(&points, axis, rough, self.rig).map_err(no_depth)?.1.parameters[1];
         let apex = flank::apex(&points, axis, rough, slope, self.rig)?;
         let [x, y, top] = apex.at();
         let off_centre_mm = (x - axis[0]).hypot(y - axis[1]);

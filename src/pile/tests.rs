@@ -134,7 +134,8 @@ fn a_heap_of_grains_can_be_photographed() {
         }
     }
     let heap = Scene::of(Surface::Heap(Heap::of_grains(&centres, grain)));
-    let found = measured(&heap, &Rig::default()).unwrap();
+    let taken = frames(&heap, &Pose::default(), &Optics::default(), &Noise::default(), 1, 10);
+    let found = measure(&taken, &Rig::default(), &Limits::default()).unwrap();
     assert!((found.cone.deg - 35.0).abs() < 0.5, "{found:?}");
     // The upper sides lie up to half a grain over the centres, 0.25 mm or 0.3 deg.
     assert!((found.tip.deg - 35.2).abs() < 1.0, "{found:?}");

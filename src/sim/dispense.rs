@@ -10,6 +10,7 @@ use super::mechanisms::{Extensions, Site};
 use super::snapshot::Camera;
 use super::walls::{Bowl, Shape};
 use crate::domain::bench::{Action, PitchLimits};
+use crate::domain::bench_check::ShakeCalibration;
 use crate::domain::motion::{MotionLimits, Move};
 use crate::domain::parameters::ParameterSet;
 use crate::domain::seed::derive;
@@ -66,6 +67,33 @@ impl Default for Settings {
             settle_max_s: 0.5,
             extensions: Extensions::default(),
         }
+    }
+}
+
+impl Settings {
+    /// The same spoon on an arm whose executed shakes were measured: a shake has the largest speed that was measured for its executed amplitude.
+    ///
+    /// ```text
+    /// s = sum(peak top) / sum(top^2)       top: of the move over the executed amplitude within the present limits
+    /// v <- s v,  a <- s^2 a,  j <- s^3 j   the same move, 1/s times as long
+    /// ```
+    ///
+    /// Differs: one factor for all amplitudes; an arm with other ratios of its limits is met on average.
+    #[must_use]
+    pub fn as_executed(self, calibration: &ShakeCalibration) -> Self {
+        let limits = self.shake;
+        let top_m_s = |executed_mm: f64| Move::new(executed_mm.max(0.0) * 1e-3, limits).top_m_s();
+        let pairs = calibration.shakes.iter().map(|it| (top_m_s(it.executed_mm), it.peak_mm_s * 1e-3));
+        let (both, squares) =
+            pairs.fold((0.0, 0.0), |(both, squares), (top, peak)| (both + peak * top, squares + top * top));
+        // Shakes that were not executed say nothing about speed.
+        let s = if both > 0.0 && squares > 0.0 { both / squares } else { 1.0 };
+        let shake = MotionLimits {
+            velocity_m_s: s * limits.velocity_m_s,
+            acceleration_m_s2: s * s * limits.acceleration_m_s2,
+            jerk_m_s3: s * s * s * limits.jerk_m_s3,
+        };
+        Self { shake, ..self }
     }
 }
 
@@ -328,4 +356,30 @@ impl Dispenser {
 /// What the grains of a full spoon of this powder weigh, mg: more than this cannot be dosed.
 pub fn capacity_mg(set: &ParameterSet, settings: &Settings) -> f64 {
     f64::from(settings.particles) * set.particle_mass_ug() / 1000.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::domain::bench_check::ExecutedShake;
+
+    #[test]
+    fn a_shake_has_the_speed_that_was_measured_for_its_amplitude() {
+        let usual = Settings::default();
+        let top_mm_s = |mm: f64, of| 1e3 * Move::new(mm * 1e-3, of).top_m_s();
+        let executed = |commanded_mm: f64| {
+            let executed_mm = 0.94 * commanded_mm - 0.1;
+            let (planned_mm_s, peak_mm_s) =
+                (top_mm_s(commanded_mm, usual.shake), 0.6 * top_mm_s(executed_mm, usual.shake));
+            ExecutedShake { commanded_mm, executed_mm, planned_mm_s, peak_mm_s }
+        };
+        let calibration = ShakeCalibration::of([2.0, 4.0, 8.0, 16.0].map(executed).to_vec()).unwrap();
+        let found = usual.as_executed(&calibration);
+        for shake in &calibration.shakes {
+            assert!((top_mm_s(shake.executed_mm, found.shake) / shake.peak_mm_s - 1.0).abs() < 1e-9, "{shake:?}");
+        }
+        assert_eq!(Settings { shake: usual.shake, ..found }, usual);
+        let still = calibration.shakes.iter().map(|it| ExecutedShake { peak_mm_s: 0.0, ..*it }).collect();
+        assert_eq!(usual.as_executed(&ShakeCalibration::of(still).unwrap()), usual);
+    }
 }

@@ -32,6 +32,9 @@ pub struct Limits {
     pub rise_mg_max: f64,
     /// So many full shakes in a row at the end of the pitch that give nothing are a blocked spoon. Default 3.
     pub blocked_shakes: usize,
+    /// So many shakes that should give at least as much as the last one that gave something, and give nothing, are a blocked spoon or a balance that
+    /// stands still. Default 8: the gentlest shakes of a dose's end may take five for a step of the display.
+    pub deaf_shakes: usize,
     /// Step of the balance's display, mg.
     pub readability_mg: f64,
     /// What the next shake may let fall; none: it is not asked.
@@ -44,7 +47,7 @@ impl Limits {
 
     /// The same for an episode, which goes on to its end whatever the spoon does.
     pub fn lenient(self) -> Self {
-        Self { rise_mg_max: f64::INFINITY, blocked_shakes: usize::MAX, ..self }
+        Self { rise_mg_max: f64::INFINITY, blocked_shakes: usize::MAX, deaf_shakes: usize::MAX, ..self }
     }
 
     /// Limits of a weighing within this frame.
@@ -56,6 +59,7 @@ impl Limits {
             fall_mg_max: Self::FALL_MG_MAX,
             rise_mg_max: 3.0,
             blocked_shakes: 3,
+            deaf_shakes: 8,
             readability_mg: 1.0,
             forecast: None,
         }
@@ -142,6 +146,14 @@ pub enum Halt {
         /// How many.
         shakes: usize,
     },
+    /// What gave something gives nothing any more.
+    #[error(
+        "{shakes} shakes that should have given something gave nothing: the spoon is empty or blocked, or the balance stands still"
+    )]
+    Deaf {
+        /// How many.
+        shakes: usize,
+    },
     /// The reading is not stable.
     #[error("the balance gives no stable reading: keep draughts and vibration away and tare again")]
     NotStable,
@@ -198,6 +210,9 @@ pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<
     if is_blocked(limits, seen.falls) {
         return Err(Halt::Blocked { shakes: limits.blocked_shakes });
     }
+    if is_deaf(limits, seen.falls) {
+        return Err(Halt::Deaf { shakes: limits.deaf_shakes });
+    }
     if !proposed.incline_change_deg.is_finite() || !proposed.shake_mm.is_finite() {
         return Err(Halt::NotAnAction);
     }
@@ -238,6 +253,16 @@ fn is_blocked(limits: &Limits, falls: &[Fall]) -> bool {
             && fall.mass_mg < limits.readability_mg - 1e-9
     };
     limits.blocked_shakes > 0 && falls[first..].iter().all(gave_nothing)
+}
+
+/// Since something last fell, many shakes at no lower a pitch and no smaller an amplitude gave nothing.
+fn is_deaf(limits: &Limits, falls: &[Fall]) -> bool {
+    let gave = |fall: &Fall| fall.mass_mg > limits.readability_mg - 1e-9;
+    let Some(last) = falls.iter().rposition(gave) else { return false };
+    let should_give = |fall: &&Fall| {
+        fall.pitch_deg > falls[last].pitch_deg - AT_THE_END_DEG && fall.shake_mm >= FULL * falls[last].shake_mm
+    };
+    falls[last + 1..].iter().filter(should_give).count() >= limits.deaf_shakes
 }
 
 fn bounded(limits: &Limits, pitch_deg: f64, proposed: Action) -> Action {

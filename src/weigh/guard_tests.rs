@@ -123,6 +123,25 @@ fn what_might_let_too_much_fall_is_made_gentler_then_lower_then_ends_the_dose() 
 }
 
 #[test]
+fn shakes_that_should_give_and_do_not_end_a_dose_after_something_has_fallen() {
+    let limits = Limits::new(PitchLimits::PAPER, 30);
+    let silent = |n: usize, pitch_deg: f64, shake_mm: f64| vec![fall(pitch_deg, shake_mm, 0.0); n];
+    for (falls, expected) in [
+        (silent(12, 20.0, 4.0), false),
+        ([vec![fall(20.0, 4.0, 2.0)], silent(7, 20.0, 4.0)].concat(), false),
+        ([vec![fall(20.0, 4.0, 2.0)], silent(8, 20.0, 4.0)].concat(), true),
+        // Gentler ones, or at a lower pitch, may well give nothing.
+        ([vec![fall(20.0, 4.0, 2.0)], silent(12, 20.0, 2.0)].concat(), false),
+        ([vec![fall(20.0, 4.0, 2.0)], silent(12, 16.0, 4.0)].concat(), false),
+        ([vec![fall(20.0, 4.0, 2.0)], silent(8, 20.0, 4.0), vec![fall(24.0, 4.0, 1.0)]].concat(), false),
+    ] {
+        let situation = Situation { steps: 20, ..seen(&falls) };
+        let halted = matches!(guard(&limits, &situation, action(0.0, 4.0)), Err(Halt::Deaf { .. }));
+        assert_eq!(halted, expected, "{falls:?}");
+    }
+}
+
+#[test]
 fn an_incline_without_a_shake_needs_no_room() {
     let wild = [fall(30.0, 0.9, 12.0); 3];
     let near = Situation { before: reading(13.0), now: reading(14.0), ..seen(&wild) };

@@ -76,6 +76,9 @@ impl Settings {
         Self { stand_s: 0.0, seconds_max: f64::INFINITY, strict: false, forecast: None, ..Self::BENCH };
 }
 
+/// From watching the balance to taring it a vial may change by this much, mg.
+const VIAL_MG_MAX: f64 = 30.0;
+
 /// Why dosing ended.
 enum End {
     Course(Option<String>),
@@ -92,7 +95,7 @@ impl End {
             Halt::NoRoom { .. } | Halt::TimeSpent => Self::Course(Some(cause)),
             halt if halt.is_expected() => Self::Course(None),
             Halt::NotStable => Self::NotStable(cause),
-            Halt::Blocked { .. } => Self::Blocked(cause),
+            Halt::Blocked { .. } | Halt::Deaf { .. } => Self::Blocked(cause),
             _ => Self::Aborted(cause),
         }
     }
@@ -103,6 +106,7 @@ enum Halted {
     Stopped,
     Unrecorded,
     Device(DeviceError),
+    Guard(Halt),
 }
 
 impl From<DeviceError> for Halted {
@@ -188,6 +192,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         match catch_unwind(AssertUnwindSafe(|| work(self))) {
             Ok(Ok(end)) => end,
             Ok(Err(Halted::Stopped)) => End::Stopped,
+            Ok(Err(Halted::Guard(halt))) => End::of(halt),
             Ok(Err(Halted::Unrecorded)) => {
                 End::Aborted("the record could not be written, so nothing may move: make room for it".to_owned())
             }
@@ -222,8 +227,14 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         }
         self.bench.approach()?;
         self.go_on()?;
-        self.tare = Some(self.bench.tare()?);
-        Ok(())
+        let tare = self.bench.tare()?;
+        self.tare = Some(tare);
+        // Nothing has moved near the balance since it was watched: another load now is another vial, or none.
+        let watched_mg = self.before.map(|standing| standing.reading.mass_mg);
+        match watched_mg.zip(tare.tare_mg).map(|(watched_mg, tare_mg)| watched_mg - tare_mg) {
+            Some(fell_mg) if fell_mg.abs() > VIAL_MG_MAX => Err(Halted::Guard(Halt::VialMoved { fell_mg })),
+            _ => Ok(()),
+        }
     }
 
     /// The steps from the tare until something ends them.
@@ -237,7 +248,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         self.tell(&Event::Phase(Phase::Dosing))?;
         let (mut now, mut moved_s, mut shaken) = (self.bench.read()?, tared_s, false);
         self.record(0, tared_s, Action::default(), now)?;
-        let mut before = now;
+        // The tare stands for the reading before the first: a vial that was lifted since shows at once.
+        let mut before = Reading { mass_mg: 0.0, stable: true };
         let mut dosing = controller.begin(rules, readability_mg);
         for steps in 0.. {
             self.go_on()?;
@@ -263,7 +275,10 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             let proposed = dosing.propose(&seen);
             let allowed = guard(&limits, &situation, proposed);
             let is_done = rules.after(steps, &seen, readability_mg) == Episode::Terminated;
-            if is_done && (allowed.is_ok() || matches!(allowed, Err(Halt::NoRoom { .. } | Halt::Blocked { .. }))) {
+            if is_done
+                && (allowed.is_ok()
+                    || matches!(allowed, Err(Halt::NoRoom { .. } | Halt::Blocked { .. } | Halt::Deaf { .. })))
+            {
                 return Ok(End::Course(None));
             }
             self.tell(&Event::Decision(&Decision::new(steps + 1, proposed, &allowed)))?;

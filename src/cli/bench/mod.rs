@@ -1,9 +1,12 @@
 //! `flip bench`: the bench and its devices, and what the simulator costs on this machine beside others on the same scene.
 
+mod check;
 mod clock;
 mod ours;
 mod peers;
+mod probe;
 mod roofline;
+mod shakes;
 mod sim;
 mod text;
 mod upkeep;
@@ -31,6 +34,12 @@ enum What {
     Status,
     /// A person has looked at a latched bench: weighings may go on.
     Clear(upkeep::ClearArguments),
+    /// Find out which balance is plugged in.
+    Probe(probe::Arguments),
+    /// A dry test of every device of a bench file.
+    Check(check::Arguments),
+    /// Measure what the arm makes of commanded shakes.
+    CalibrateShake(shakes::Arguments),
     /// Keep a check of how well the balance repeats: ten or more weighings of one test weight.
     Repeatability(upkeep::RepeatabilityArguments),
     /// Time the simulator, and other simulators beside it, in processor seconds per simulated second.
@@ -66,6 +75,9 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         What::Status => upkeep::status(common),
         What::Clear(arguments) => upkeep::clear(common, arguments),
         What::Repeatability(arguments) => upkeep::repeatability(common, arguments),
+        What::Probe(arguments) => probe::run(common, arguments),
+        What::Check(arguments) => check::run(common, arguments),
+        What::CalibrateShake(arguments) => shakes::run(common, arguments),
         What::Sim(arguments) => sim::run(common, arguments),
         What::Bed(arguments) => bed(common, arguments),
     }

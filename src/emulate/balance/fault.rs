@@ -42,11 +42,13 @@ pub enum Fault {
     Stuck,
     /// `NaN` stands where the number should: damaged, not a number to calculate with.
     NotANumber,
+    /// One digit of each number is another digit. Frames carry no checksum: the driver cannot tell; whoever weighs compares readings with one another.
+    WrongDigit,
 }
 
 impl Fault {
     /// Every fault.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::Drift,
         Self::Draught,
         Self::AutoPrint,
@@ -64,6 +66,7 @@ impl Fault {
         Self::Adjusting,
         Self::Stuck,
         Self::NotANumber,
+        Self::WrongDigit,
     ];
 
     /// As the command line names it.
@@ -86,6 +89,7 @@ impl Fault {
             Self::Adjusting => "adjusting",
             Self::Stuck => "stuck",
             Self::NotANumber => "not-a-number",
+            Self::WrongDigit => "wrong-digit",
         }
     }
 }

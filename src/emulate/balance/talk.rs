@@ -139,6 +139,9 @@ impl Conversation {
     fn tell_with_faults(&mut self, line: &str, tell: &mut dyn FnMut(&[u8])) {
         self.answers += 1;
         let mut bytes = format!("{line}\r\n").into_bytes();
+        if self.shared.has(Fault::WrongDigit) {
+            self.change_digit(&mut bytes);
+        }
         if self.shared.has(Fault::GarbledLine) {
             let place = derive(self.shared.settings.seed, &[2, self.answers]) as usize % line.len();
             if self.answers.is_multiple_of(2) {
@@ -154,6 +157,16 @@ impl Conversation {
             self.dawdle();
         }
         tell(&bytes);
+    }
+
+    /// Put another digit in place of one, where there is one.
+    fn change_digit(&self, bytes: &mut [u8]) {
+        let chance = derive(self.shared.settings.seed, &[3, self.answers]);
+        let mut digits: Vec<&mut u8> = bytes.iter_mut().filter(|byte| byte.is_ascii_digit()).collect();
+        if let Some(place) = (chance as usize / 9).checked_rem(digits.len()) {
+            let digit = *digits[place] - b'0';
+            *digits[place] = b'0' + (digit + 1 + (chance % 9) as u8) % 10;
+        }
     }
 
     fn dawdle(&self) {

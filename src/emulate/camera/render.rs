@@ -77,7 +77,7 @@ impl Picture {
 fn blurred(sharp: &[[f64; 3]], width: usize) -> Vec<[f64; 3]> {
     let pass = |from: &[[f64; 3]], step: usize| -> Vec<[f64; 3]> {
         let at = |k: usize| [from[k.saturating_sub(step)], from[k], from[(k + step).min(from.len() - 1)]];
-        (0..from.len()).map(|k| at(k)).map(|[a, b, c]| std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0)).collect()
+        (0..from.len()).map(at).map(|[a, b, c]| std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0)).collect()
     };
     pass(&pass(sharp, 1), width)
 }

@@ -25,7 +25,7 @@ impl Limits {
     ///
     /// # Errors
     /// [`DeviceError::Garbled`] when they are missing, not finite, not positive, or leave no level spoon.
-    pub(super) fn narrowed(theirs: Option<&proto::Limits>) -> Result<Self, DeviceError> {
+    pub fn narrowed(theirs: Option<&proto::Limits>) -> Result<Self, DeviceError> {
         let garbled = || DeviceError::Garbled { device: DEVICE, got: format!("limits {theirs:?}") };
         let limits = theirs.ok_or_else(garbled)?;
         let positive = [

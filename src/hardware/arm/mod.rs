@@ -322,7 +322,7 @@ fn described(remote: &Remote, deadlines: Deadlines) -> Result<(Description, Limi
 }
 
 /// The answer, if its numbers can be those of this motion.
-fn checked(executed: Executed, sequence: u64) -> Result<Executed, DeviceError> {
+pub fn checked(executed: Executed, sequence: u64) -> Result<Executed, DeviceError> {
     let lengths = [executed.amplitude_mm, executed.peak_speed_m_s, executed.duration_s];
     let sound = lengths.iter().all(|number| number.is_finite() && *number >= 0.0) && executed.pitch_deg.is_finite();
     if sound && executed.sequence == sequence {

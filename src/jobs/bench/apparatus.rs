@@ -7,7 +7,7 @@ use crate::domain::weighing::{MeasuredMass, Outcome};
 use crate::emulate::arm::GrainsSpoon;
 use crate::emulate::lab::{self, Laboratory};
 use crate::hardware::DeviceError;
-use crate::hardware::arm::Stopper;
+use crate::hardware::arm::{Arm, Deadlines, Stopper};
 use crate::hardware::bench_file::BenchFile;
 use crate::hardware::clock::Clock;
 use crate::hardware::simulated::SimulatedBench;
@@ -84,6 +84,9 @@ pub struct Poured {
 pub type Pour =
     Arc<dyn Fn(&Pouring, &mut dyn FnMut(&Event<'_>) -> ControlFlow<()>, &AtomicBool) -> Poured + Send + Sync>;
 
+/// What makes a latched arm movable again.
+pub type Recover = Arc<dyn Fn(&str) -> Result<(), DeviceError> + Send + Sync>;
+
 /// What the lane drives.
 #[derive(Clone)]
 pub struct Apparatus {
@@ -97,6 +100,8 @@ pub struct Apparatus {
     pub exchanges: Arc<dyn Fn() -> Vec<Exchange> + Send + Sync>,
     /// Devices by role, as they said themselves when they were last open.
     pub devices: Arc<dyn Fn() -> BTreeMap<String, String> + Send + Sync>,
+    /// A person has looked and says that the arm may move: it levels and retracts the spoon. Takes the person's name.
+    pub recover: Recover,
     /// Step of the balance's display, mg, where it is known beforehand.
     pub readability_mg: Arc<dyn Fn() -> Option<f64> + Send + Sync>,
 }
@@ -110,6 +115,7 @@ impl Apparatus {
             halt: Arc::new(|| {}),
             exchanges: Arc::new(Vec::new),
             devices: Arc::new(BTreeMap::new),
+            recover: Arc::new(|_| Ok(())),
             readability_mg: Arc::new(|| None),
         }
     }
@@ -146,17 +152,20 @@ pub fn emulated() -> Apparatus {
             Err(error) => not_begun(format!("the emulated laboratory cannot be set up: {error}")),
         }
     });
-    wires.apparatus(BenchKind::Emulated, pour, readability_mg)
+    // Each dose has a laboratory of its own.
+    wires.apparatus(BenchKind::Emulated, pour, Arc::new(|_| Ok(())), readability_mg)
 }
 
 /// The closed loop on the devices of this file.
 pub fn devices(file: BenchFile) -> Apparatus {
     let wires = Wires::default();
     let readability_mg = file.balance.readability_mg.unwrap_or(1.0);
-    let opened = wires.clone();
+    let (opened, url, tap) = (wires.clone(), file.arm.url.clone(), wires.tap());
+    let recover: Recover =
+        Arc::new(move |person| Arm::connect(&url, tap.clone(), Deadlines::default())?.recover(person));
     let pour: Pour =
         Arc::new(move |pouring, on_event, stop| on_devices(&opened, &file, Clock::wall(), pouring, on_event, stop));
-    wires.apparatus(BenchKind::Devices, pour, readability_mg)
+    wires.apparatus(BenchKind::Devices, pour, recover, readability_mg)
 }
 
 /// What outlives the weighing that opened the devices.
@@ -177,7 +186,7 @@ impl Wires {
         Tap::new(move |exchange| locked(&exchanges).push(exchange))
     }
 
-    fn apparatus(self, kind: BenchKind, pour: Pour, readability_mg: f64) -> Apparatus {
+    fn apparatus(self, kind: BenchKind, pour: Pour, recover: Recover, readability_mg: f64) -> Apparatus {
         let Self { exchanges, stopper, devices } = self;
         let halt = move || {
             let stopper = locked(&stopper).clone();
@@ -191,6 +200,7 @@ impl Wires {
             halt: Arc::new(halt),
             exchanges: Arc::new(move || std::mem::take(&mut *locked(&exchanges))),
             devices: Arc::new(move || locked(&devices).clone()),
+            recover,
             readability_mg: Arc::new(move || Some(readability_mg)),
         }
     }

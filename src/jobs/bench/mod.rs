@@ -21,6 +21,7 @@ use super::conditions::Conditions;
 use crate::domain::bench::BenchKind;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::weighing::{Outcome, WeighingState};
+use crate::hardware::DeviceError;
 use crate::store::weighings::{Ending, Weighing};
 use crate::store::{self, Store, now};
 use lane::LaneThread;
@@ -112,6 +113,16 @@ impl Bench {
         let (id, stop) = moving.as_ref()?;
         self.halt(stop);
         Some(id.clone())
+    }
+
+    /// A person has looked: a latched arm may move again. Nothing is written down here.
+    ///
+    /// # Errors
+    /// The arm cannot be reached, or what latched it lasts.
+    pub async fn recover(&self, person: &str) -> Result<(), DeviceError> {
+        let (recover, person) = (self.apparatus.recover.clone(), person.to_owned());
+        let recovered = tokio::task::spawn_blocking(move || recover(&person)).await;
+        recovered.unwrap_or_else(|error| Err(DeviceError::Faulted { device: "the arm", cause: error.to_string() }))
     }
 
     /// First the flag, then the arm itself: both need no database and wait for nothing that the lane does.

@@ -1,0 +1,106 @@
+//! `flip bench calibrate-shake`: what the arm makes of commanded shakes.
+
+use super::super::Common;
+use super::super::benches::read;
+use super::super::failure::Failure;
+use super::super::session::with_writer;
+use super::super::table::table;
+use crate::hardware::conformance::Looked;
+use crate::hardware::shake_calibration::{Calibrated, Error, Plan, calibrate};
+use crate::hardware::wire::Tap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Arguments of `flip bench calibrate-shake`.
+#[derive(Debug, Clone, clap::Args)]
+pub(super) struct Arguments {
+    /// Bench file that names the arm.
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// Commanded amplitudes, mm, separated by commas; the arm's largest is not exceeded.
+    #[arg(long, value_name = "MM,…", value_delimiter = ',', default_values_t = [2.0, 4.0, 8.0, 12.0, 16.0])]
+    amplitudes_mm: Vec<f64>,
+    /// How often each is made.
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    repeats: u32,
+    /// Who looked at the spoon.
+    #[arg(long, value_name = "NAME")]
+    by: String,
+    /// The spoon holds no powder and the arm's way is free: it is shaken away from the vial.
+    #[arg(long)]
+    spoon_empty: bool,
+}
+
+/// Asks for an end when it is dropped, as by Ctrl-C.
+struct EndOnDrop(Arc<AtomicBool>);
+
+impl Drop for EndOnDrop {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::SeqCst);
+    }
+}
+
+/// Shake an empty spoon, keep the line through what was executed, and print it.
+///
+/// The data folder is held meanwhile, so that no server weighs on the same bench.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    let file = read(&arguments.config)?;
+    let looked = Looked::by(&arguments.by, arguments.spoon_empty, false)?;
+    let Arguments { amplitudes_mm, repeats, .. } = arguments.clone();
+    let plan = Plan { amplitudes_mm, repeats, seed: common.seed }.checked()?;
+    let found = with_writer(common, async |app| {
+        if let Some(latch) = app.bench().await?.latch {
+            return Err(Failure::NotNow(format!(
+                "the bench is latched: {}; `flip bench clear` it first",
+                latch.reason
+            )));
+        }
+        let stop = Arc::new(AtomicBool::new(false));
+        let _end = EndOnDrop(stop.clone());
+        let (file, plan, looked) = (file.clone(), plan.clone(), looked.clone());
+        let shaking = tokio::task::spawn_blocking(move || calibrate(&file, plan, &looked, &stop, &Tap::none()));
+        let found = shaking.await.map_err(anyhow::Error::from)?.map_err(failure)?;
+        app.keep_shakes(&found.calibration).await?;
+        Ok(found)
+    })?;
+    common.print(&found, || text(&found))
+}
+
+fn failure(error: Error) -> Failure {
+    match error {
+        Error::Field(error) => error.into(),
+        error => Failure::Failed(error.into()),
+    }
+}
+
+fn text(found: &Calibrated) -> String {
+    let mut shakes: Vec<_> = found.shakes.iter().collect();
+    shakes.sort_by(|a, b| a.shake.commanded_mm.total_cmp(&b.shake.commanded_mm));
+    let streamed = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"));
+    let rows: Vec<Vec<String>> = shakes
+        .iter()
+        .map(|it| {
+            vec![
+                format!("{:.2}", it.shake.commanded_mm),
+                format!("{:.2}", it.shake.executed_mm),
+                streamed(it.streamed_mm),
+                format!("{:.1}", it.shake.planned_mm_s),
+                format!("{:.1}", it.shake.peak_mm_s),
+            ]
+        })
+        .collect();
+    let header = ["commanded mm", "executed mm", "seen mm", "planned mm/s", "peak mm/s"];
+    let line = &found.calibration;
+    let mut lines = vec![
+        format!("arm        {}", found.arm),
+        table(&header, &rows),
+        format!(
+            "amplitude  executed = {:.3} commanded {:+.3} mm, SD {:.3} mm",
+            line.gain, line.offset_mm, line.scatter_mm
+        ),
+        format!("speed      {:.3} of what was planned", line.speed_gain),
+    ];
+    lines.extend(found.notes.iter().map(|note| format!("note       {note}")));
+    lines.join("\n")
+}

@@ -1,0 +1,180 @@
+//! The balance: does it weigh, in the unit and step that the bench file says, quickly and at rest?
+
+use super::{Check, Findings, Found};
+use crate::hardware::DeviceError;
+use crate::hardware::balance::reply::Said;
+use crate::hardware::balance::{Balance, Identity, Sample, Settings};
+use crate::hardware::bench_file::BenchFile;
+use crate::hardware::clock::Clock;
+use crate::hardware::settle::{Settling, Shown, standing};
+use crate::hardware::wire::Tap;
+
+/// How long the display is watched, s of bench time.
+const WATCH_S: f64 = 6.0;
+/// More readings than that say nothing more.
+const READINGS_MAX: usize = 600;
+/// Readings in a second below which dosing is slow, and below which it is not to be done.
+const RATE_HZ: [f64; 2] = [4.0, 1.0];
+/// Largest creep of a balance that is warm, in a draught shield, mg/min.
+const DRIFT_MG_MIN_MAX: f64 = 2.0;
+
+pub(super) fn check(file: &BenchFile, clock: &Clock, tap: &Tap) -> Vec<Check> {
+    let mut found = Findings::of("balance");
+    let settings = &file.balance;
+    let opened = Balance::open(settings, tap.clone(), clock.clone());
+    let asked = format!("open {}", settings.port);
+    let mut balance = match opened {
+        Ok(balance) => balance,
+        Err(error) => {
+            found.add("opens", asked, error.into());
+            return found.checks;
+        }
+    };
+    found.add("opens", asked, Found::ok("open"));
+    found.add("identity", "model, serial number, version of its software", identity(balance.identify()));
+    let first = balance.immediate();
+    found.add("reading", "what the display shows now", reading(settings, &first));
+    let Ok(first) = first else {
+        found.skip(&["step", "stable", "rate", "noise", "drift", "tare"], "it gives no reading");
+        return found.checks;
+    };
+    found.add("step", "the last place of the display, in mg", step(settings, &first));
+    stands(file, &mut balance, clock, &mut found);
+    found.add("tare", "tare, then the display", tare(&mut balance));
+    found.checks
+}
+
+fn identity(told: Result<Identity, DeviceError>) -> Found {
+    match told {
+        Ok(Identity { maker, model, serial, software }) => {
+            let told = [Some(maker), model, serial.map(|it| format!("serial {it}")), software];
+            Found::ok(told.into_iter().flatten().collect::<Vec<_>>().join(", "))
+        }
+        Err(error @ DeviceError::Silent { .. }) => {
+            Found::warning(error.to_string(), "some balances tell nothing of themselves: write its serial number down")
+        }
+        Err(error) => error.into(),
+    }
+}
+
+fn reading(settings: &Settings, first: &Result<Sample, DeviceError>) -> Found {
+    match first {
+        Ok(sample) => Found::ok(format!("{} mg, from `{}`", sample.mass_mg, sample.raw)),
+        Err(error @ DeviceError::Garbled { .. }) if settings.readability_mg.is_some() => {
+            Found::failed(error.to_string(), "compare dialect and readability_mg in the bench file with the display")
+        }
+        Err(error) => error.clone().into(),
+    }
+}
+
+/// The driver refuses readings of another step than the file's; without one there it cannot.
+fn step(settings: &Settings, first: &Sample) -> Found {
+    let shown_mg = last_place_mg(settings, first);
+    match (settings.readability_mg, shown_mg) {
+        (Some(step_mg), Some(shown_mg)) => Found::judged(
+            (shown_mg - step_mg).abs() <= 1e-9 * step_mg,
+            format!("{shown_mg} mg, {step_mg} mg in the bench file"),
+            format!("write readability_mg = {shown_mg} into the bench file"),
+        ),
+        (None, Some(shown_mg)) => Found::warning(
+            format!("{shown_mg} mg, nothing in the bench file"),
+            format!("write readability_mg = {shown_mg} there, so that damaged readings are known"),
+        ),
+        (_, None) => Found::failed(format!("`{}` shows no step", first.raw), "compare the dialect with the display"),
+    }
+}
+
+fn last_place_mg(settings: &Settings, sample: &Sample) -> Option<f64> {
+    match settings.dialect.parse(sample.raw.as_bytes()).ok()?.said {
+        Said::Weight(weight) => Some(weight.number.last_place_mg(weight.unit?)),
+        _ => None,
+    }
+}
+
+/// Stable in time; then watched for a while: how often it answers, how it scatters, how it creeps.
+fn stands(file: &BenchFile, balance: &mut Balance, clock: &Clock, found: &mut Findings) {
+    let (limit_s, began_s) = (file.readings.stand_max_s, clock.now_s());
+    let stable = balance.stable(limit_s);
+    found.add(
+        "stable",
+        format!("a stable reading within {limit_s} s"),
+        match stable {
+            Ok(sample) => Found::judged(
+                sample.stable,
+                format!("stable: {}, after {:.1} s", sample.stable, clock.now_s() - began_s),
+                "close the draught shield, keep the table still, and look at the balance's filter setting",
+            ),
+            Err(error) => error.into(),
+        },
+    );
+    let (shown, failures) = watch(balance, clock);
+    let step_mg = file.balance.readability_mg.unwrap_or(1.0);
+    let asked = format!("readings for {WATCH_S} s, nothing moving");
+    found.add("rate", asked.clone(), rate(&shown, failures.as_ref()));
+    match standing(&Settling::new(step_mg), &shown) {
+        Some(stood) => {
+            found.add("noise", asked.clone(), noise(file.readings.noise_mg, step_mg, stood.scatter_mg));
+            found.add("drift", asked, drift(step_mg, stood.drift_mg_min, stood.seconds));
+        }
+        None => found.skip(&["noise", "drift"], "there were too few readings"),
+    }
+}
+
+/// Readings as fast as they come, and the last that failed.
+fn watch(balance: &mut Balance, clock: &Clock) -> (Vec<Shown>, Option<DeviceError>) {
+    let began_s = clock.now_s();
+    let (mut shown, mut failure, mut failures) = (Vec::new(), None, 0);
+    while clock.now_s() - began_s < WATCH_S && shown.len() < READINGS_MAX && failures < 3 {
+        match balance.immediate() {
+            Ok(Sample { t_s, mass_mg, stable, .. }) => shown.push(Shown { t_s, mass_mg, flag: stable }),
+            Err(error) => {
+                failure = Some(error);
+                failures += 1;
+            }
+        }
+    }
+    (shown, failure)
+}
+
+fn rate(shown: &[Shown], failure: Option<&DeviceError>) -> Found {
+    if let Some(error) = failure {
+        let came = format!("{} readings, then: {error}", shown.len());
+        return Found::failed(came, "every question must be answered: check cable, speed and parity");
+    }
+    let (Some(first), Some(last)) = (shown.first(), shown.last()) else { return Found::skipped("no reading came") };
+    let hz = (shown.len() - 1) as f64 / (last.t_s - first.t_s).max(1e-3);
+    let came = format!("{hz:.1} readings in a second");
+    match hz {
+        hz if hz < RATE_HZ[1] => Found::failed(came, "raise the balance's display rate or the port's speed"),
+        hz if hz < RATE_HZ[0] => Found::warning(came, "doses take longer: raise the balance's display rate"),
+        _ => Found::ok(came),
+    }
+}
+
+fn noise(told_mg: f64, step_mg: f64, scatter_mg: f64) -> Found {
+    // Half a step: a display that flips between two numbers is at rest.
+    let limit_mg = 2.0 * told_mg.max(0.5 * step_mg);
+    Found::judged(
+        scatter_mg <= limit_mg,
+        format!("SD {scatter_mg:.3} mg; up to {limit_mg:.3} mg by readings.noise_mg = {told_mg}"),
+        "close the draught shield and keep the table still, or write the noise that is measured into the bench file",
+    )
+}
+
+fn drift(step_mg: f64, drift_mg_min: f64, seconds: f64) -> Found {
+    let change_mg = drift_mg_min.abs() * seconds / 60.0;
+    // A display that flips once looks like a slope.
+    let is_real = change_mg > 2.0 * step_mg;
+    Found::judged(
+        drift_mg_min.abs() <= DRIFT_MG_MIN_MAX || !is_real,
+        format!("{drift_mg_min:.2} mg/min over {seconds:.1} s"),
+        "let the balance warm up, level it, and keep sun, draught and static charge away",
+    )
+}
+
+fn tare(balance: &mut Balance) -> Found {
+    match balance.tare() {
+        Ok(sample) => Found::ok(format!("{} mg, stable", sample.mass_mg)),
+        Err(error) => Found::failed(error.to_string(), "nothing can be weighed without: look at the balance"),
+    }
+}

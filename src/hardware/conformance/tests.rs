@@ -1,0 +1,128 @@
+//! The dry test against an emulated laboratory: nothing to complain of when it is well, and the right complaint when it is not.
+
+use super::*;
+use crate::emulate::arm::{self as arms, Flow, FormulaSpoon};
+use crate::emulate::balance as balances;
+use crate::emulate::gate as gates;
+use crate::emulate::gripper as grippers;
+use crate::emulate::lab::{Laboratory, Settings};
+
+/// What a busy machine keeps: the emulated dead-man is slower than a real one.
+const PATIENT: Bounds = Bounds {
+    stop: Duration::from_millis(2000),
+    dead_man: Duration::from_millis(1500),
+    return_begins: Duration::from_millis(5000),
+    states_hz: 20.0,
+    ..Bounds::CONTRACT
+};
+
+fn laboratory(balance: balances::Settings, speed: f64) -> (Laboratory, Clock) {
+    let arm = arms::Settings { dead_man_ms: 1500, approach_s: 0.3, retract_s: 0.3, ..arms::Settings::DEFAULT };
+    let clock = Clock::fast(speed);
+    let spoon = Box::new(FormulaSpoon::new(Flow { capacity_mg: 0.0, ..Flow::default() }, 1));
+    (Laboratory::start(Settings { balance, arm, ..Settings::default() }, clock.clone(), spoon).unwrap(), clock)
+}
+
+fn fine() -> balances::Settings {
+    balances::Settings { readability_mg: 0.1, noise_mg: 0.05, ..balances::Settings::default() }
+}
+
+/// The checks that failed, by device and name.
+fn failed(checks: &[Check]) -> Vec<(&'static str, &'static str)> {
+    checks.iter().filter(|it| it.verdict == Verdict::Failed).map(|it| (it.device, it.name)).collect()
+}
+
+#[test]
+fn a_sound_laboratory_passes_and_ends_at_home_with_nothing_poured() {
+    let (lab, clock) = laboratory(fine(), 1.0);
+    let looked = Looked::by("Ada", true, true).unwrap();
+    let report = check(&lab.file(), &looked, &PATIENT, &clock, &Tap::none());
+    assert!(report.passed, "{:#?}", report.checks);
+    assert_eq!(report.count(Verdict::Skipped), 1, "{:#?}", report.checks);
+    assert!(lab.arm.is_level() && lab.arm.is_retracted() && lab.arm.latched().is_none());
+    assert_eq!((lab.dispensed_mg(), lab.slide.opening()), (0.0, 0.0));
+}
+
+#[test]
+fn nothing_moves_where_nobody_has_looked() {
+    let (lab, clock) = laboratory(fine(), 1.0);
+    let report = check(&lab.file(), &Looked::nobody(), &PATIENT, &clock, &Tap::none());
+    assert!(report.passed, "{:#?}", report.checks);
+    assert!(report.count(Verdict::Skipped) > 10 && lab.arm.log().is_empty() && lab.slide.opening() == 0.0);
+    assert!(Looked::by(" ", true, false).is_err());
+}
+
+#[test]
+fn what_is_wrong_with_a_balance_is_named() {
+    for (fault, named) in [
+        (balances::Fault::Drift, "drift"),
+        (balances::Fault::Draught, "stable"),
+        (balances::Fault::UnitSwitched, "reading"),
+        (balances::Fault::Overload, "reading"),
+        (balances::Fault::Unplug, "opens"),
+        (balances::Fault::NotANumber, "reading"),
+    ] {
+        let clock = Clock::standing();
+        let arm = arms::Settings { dead_man_ms: 60_000, ..arms::Settings::DEFAULT };
+        let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
+        let settings = Settings { balance: fine(), arm, ..Settings::default() };
+        let mut lab = Laboratory::start(settings, clock.clone(), spoon).unwrap();
+        lab.balance.inject(fault);
+        let found = failed(&balance::check(&lab.file(), &clock, &Tap::none()));
+        assert!(found.contains(&("balance", named)), "{fault:?}: {found:?}");
+    }
+    let (lab, clock) = laboratory(fine(), 1.0);
+    let mut file = lab.file();
+    file.balance.readability_mg = Some(1.0);
+    assert_eq!(failed(&balance::check(&file, &clock, &Tap::none())), [("balance", "reading")]);
+}
+
+#[test]
+fn what_is_wrong_with_gripper_and_gate_is_named() {
+    let (lab, _) = laboratory(fine(), 100.0);
+    let file = lab.file();
+    let (gripper, gate) = (file.gripper.unwrap().port, file.gate.unwrap().port);
+    lab.fingers.cause(grippers::Fault::DroppedSpoon, 1);
+    // They close on nothing first, and a finger that moves by itself is worth a complaint as well.
+    let spoon = || fingers::check(&gripper, &Tap::none()).pop().map(|it| it.verdict);
+    let began = std::time::Instant::now();
+    while spoon() != Some(Verdict::Warning) {
+        assert!(began.elapsed() < Duration::from_secs(10), "{:?}", spoon());
+    }
+    lab.fingers.cause(grippers::Fault::FaultCode, 1);
+    assert!(failed(&fingers::check(&gripper, &Tap::none())).contains(&("gripper", "activated")));
+    lab.slide.cause(gates::Fault::StuckHalfOpen, 1);
+    let looked = Looked::by("Ada", false, true).unwrap();
+    assert!(failed(&gate::check(&gate, &looked, &Tap::none())).contains(&("gate", "opens")));
+    lab.slide.repair();
+    lab.slide.cause(gates::Fault::Silence, 1);
+    assert_eq!(failed(&gate::check(&gate, &looked, &Tap::none())), [("gate", "hello")]);
+}
+
+#[test]
+fn what_is_wrong_with_an_arm_is_named() {
+    let looked = Looked::by("Ada", true, false).unwrap();
+    for (fault, named) in [
+        (arms::Fault::ShakeTooLarge(1.5), "shake"),
+        (arms::Fault::StateStreamLost, "state"),
+        (arms::Fault::UserStop, "state"),
+        (arms::Fault::CommunicationLoss, "describe"),
+        (arms::Fault::Reflex, "pitch"),
+        (arms::Fault::LevelFails, "shake"),
+    ] {
+        let (lab, _) = laboratory(fine(), 1.0);
+        lab.arm.inject(fault);
+        let found = failed(&arm::check(lab.arm.url(), &looked, &PATIENT, &Tap::none()));
+        assert!(found.contains(&("arm", named)), "{fault:?}: {found:?}");
+    }
+}
+
+#[test]
+fn an_arm_with_another_or_too_slow_a_dead_man_or_too_few_states_does_not_keep_the_contract() {
+    let (lab, _) = laboratory(fine(), 1.0);
+    let looked = Looked::by("Ada", true, false).unwrap();
+    let quick = Duration::from_millis(300);
+    let strict = Bounds { dead_man: quick, return_begins: 2 * quick, states_hz: 1e4, ..PATIENT };
+    let found = failed(&arm::check(lab.arm.url(), &looked, &strict, &Tap::none()));
+    assert_eq!(found, [("arm", "control"), ("arm", "state rate"), ("arm", "dead-man")]);
+}
