@@ -33,7 +33,7 @@ const ARROWS: [(&str, &[&str]); 17] = [
             "store",
         ],
     ),
-    ("app", &["domain", "store", "jobs", "policy", "discover"]),
+    ("app", &["domain", "store", "jobs", "policy", "discover", "emulate", "hardware"]),
     ("api", &["domain", "app"]),
     ("cli", &["domain", "sim", "hardware", "emulate", "app", "api", "telemetry"]),
     ("telemetry", &[]),
@@ -71,7 +71,7 @@ const CONFINED: [(&str, &[&str]); 25] = [
     // Drivers and emulators are synchronous outside; runtimes of their own wait for remote calls.
     ("tokio::", &["store", "jobs", "app", "api", "cli", "hardware", "emulate"]),
     ("async fn", &["store", "jobs", "app", "api", "cli", "hardware", "emulate"]),
-    ("std::fs", &["store", "api", "cli"]),
+    ("std::fs", &["store", "api", "cli", "emulate"]),
     ("std::net", &["api", "cli", "hardware", "emulate"]),
     ("Instant", &["hardware", "emulate", "jobs", "store", "app", "api", "cli", "train"]),
 ];

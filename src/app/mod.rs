@@ -35,6 +35,7 @@ pub use crate::domain::observable::Observable;
 pub use crate::domain::powder::{Flowability, Method};
 pub use crate::domain::timestamp::Timestamp;
 pub use crate::domain::weighing::{Asked, MeasuredMass, OnOverdose};
+pub use crate::emulate::lab::Settings as LaboratorySettings;
 pub use crate::jobs::bench::{devices as file_bench, emulated as emulated_bench};
 pub use crate::jobs::calibrate::{
     CalibrationResult, CalibrationSet, EmulatorUse, Marginal, Method as CalibrationMethod, Pair, Posterior, Shortfall,

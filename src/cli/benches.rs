@@ -1,7 +1,7 @@
 //! `--bench`: what weighs.
 
 use super::failure::Failure;
-use crate::app::{Functions, Options, emulated_bench, file_bench};
+use crate::app::{Functions, LaboratorySettings, Options, emulated_bench, file_bench};
 use crate::domain::FieldError;
 use crate::hardware::bench_file::BenchFile;
 use std::path::Path;
@@ -20,7 +20,7 @@ impl BenchArguments {
     pub(super) fn options(&self) -> Result<Options, Failure> {
         let bench = match self.bench.as_str() {
             "simulated" => None,
-            "emulated" => Some(emulated_bench()),
+            "emulated" => Some(emulated_bench(LaboratorySettings::default())),
             file => Some(file_bench(read(Path::new(file))?)),
         };
         Ok(Options { functions: Functions { bench, ..Functions::default() }, ..Options::default() })

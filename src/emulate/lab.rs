@@ -21,6 +21,8 @@ pub struct Settings {
     pub arm: arm::Settings,
     /// An empty vial.
     pub vial: Vial,
+    /// How FLIP is told to read.
+    pub readings: Readings,
 }
 
 /// A vial.
@@ -82,7 +84,7 @@ impl Laboratory {
             arm: ArmAddress { url: self.arm.url().to_owned() },
             gripper: address(&self.gripper),
             gate: address(&self.gate),
-            readings: Readings { noise_mg: balance.noise_mg, ..Readings::default() },
+            readings: Readings { noise_mg: balance.noise_mg, ..self.settings.readings },
         }
     }
 

@@ -58,6 +58,9 @@ pub struct PortAddress {
 pub struct Readings {
     /// Noise of one reading, mg: a display finer than this never stands still. Default 0.1.
     pub noise_mg: f64,
+    /// Wait this long after each motion and read once, s, as the published robot does (4 s), instead of watching the display settle. Default none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fixed_wait_s: Option<f64>,
     /// Longest wait for a reading to settle while dosing, s. Default 6.
     pub settle_max_s: f64,
     /// Longest wait for the balance to stand still before and after a dose, s. Default 20.
@@ -66,7 +69,7 @@ pub struct Readings {
 
 impl Default for Readings {
     fn default() -> Self {
-        Self { noise_mg: 0.1, settle_max_s: 6.0, stand_max_s: 20.0 }
+        Self { noise_mg: 0.1, fixed_wait_s: None, settle_max_s: 6.0, stand_max_s: 20.0 }
     }
 }
 
@@ -93,6 +96,7 @@ impl BenchFile {
             }
         }
         bounded("readings.noise_mg", self.readings.noise_mg, 0.0, 100.0, "mg")?;
+        bounded("readings.fixed_wait_s", self.readings.fixed_wait_s.unwrap_or(1.0), 0.1, 60.0, "s")?;
         bounded("readings.settle_max_s", self.readings.settle_max_s, 0.5, 60.0, "s")?;
         bounded("readings.stand_max_s", self.readings.stand_max_s, 0.5, 120.0, "s")?;
         Ok(self)

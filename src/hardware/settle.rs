@@ -89,6 +89,9 @@ pub fn settled(settling: &Settling, shown: &[Shown]) -> Option<Settled> {
 pub fn standing(settling: &Settling, shown: &[Shown]) -> Option<Standing> {
     let (first, last) = (shown.first()?, shown.last()?);
     let (slope_mg_s, scatter_mg) = line(shown)?;
+    // Less than half a step over the whole time is rounding, not drift.
+    let is_rounding = slope_mg_s.abs() * (last.t_s - first.t_s) <= settling.step_mg / 2.0;
+    let slope_mg_s = if is_rounding { 0.0 } else { slope_mg_s };
     Some(Standing {
         reading: Reading { mass_mg: last.mass_mg, stable: last.flag },
         still: settled(&Settling { lag_s: f64::NEG_INFINITY, ..*settling }, shown).is_some(),

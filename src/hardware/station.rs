@@ -173,6 +173,12 @@ impl Bench for Station {
 
     fn read(&mut self) -> Result<Reading, DeviceError> {
         let settling = self.settling;
+        if let Some(wait_s) = self.readings.fixed_wait_s {
+            self.clock.wait_s(wait_s - (self.clock.now_s() - self.moved_at_s));
+            let Sample { mass_mg, stable, .. } = self.balance.immediate()?;
+            self.arm.attend();
+            return Ok(Reading { mass_mg, stable });
+        }
         let shown = self.watch(self.readings.settle_max_s, |shown| settled(&settling, shown).is_some())?;
         let last = shown.last().ok_or(DeviceError::Silent { device: "the balance" })?;
         // Our own criterion, or the balance's flag if the reading before agrees.

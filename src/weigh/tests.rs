@@ -4,6 +4,9 @@ use super::*;
 use crate::policy::{Schedule, ScheduledStep};
 use proptest::prelude::*;
 
+/// The vial.
+const VIAL_MG: f64 = 12_000.0;
+
 /// What a bench is asked for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Call {
@@ -97,7 +100,7 @@ impl Bench for Scripted {
         self.called(Call::Approach).map(|_| ())
     }
     fn tare(&mut self) -> Result<Tare, DeviceError> {
-        self.called(Call::Tare).map(|_| Tare { tare_mg: Some(12_000.0) })
+        self.called(Call::Tare).map(|_| Tare { tare_mg: Some(VIAL_MG) })
     }
     fn read(&mut self) -> Result<Reading, DeviceError> {
         self.called(Call::Read).map(|fault| self.shown(fault))
@@ -105,7 +108,12 @@ impl Bench for Scripted {
     fn stand(&mut self, seconds: f64) -> Result<Standing, DeviceError> {
         let fault = self.called(Call::Stand)?;
         let still = fault != Some(Fault::Unstable);
-        Ok(Standing { reading: self.shown(fault), still, drift_mg_min: 1.0, scatter_mg: 0.1, seconds })
+        let mut reading = self.shown(fault);
+        // Until it is tared the vial is on the display.
+        if self.count(Call::Tare) == 0 {
+            reading.mass_mg += VIAL_MG;
+        }
+        Ok(Standing { reading, still, drift_mg_min: 1.0, scatter_mg: 0.1, seconds })
     }
     fn act(&mut self, action: Action) -> Result<(), DeviceError> {
         // A fault may come after the motion has begun.

@@ -21,3 +21,14 @@ export function readingDecimals(readings: (number | null | undefined)[]): number
 
 /** The true mass is known in simulation only; it is written one decimal finer than the balance reads. */
 export const TRUE_DECIMALS = 2
+
+/** Smallest net mass that may be called accurately weighed (USP <41>), mg. */
+export function minimumWeight(sd_mg: number, readability_mg: number): number {
+  return (2 * Math.max(sd_mg, 0.41 * readability_mg)) / 0.001
+}
+
+/** What a person pasted or typed as readings, and the first piece of it that is no number. A comma could be decimal or not: it is refused. */
+export function readingsIn(text: string): { readings: number[]; wrong?: string } {
+  const pieces = text.split(/[\s;]+/).filter(Boolean)
+  return { readings: pieces.map(Number), wrong: pieces.find((piece) => !/^[+-]?\d+(\.\d+)?$/.test(piece)) }
+}

@@ -301,6 +301,7 @@ describe('every view', () => {
     policy: `policies/${made.policy}`,
     evaluation: `evaluations/${made.evaluation.id}`,
     weighings: 'weighings',
+    bench: 'bench',
     investigations: 'investigations',
     simulators: 'simulators',
     weighing: `weighings/${made.weighing}`,

@@ -132,8 +132,7 @@ pub fn simulated() -> Pour {
 }
 
 /// The closed loop on a laboratory that is emulated in this process, around the simulator; its time is virtual, so a dose is quick and always the same.
-pub fn emulated() -> Apparatus {
-    let settings = lab::Settings::default();
+pub fn emulated(settings: lab::Settings) -> Apparatus {
     let wires = Wires::default();
     let readability_mg = settings.balance.readability_mg;
     let opened = wires.clone();

@@ -78,5 +78,16 @@ export const startWeighing = (request: T.WeighingRequest, key: string) =>
   body(client.POST('/v1/weighings', { params: { header: { 'Idempotency-Key': key } }, body: request }))
 export const stopWeighing = (id: string) => body(client.POST('/v1/weighings/{id}/stop', { params: at(id) }))
 
+export const bench = () => body(client.GET('/v1/bench'))
+/** The arm is told at once. Not an emergency stop: that one is wired. */
+export const stopBench = () => body(client.POST('/v1/bench/stop'))
+export const clearBench = (said: T.ClearRequest) => body(client.POST('/v1/bench/clear', { body: said }))
+export const checkRepeatability = (weighed: T.RepeatabilityRequest) => body(client.POST('/v1/bench/repeatability', { body: weighed }))
+
+/** Newest first. */
+export const audit = (query: Query = {}) => body(client.GET('/v1/audit', { params: { query } }))
+/** Goes through the whole record; with `hash` also says whether it holds that one. */
+export const verifyAudit = (hash?: string) => body(client.GET('/v1/audit/verification', { params: { query: { hash } } }))
+
 export const jobs = (query: Query & { kind?: T.JobKind; state?: T.JobState } = {}) => body(client.GET('/v1/jobs', { params: { query } }))
 export const cancelJob = (id: string) => body(client.POST('/v1/jobs/{id}/cancel', { params: at(id) }))

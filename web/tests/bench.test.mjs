@@ -1,0 +1,270 @@
+/** The bench, its latch and its record, and what a weighing measured, in a real Chromium before a real `flip serve`. */
+import assert from 'node:assert/strict'
+import { readFileSync } from 'node:fs'
+import { after, before, describe, it } from 'node:test'
+import { accessibilityFaults, csvOf, openBrowser, picture, tableCells, unlock } from './browser.mjs'
+import { startService } from './service.mjs'
+
+let service, chromium, page
+const made = {}
+
+before(async () => {
+  service = await startService()
+  const { id } = await service.post('/v1/calibrations', { powder: 'sand', method: 'sequential', sets: 2, tolerance_deg: 5, trials_max: 60, particles: 400 })
+  await service.finished(id)
+  const dose = { powder: 'sand', target: { value: 12, unit: 'mg' }, tolerance: { lower: 1, upper: 1, unit: 'mg' } }
+  made.weighing = (await service.post('/v1/weighings', dose, { 'idempotency-key': 'for-the-bench' })).id
+  for (let k = 0; (await service.get('/v1/bench')).moving || !(await detail()).weighing.finished_at; k++) {
+    assert.ok(k < 600, 'the weighing ends')
+    await new Promise((resolve) => setTimeout(resolve, 200))
+  }
+  chromium = await openBrowser(service.url)
+  page = await chromium.tab()
+}, { timeout: 900_000 })
+
+after(async () => {
+  await chromium?.browser.close()
+  await service?.stop()
+})
+
+const detail = () => service.get(`/v1/weighings/${made.weighing}`)
+const table = (caption) => page.getByRole('table', { name: caption, exact: true })
+/** Values of a list of facts by their names. */
+const facts = (list) => list.evaluate((dl) => Object.fromEntries([...dl.querySelectorAll('div')].map((fact) => [fact.querySelector('dt').textContent, fact.querySelector('dd').textContent.trim()])))
+/** The bench as the service tells it, changed: a simulated one neither latches nor moves for long. */
+async function pretend(changes) {
+  const bench = { ...(await service.get('/v1/bench')), ...changes }
+  await page.route('**/v1/bench', (route) => route.fulfill({ json: bench }))
+}
+const latch = () => ({ at: '2026-01-02T03:04:05Z', reason: 'The process ended while the spoon moved: look at spoon and vial.', weighing: made.weighing })
+
+describe('the bench', () => {
+  it('says what it is made of and that it may be used', async () => {
+    await chromium.open(page)
+    await page.getByRole('navigation', { name: 'Views' }).getByRole('link', { name: 'Bench' }).click()
+    await page.getByRole('heading', { name: 'Bench', level: 1 }).waitFor()
+    await page.locator('main .badge').getByText('Ready').waitFor()
+    await page.getByText('Simulated: the simulator itself, no device').waitFor()
+    assert.equal(await page.getByRole('button', { name: 'Stop', exact: true }).count(), 0)
+    assert.equal(await page.getByRole('form', { name: 'Clear the bench' }).count(), 0)
+  })
+
+  it('names its devices, and has a stop that stays in sight while something moves', async () => {
+    await pretend({ kind: 'devices', devices: { balance: 'Mettler Toledo XPR205, no. 42', arm: 'Franka FR3' }, moving: made.weighing })
+    await chromium.open(page, 'bench')
+    await unlock(page, service.token)
+    assert.deepEqual(await facts(page.getByLabel('Devices', { exact: true })), { Balance: 'Mettler Toledo XPR205, no. 42', Arm: 'Franka FR3' })
+    await page.getByText('This button is not an emergency stop: that one is wired.').waitFor()
+    const stop = page.getByRole('button', { name: 'Stop', exact: true })
+    await page.evaluate(() => scrollTo(0, document.body.scrollHeight))
+    const { y } = await stop.boundingBox()
+    assert.ok(y >= 0 && y < 900, `the button is at ${y}`)
+    await picture(page, 'bench-moving')
+    // What really moves is nothing: the service says so when it has stopped it.
+    const answered = page.waitForResponse('**/v1/bench/stop')
+    await page.unrouteAll()
+    await stop.click()
+    assert.equal((await answered).status(), 200)
+    await stop.waitFor({ state: 'detached' })
+    await page.locator('main .badge').getByText('Ready').waitFor()
+  })
+
+  it('asks for a token before it stops anything', async () => {
+    const stranger = await chromium.tab()
+    const bench = { ...(await service.get('/v1/bench')), moving: made.weighing }
+    await stranger.route('**/v1/bench', (route) => route.fulfill({ json: bench }))
+    await chromium.open(stranger, 'bench')
+    await stranger.getByRole('button', { name: 'Stop', exact: true }).click()
+    await stranger.getByRole('dialog').getByLabel('Token').waitFor()
+    await stranger.context().close()
+  })
+})
+
+describe('a latched bench', () => {
+  it('says why, and is cleared only by a person who ticks both boxes', async () => {
+    await pretend({ latch: latch() })
+    await chromium.open(page, 'bench')
+    await unlock(page, service.token)
+    await page.locator('main .badge').getByText('Latched').waitFor()
+    await page.getByText(latch().reason).waitFor()
+    assert.equal(await page.getByRole('link', { name: 'this weighing' }).getAttribute('href'), `#/weighings/${made.weighing}`)
+    await picture(page, 'bench-latched')
+    const said = []
+    await page.route('**/v1/bench/clear', async (route) => {
+      said.push(route.request().postDataJSON())
+      await route.continue()
+    })
+    const clear = page.getByRole('button', { name: 'Clear the bench' })
+    await page.getByLabel('Your name').fill('Ada')
+    await page.getByLabel('Note').fill('vial emptied')
+    await page.getByLabel('I looked at spoon, vial and balance.').check()
+    await clear.click()
+    assert.equal(await page.getByLabel('The vial is empty or new').evaluate((box) => box.validity.valueMissing), true)
+    assert.deepEqual(said, [])
+    await page.getByLabel('The vial is empty or new').check()
+    await clear.click()
+    // The service knows of no latch: its refusal is shown as any other.
+    await page.getByRole('alert').getByText('the bench is not latched').waitFor()
+    assert.deepEqual(said, [{ by: 'Ada', note: 'vial emptied', looked: true, vial_ready: true }])
+  })
+
+  it('shows no form any more once it is cleared', async () => {
+    const cleared = await service.get('/v1/bench')
+    await page.unrouteAll()
+    await page.route('**/v1/bench/clear', (route) => route.fulfill({ json: cleared }))
+    await page.getByRole('button', { name: 'Clear the bench' }).click()
+    await page.getByRole('form', { name: 'Clear the bench' }).waitFor({ state: 'detached' })
+    await page.locator('main .badge').getByText('Ready').waitFor()
+    await page.unrouteAll()
+  })
+})
+
+describe('a repeatability check', () => {
+  const keep = async (readings, step) => {
+    await page.getByLabel('Readings (mg)').fill(readings)
+    await page.getByLabel('Display step (mg)').fill(step)
+    await page.getByRole('button', { name: 'Keep the check' }).click()
+  }
+
+  it('is refused beside the field when a reading is no number, or there are too few', async () => {
+    await chromium.open(page, 'bench')
+    await unlock(page, service.token)
+    await keep('100,1\n100.2', '0.1')
+    await page.getByRole('alert').getByText('`100,1` is not a number').waitFor()
+    await keep('100.1\n100.2', '0.1')
+    await page.getByRole('alert').getByText('at least 10 weighings').waitFor()
+    assert.equal(await page.getByLabel('Readings (mg)').getAttribute('aria-invalid'), 'true')
+    assert.ok(!(await service.get('/v1/bench')).repeatability)
+  })
+
+  it('gives the SD and the minimum weight, of the display step where that is coarser', async () => {
+    await keep('100.0 100.2 100.0 100.2 100.0\n100.2; 100.0; 100.2; 100.0; 100.2', '0.1')
+    const newest = page.getByLabel('Newest repeatability check')
+    await newest.waitFor()
+    // SD = sqrt(10 * 0.1² / 9) = 0.1054; 2 * 0.1054 / 0.001 = 210.8
+    assert.deepEqual(await facts(newest), { 'Standard deviation': '0.105 mg', 'Minimum weight': '210.8 mg', 'Display step': '0.100 mg', Readings: '10' })
+    await keep(Array(10).fill('100').join('\n'), '1')
+    await newest.getByText('820.0 mg').waitFor()
+    const { repeatability } = await service.get('/v1/bench')
+    assert.deepEqual([repeatability.sd_mg, repeatability.readability_mg], [0, 1])
+  })
+})
+
+describe('the record', () => {
+  it('shows its last records, newest first, each with its weighing', async () => {
+    await chromium.open(page, 'bench')
+    await table('Last records').getByRole('link').first().waitFor()
+    const { items } = await service.get('/v1/audit?limit=50')
+    const { rows } = await csvOf(page, 'Last records')
+    assert.deepEqual(rows, await tableCells(table('Last records')))
+    assert.deepEqual(rows.slice(1).map(([seq, at]) => [Number(seq), at]), items.map((r) => [r.seq, r.at]))
+    assert.ok(rows.slice(1).every(([, , , , text]) => text.length <= 121))
+    assert.ok(rows.slice(1).some(([, , , weighing]) => weighing === `…${made.weighing.slice(-8)}`))
+  })
+
+  it('is found whole, with its number of records and its last hash', async () => {
+    await page.getByRole('button', { name: 'Check the record' }).click()
+    const said = page.getByRole('status')
+    await said.getByText('The record is whole.').waitFor()
+    const { records, last_hash } = await service.get('/v1/audit/verification')
+    const text = (await said.textContent()).replaceAll('\u2009', '')
+    assert.ok(text.includes(`Records looked at: ${records}.`) && text.includes(last_hash), text)
+  })
+
+  it('is found broken at the record that was changed', async () => {
+    await page.route('**/v1/audit/verification', (route) => route.fulfill({ json: { records: 6, last_hash: 'a'.repeat(64), broken: { seq: 7, why: 'it is not what was written' } } }))
+    await page.getByRole('button', { name: 'Check the record' }).click()
+    await page.getByRole('status').getByText('Broken at record 7: it is not what was written.').waitFor()
+    await page.unrouteAll()
+  })
+
+  it('is downloaded whole as JSON and as CSV', async () => {
+    const fileOf = async (name) => {
+      const [file] = await Promise.all([page.waitForEvent('download'), page.getByRole('link', { name }).click()])
+      return readFileSync(await file.path(), 'utf8')
+    }
+    const { records } = await service.get('/v1/audit/verification')
+    assert.equal(JSON.parse(await fileOf('All records (JSON)')).length, records)
+    assert.match(await fileOf('All records (CSV)'), /^seq,at,weighing,kind,body,hash\n1,/)
+  })
+})
+
+describe('a weighing', () => {
+  const show = async (changes) => {
+    const { weighing, ticks } = await detail()
+    await page.route(`**/v1/weighings/${made.weighing}`, (route) => route.fulfill({ json: { weighing: { ...weighing, ...changes }, ticks } }))
+    await chromium.open(page, `weighings/${made.weighing}`)
+    await page.locator('.verdict').waitFor()
+  }
+
+  it('that has ended leads to its certificate', async () => {
+    await chromium.open(page, `weighings/${made.weighing}`)
+    const link = page.getByRole('link', { name: 'Certificate' })
+    assert.equal(await link.getAttribute('href'), `/v1/weighings/${made.weighing}/certificate.html`)
+    const response = await fetch(service.url + (await link.getAttribute('href')))
+    assert.equal(response.status, 200)
+    assert.match(await response.text(), new RegExp(made.weighing))
+  })
+
+  it('shows what was measured, with its uncertainty and its devices', async () => {
+    const measured = {
+      tare_mg: 15000.2, gross_mg: 15012.1, net_mg: 11.9, uncertainty_mg: 0.25, minimum_mg: 210.8, below_minimum_weight: true, stable_by_balance: true, stable_by_window: false,
+      drift_before_mg_min: 0.02, drift_after_mg_min: -0.05, devices: { balance: 'Mettler Toledo XPR205, no. 42' }, discarded_mg: [],
+    }
+    const { ticks } = await detail()
+    assert.ok(ticks.length > 0)
+    await show({ measured })
+    const list = await facts(page.getByLabel('Measured mass'))
+    assert.match(list.Net, /^11\.90? ± 0\.[23]5? mg$/)
+    assert.match(list.Gross, /^15012\.10? mg$/)
+    assert.match(list.Tare, /^15000\.20? mg$/)
+    assert.deepEqual([list['Drift before'], list['Drift after']], ['+0.02 mg/min', '−0.05 mg/min'])
+    assert.deepEqual([list['Stable by the balance'], list['Stable by the window'], list.Balance], ['yes', 'no', 'Mettler Toledo XPR205, no. 42'])
+    assert.equal(list['Below minimum weight'], 'yes minimum 210.8 mg')
+    await page.getByRole('status').getByText('below the minimum weight of this balance').waitFor()
+    assert.deepEqual(await accessibilityFaults(page), [])
+    await picture(page, 'weighing-measured')
+    await page.unrouteAll()
+  })
+
+  it('has words for every way to stand and to end', async () => {
+    for (const [changes, word] of [
+      [{ outcome: 'not_stable' }, 'Not stable'],
+      [{ outcome: 'blocked' }, 'Blocked'],
+      [{ state: 'settling', outcome: null }, 'Settling'],
+    ]) {
+      await show(changes)
+      assert.equal(await page.locator('.verdict .badge').textContent(), word)
+      assert.equal(await page.getByRole('link', { name: 'Certificate' }).count(), changes.state ? 0 : 1)
+      await page.unrouteAll()
+    }
+    await chromium.open(page, 'weighings')
+    for (const word of ['Not stable', 'Blocked']) await page.getByLabel('Outcome').selectOption(word)
+  })
+})
+
+describe('this view', () => {
+  for (const scheme of ['light', 'dark']) {
+    it(`has no fault that axe finds while latched and moving, in the ${scheme} theme`, async () => {
+      await page.emulateMedia({ colorScheme: scheme })
+      await pretend({ latch: latch(), moving: made.weighing })
+      await chromium.open(page, 'bench')
+      await table('Last records').getByRole('link').first().waitFor()
+      await page.getByRole('button', { name: 'Check the record' }).click()
+      await page.getByRole('status').waitFor()
+      await page.evaluate(() => document.fonts.ready)
+      await picture(page, `bench-all-${scheme}`)
+      assert.deepEqual(await accessibilityFaults(page), [])
+    })
+  }
+
+  it('fits a narrow window without scrolling sideways, and complains of nothing', async () => {
+    await page.setViewportSize({ width: 400, height: 800 })
+    await chromium.open(page, 'bench')
+    await table('Last records').getByRole('link').first().waitFor()
+    await page.getByRole('button', { name: 'Check the record' }).click()
+    await page.getByRole('status').waitFor()
+    assert.ok(!(await page.evaluate(() => document.documentElement.scrollWidth > innerWidth)))
+    assert.deepEqual(chromium.complaints, [])
+  })
+})
