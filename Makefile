@@ -6,12 +6,14 @@
 # make training-report   trains ours and the four published orders, and weighs with all; hours, stop it and call it again (EPISODES=4000)
 # make discovery-report   effects hidden in data, hundreds of them, and the table of what was found; hours, stop it and call it again (NULLS=70 EFFECTS=10 WHOLE=10)
 # make weighing-gain   a version of the simulator from hidden data, and policies adapted to it, weighing: hours on two cores, stop it and call it again (SEEDS=5)
+# make reliability   every fault of every emulated device at every state of a weighing, 300 kills, a minute of fuzzing for each parser: some half an hour
+# make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll (ARGS="-- 1000 100")
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test setup web chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain lint
+.PHONY: run test setup web chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop lint
 
 ARGS ?=
 LOGS := target/test
@@ -81,6 +83,14 @@ discovery-report: setup
 weighing-gain: setup
 	cargo build --release --locked --bin flip --example weighing_gain
 	FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip" cargo run --quiet --release --locked --example weighing_gain
+
+reliability: setup
+	FLIP_RELIABILITY=full cargo test --release --locked --test reliability -- --nocapture
+	FLIP_KILLS=300 cargo test --release --locked --test kills -- --nocapture
+	FLIP_FUZZ_SECONDS=60 cargo test --release --locked --test fuzz
+
+bench-stop: setup
+	cargo bench --locked --bench stop_latency $(ARGS)
 
 training-report: setup
 	cargo build --release --locked

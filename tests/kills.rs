@@ -196,7 +196,8 @@ async fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_wa
                 unknown += 1;
                 assert!(latched, "kill {kill}: an interrupted dose leaves the bench latched");
                 let (status, refused) = service.weigh(&format!("another-{kill}")).await;
-                assert_eq!((status, refused["code"].as_str()), (409, Some("bench_latched")), "{refused}");
+                let latched = (409, Some("urn:flip:problem:bench-latched"));
+                assert_eq!((status, refused["type"].as_str()), latched, "{refused}");
             }
             "done" | "aborted" => ended += 1,
             other => panic!("kill {kill}: {other}"),

@@ -4,6 +4,7 @@ use super::check::Check;
 use super::jobs::{corrupt, stored};
 use super::trainings::without_sets;
 use super::{App, Error, Result};
+use crate::domain::bench_check::{CheckKind, ShakeCalibration};
 use crate::domain::conditions::{Conditions as Day, Under};
 use crate::domain::job::JobKind;
 use crate::domain::powder::PUBLISHED;
@@ -47,6 +48,9 @@ pub struct EvaluationRequest {
     /// met none of them in training.
     #[serde(default)]
     pub extensions: BTreeMap<String, f64>,
+    /// Shake as the bench's arm was measured to (`flip bench calibrate-shake`); default as the simulator does.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub as_calibrated: bool,
     /// Seed; default 1.
     pub seed: Option<u64>,
     /// Extended version of the simulator, `sv-…`; default the base.
@@ -93,7 +97,15 @@ impl App {
     /// # Errors
     /// `Invalid`; `Conflict` (`calibration_missing`).
     pub async fn start_evaluation(&self, request: EvaluationRequest) -> Result<(Job, bool)> {
-        let conditions = checked(&request)?;
+        let mut conditions = checked(&request)?;
+        if request.as_calibrated {
+            let measured: Option<(_, ShakeCalibration)> = self.store().newest_check(CheckKind::Shakes).await?;
+            let (_, calibration) = measured.ok_or_else(|| {
+                let advice = "the arm's shakes were not measured yet: run `flip bench calibrate-shake` first";
+                Error::conflict("shakes_not_calibrated", advice)
+            })?;
+            conditions = conditions.as_calibrated(&calibration);
+        }
         let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
         let simulator = extended.as_ref().map(|(under, _)| under.simulator.as_str());
         let policy = self.policy_to_evaluate(request.policy.as_deref()).await?;

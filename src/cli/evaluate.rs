@@ -46,6 +46,9 @@ pub(super) struct Arguments {
     /// A mechanism that no training has and its amplitude, as in `rotation=1`; may be repeated. `flip repose` has the same.
     #[arg(long, value_name = "NAME=AMPLITUDE")]
     extension: Vec<String>,
+    /// Shake as the bench's arm was measured to (`flip bench calibrate-shake`).
+    #[arg(long)]
+    as_calibrated: bool,
     #[command(flatten)]
     extended: SimulatorArguments,
 }
@@ -97,6 +100,7 @@ async fn evaluate(app: &App, common: &Common, arguments: &Arguments) -> Result<E
         max_shakes: Some(arguments.max_shakes),
         particles: arguments.particles,
         extensions: parameters::amplitudes(&arguments.extension)?,
+        as_calibrated: arguments.as_calibrated,
         simulator: arguments.extended.simulator.clone(),
         conditions: arguments.extended.conditions()?,
         seed: Some(common.seed),

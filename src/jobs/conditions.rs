@@ -1,5 +1,7 @@
 //! The spoon of an evaluation: grains and mechanisms that a policy may never have met.
 
+use crate::domain::bench_check::ShakeCalibration;
+use crate::domain::motion::MotionLimits;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::{FieldError, bounded};
 use crate::sim::dispense;
@@ -21,13 +23,16 @@ pub struct Conditions {
     /// Mechanisms that the base simulator leaves out, with their amplitudes.
     #[serde(default)]
     pub extensions: Extensions,
+    /// Limits of a shake as the bench's arm executes it; absent: those of the simulator.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shake: Option<MotionLimits>,
 }
 
 impl Default for Conditions {
     /// Those of ordinary weighings and of trainings.
     fn default() -> Self {
         let spoon = dispense::Settings::default();
-        Self { particles: spoon.particles, extensions: spoon.extensions }
+        Self { particles: spoon.particles, extensions: spoon.extensions, shake: None }
     }
 }
 
@@ -52,6 +57,12 @@ impl Conditions {
         if errors.is_empty() { Ok(conditions) } else { Err(errors) }
     }
 
+    /// Shakes as the arm was measured to execute them.
+    #[must_use]
+    pub fn as_calibrated(self, calibration: &ShakeCalibration) -> Self {
+        Self { shake: Some(self.spoon().as_executed(calibration).shake), ..self }
+    }
+
     /// The amplitudes that are not zero.
     pub fn amplitudes(mut self) -> BTreeMap<String, f64> {
         let all = self.extensions.amplitudes();
@@ -68,7 +79,9 @@ impl Conditions {
 
     /// The spoon under these conditions.
     pub fn spoon(&self) -> dispense::Settings {
-        dispense::Settings { particles: self.particles, extensions: self.extensions, ..dispense::Settings::default() }
+        let usual = dispense::Settings::default();
+        let shake = self.shake.unwrap_or(usual.shake);
+        dispense::Settings { particles: self.particles, extensions: self.extensions, shake, ..usual }
     }
 
     /// What the spoon holds, whichever of these sets is the powder, mg; `None` without sets.

@@ -196,6 +196,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             Ok(Err(Halted::Unrecorded)) => {
                 End::Aborted("the record could not be written, so nothing may move: make room for it".to_owned())
             }
+            // A stop ends the motion under way, which the arm tells as an error: nothing is wrong with it.
+            Ok(Err(Halted::Device(_))) if self.stop.load(Ordering::SeqCst) => End::Stopped,
             Ok(Err(Halted::Device(fault))) => {
                 self.must_look = true;
                 End::Aborted(fault.to_string())

@@ -23,6 +23,7 @@ impl evaluations_server::Evaluations for Service {
             max_shakes: asked.max_shakes,
             particles: asked.particles,
             extensions: asked.extensions.into_iter().collect(),
+            as_calibrated: asked.as_calibrated,
             seed: asked.seed,
             simulator: asked.simulator,
             conditions: conditions(asked.conditions),
