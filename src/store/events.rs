@@ -12,9 +12,9 @@ use tokio::sync::watch;
 pub struct Event {
     /// Position in the order of all events; the `id:` of a server-sent event.
     pub seq: i64,
-    /// `job:<id>`, `weighing:<id>` or `simulator`.
+    /// `job:<id>`, `weighing:<id>`, `simulator` or `bench`.
     pub topic: String,
-    /// `state`, `progress`, `trial` or `episode` of a job; `state` or `tick` of a weighing; `current` of the simulator.
+    /// `state`, `progress`, `trial` or `episode` of a job; `state` or `tick` of a weighing; `current` of the simulator; `latched` or `cleared` of the bench.
     pub kind: String,
     /// What happened; the fields depend on the kind.
     #[schema(value_type = Object)]
