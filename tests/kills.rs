@@ -179,8 +179,8 @@ async fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_wa
         assert_eq!(status, 202, "{weighing}");
         let id = weighing["id"].as_str().unwrap().to_owned();
         service.wait_for("the bench does not move", &id, &["armed", "dosing", "settling", "done"]).await;
-        // A dose takes some two seconds here.
-        let moment = flip::domain::seed::derive(20_261_124, &[kill]) % 2500;
+        // Some seconds until powder falls, some more until the dose has ended.
+        let moment = flip::domain::seed::derive(20_261_124, &[kill]) % 8000;
         tokio::time::sleep(Duration::from_millis(moment)).await;
         let token = service.kill();
         laboratory.wait_until_still();
