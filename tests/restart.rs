@@ -167,7 +167,7 @@ async fn interrupted_weighing(service: Service, folder: &Path, token: &str) -> S
     let service = Service::start(folder).0;
     assert_eq!(state(&service, &moving).await, "unknown");
     assert_eq!(service.weigh(token, "moving", &body).await, moving, "its key does not pour again");
-    while ["planned", "armed", "dosing"].contains(&state(&service, &waiting).await.as_str()) {
+    while ["planned", "armed", "dosing", "settling"].contains(&state(&service, &waiting).await.as_str()) {
         assert!(Instant::now() < deadline, "the waiting weighing is not taken up");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
