@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
 /// Late in a dose: this share of the target lies in the vial.
 const LATE_SHARE: f64 = 0.6;
 /// How long an answer of the balance may take, and how late a slow one is.
-const ANSWER_S: f64 = 1.2;
+const ANSWER_S: f64 = 0.9;
 const SLOW_REPLY_MS: u64 = 1000;
 /// Longer than a busy machine holds a thread up, so that no case has a fault that nobody asked for.
 const DEAD_MAN_MS: u32 = 1200;
