@@ -22,7 +22,8 @@ pub use spoon::{GrainsSpoon, Pour, Spoon};
 
 use super::pan::Pan;
 use crate::domain::bench::{PitchLimits, SHAKE_MM_MAX};
-use crate::domain::motion::{MotionLimits, TurnLimits};
+use crate::domain::bench_check::{ExecutedShake, ShakeCalibration};
+use crate::domain::motion::{MotionLimits, Move, TurnLimits};
 use crate::domain::{FieldError, bounded};
 use crate::hardware::arm::PROTOCOL_VERSION;
 use crate::hardware::arm::proto::{self, Station};
@@ -104,6 +105,16 @@ impl Settings {
             return 0.0;
         }
         (self.shake_gain * commanded_mm - self.shake_loss_mm).max(0.0)
+    }
+
+    /// What measuring this arm's shakes finds: its gain and what it loses.
+    pub fn shakes(&self) -> Option<ShakeCalibration> {
+        let shake = |commanded_mm: f64| {
+            let planned_mm_s = 1e3 * Move::new(1e-3 * commanded_mm, self.shake).top_m_s();
+            let peak_mm_s = 1e3 * self.speed * Move::new(1e-3 * self.executed_mm(commanded_mm), self.shake).top_m_s();
+            ExecutedShake { commanded_mm, executed_mm: self.executed_mm(commanded_mm), planned_mm_s, peak_mm_s }
+        };
+        ShakeCalibration::of([2.0, 4.0, 8.0, self.shake_mm_max].map(shake).to_vec()).ok()
     }
 
     /// The same settings if an arm can have them.
