@@ -51,8 +51,18 @@ impl Repeatability {
     /// m_min = 2 max(s, 0.41 d) / share        share 0.001 for "accurately weighed" (USP <41>)
     /// ```
     pub fn minimum_mg(&self, share: f64) -> f64 {
-        2.0 * self.sd_mg.max(0.41 * self.readability_mg) / share
+        minimum_weight_mg(repeatability_mg(self.sd_mg, self.readability_mg), share)
     }
+}
+
+/// Repeatability as USP <41> takes it, mg: at least 0.41 steps of the display.
+pub fn repeatability_mg(sd_mg: f64, readability_mg: f64) -> f64 {
+    sd_mg.max(0.41 * readability_mg)
+}
+
+/// Smallest net weight, mg, of which twice the repeatability is no more than this share: 2000 s for the 0.10 % of USP <41>.
+pub fn minimum_weight_mg(repeatability_mg: f64, share: f64) -> f64 {
+    2.0 * repeatability_mg / share
 }
 
 /// What the arm makes of a commanded shake: a line through what was measured.

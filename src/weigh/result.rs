@@ -1,11 +1,12 @@
 //! What a weighing leaves behind: a result that a chemist can use, and how sure it is.
 
 use super::Order;
+pub use crate::domain::bench_check::minimum_weight_mg;
+
 use crate::domain::bench::{Standing, Tick};
+use crate::domain::bench_check;
 use crate::domain::weighing::Outcome;
 
-/// USP <41>: a balance's repeatability is taken to be at least this many steps of its display.
-const REPEATABILITY_STEPS_MIN: f64 = 0.41;
 /// USP <41>: twice the repeatability may be this share of the smallest net weight.
 const USP_SHARE: f64 = 0.001;
 /// Coverage factor of the expanded uncertainty.
@@ -103,12 +104,7 @@ pub fn uncertainty_mg(repeatability_mg: f64, readability_mg: f64, drift_mg_min: 
 
 /// Repeatability as USP <41> takes it, mg: at least 0.41 steps of the display, also where it was never checked.
 pub fn repeatability_mg(accuracy: &Accuracy, readability_mg: f64) -> f64 {
-    accuracy.repeatability_mg.unwrap_or(0.0).max(REPEATABILITY_STEPS_MIN * readability_mg)
-}
-
-/// Smallest net weight, mg, of which twice the repeatability is no more than this share: 2000 s for the 0.10 % of USP <41>.
-pub fn minimum_weight_mg(repeatability_mg: f64, share: f64) -> f64 {
-    2.0 * repeatability_mg / share
+    bench_check::repeatability_mg(accuracy.repeatability_mg.unwrap_or(0.0), readability_mg)
 }
 
 /// What the loop knows at its end.
