@@ -226,7 +226,7 @@ impl App {
 }
 
 /// Nobody may use the bench until a person has looked.
-fn latched(latch: &Latch) -> Error {
+pub(super) fn latched(latch: &Latch) -> Error {
     let advice = format!(
         "the bench is latched since {}: {}. Look at spoon, vial and balance, then clear it (page, `flip bench clear`, POST /v1/bench/clear)",
         latch.at, latch.reason

@@ -3,18 +3,24 @@
 use super::Common;
 use super::failure::Failure;
 use super::session::{StopSignals, runtime};
-use crate::domain::FieldError;
 use crate::domain::parameters::ParameterSet;
+use crate::domain::{FieldError, bounded};
 use crate::emulate::arm::{self, Arm, Flow, FormulaSpoon, GrainsSpoon, Spoon};
 use crate::emulate::balance::{self, Balance, Socket};
+use crate::emulate::camera::{
+    CameraFault, Noise, Optics, Pose, Scene, Studio, Surface, faulty_uploads, frames, upload,
+};
 use crate::emulate::gate::{self, EmulatedGate, Slide};
 use crate::emulate::gripper::{self, EmulatedGripper, Fingers};
 use crate::emulate::lab::{self, Laboratory};
 use crate::emulate::pan::Pan;
 use crate::emulate::port::Port;
 use crate::hardware::balance::Dialect;
+use crate::hardware::camera::Upload;
 use crate::hardware::clock::Clock;
 use crate::sim::dispense;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
 use serde::Serialize;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -44,6 +50,8 @@ enum What {
     Gripper(DeviceArguments),
     /// A slide gate.
     Gate(DeviceArguments),
+    /// A depth camera over a cone of powder: writes frames as files that can be uploaded, and ends.
+    Camera(CameraArguments),
 }
 
 #[derive(Debug, clap::Args)]
@@ -79,6 +87,22 @@ struct BalanceArguments {
     /// Misbehave: draught, auto_print, partial_line and others; a wrong name lists them.
     #[arg(long, value_name = "NAME")]
     fault: Option<balance::Fault>,
+}
+
+#[derive(Debug, clap::Args)]
+struct CameraArguments {
+    /// Folder for frame-01.json and so on: each is the body of one upload.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Angle of the cone, 5 to 80 deg.
+    #[arg(long, value_name = "DEG", default_value_t = 35.0, allow_negative_numbers = true)]
+    repose_deg: f64,
+    /// Frames, 1 to 100.
+    #[arg(long, value_name = "N", default_value_t = 10, allow_negative_numbers = true)]
+    frames: u32,
+    /// Misbehave: holes, heavy_noise, funnel_missing and others; a wrong name lists them. Such a camera takes ten frames, or fewer.
+    #[arg(long, value_name = "NAME")]
+    fault: Option<CameraFault>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -141,7 +165,31 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             let port = Port::pty(EmulatedGate::new(slide))?;
             until_stopped(common, "gate", port.address())
         }
+        What::Camera(asked) => photograph(common, asked),
     }
+}
+
+fn photograph(common: &Common, asked: &CameraArguments) -> Result<(), Failure> {
+    let CameraArguments { out, fault, .. } = asked;
+    let deg = bounded("repose-deg", asked.repose_deg, 5.0, 80.0, "deg")?;
+    let count = bounded("frames", f64::from(asked.frames), 1.0, 100.0, "frames")? as usize;
+    let scene = Scene::of(Surface::Cone(Studio::drawn(deg, common.seed).cone));
+    let uploads = match fault {
+        Some(fault) => faulty_uploads(*fault, &scene, &Optics::default(), common.seed),
+        None => {
+            let taken = frames(&scene, &Pose::default(), &Optics::default(), &Noise::default(), common.seed, count);
+            taken.iter().map(upload).collect()
+        }
+    };
+    std::fs::create_dir_all(out)?;
+    for (k, Upload { depth, colour, description }) in uploads.map_err(anyhow::Error::from)?.into_iter().enumerate() {
+        let description: serde_json::Value = serde_json::from_slice(&description)?;
+        let [depth, colour] = [depth, colour].map(|bytes| STANDARD.encode(bytes));
+        let body = serde_json::json!({ "depth": depth, "colour": colour, "description": description });
+        std::fs::write(out.join(format!("frame-{:02}.json", k + 1)), body.to_string())?;
+    }
+    let document = Document { device: "camera", address: out.display().to_string() };
+    common.print(&document, || format!("frames of a cone of {deg} deg in {}", out.display()))
 }
 
 fn fault<F: std::str::FromStr<Err = FieldError>>(asked: &DeviceArguments) -> Result<Option<F>, FieldError> {

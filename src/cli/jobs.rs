@@ -31,6 +31,8 @@ enum KindFlag {
     Training,
     Evaluation,
     Investigation,
+    /// Piles under a camera to an angle of repose.
+    Repose,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -74,6 +76,7 @@ impl From<KindFlag> for JobKind {
             KindFlag::Training => Self::Training,
             KindFlag::Evaluation => Self::Evaluation,
             KindFlag::Investigation => Self::Investigation,
+            KindFlag::Repose => Self::Repose,
         }
     }
 }

@@ -1,9 +1,10 @@
-//! `flip measurements`: what was measured of powders, from and to CSV files.
+//! `flip measurements`: what was measured of powders, from and to CSV files, and by camera beside by hand.
 
 use super::Common;
 use super::failure::Failure;
 use super::session::{with_reader, with_writer};
-use crate::app::Imported;
+use super::table::table;
+use crate::app::{Compared, Imported};
 use crate::domain::FieldError;
 use clap::Subcommand;
 use std::path::{Path, PathBuf};
@@ -35,6 +36,8 @@ enum Action {
         #[arg(long, value_name = "ID")]
         powder: Option<String>,
     },
+    /// Print the angles of repose by camera beside those by hand, of every powder that was measured both ways.
+    Compare,
 }
 
 /// Import or export.
@@ -48,6 +51,10 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         Action::Export { powder } => {
             let measured = with_reader(common, async |app| Ok(app.measured(powder.as_deref()).await?))?;
             common.print(&measured, || measured.csv())
+        }
+        Action::Compare => {
+            let compared = with_reader(common, async |app| Ok(app.compare_methods().await?))?;
+            common.print(&compared, || comparison(&compared))
         }
     }
 }
@@ -63,6 +70,19 @@ pub(super) fn read(field: &str, file: &Path) -> Result<String, Failure> {
         FieldError::new(format!("row[{row}]"), advice)
     };
     Ok(String::from_utf8(bytes).map_err(not_text)?)
+}
+
+fn comparison(compared: &[Compared]) -> String {
+    let row = |it: &Compared| {
+        let error = it.standard_error_deg.map_or_else(|| "-".to_owned(), |error| format!("{error:.2}"));
+        let angle = |of: crate::app::Flowability| {
+            [format!("{:.2}", of.repose_deg), format!("{:.2}", of.sd_deg), of.n.to_string()]
+        };
+        let angles = [it.automated, it.manual].map(angle).concat();
+        [vec![it.powder.clone()], angles, vec![format!("{:+.2}", it.difference_deg), error]].concat()
+    };
+    let header = ["powder", "camera deg", "SD", "n", "by hand deg", "SD", "n", "difference deg", "its standard error"];
+    table(&header, &compared.iter().map(row).collect::<Vec<_>>())
 }
 
 fn text(imported: &Imported) -> String {

@@ -17,6 +17,7 @@ mod evaluate;
 mod failure;
 mod health;
 mod jobs;
+mod measure;
 mod measurements;
 mod observe;
 mod parameters;
@@ -79,7 +80,9 @@ enum Command {
     Validate(validate::Arguments),
     /// Find simulated powders that pile like a measured one.
     Calibrate(calibrate::Arguments),
-    /// Read measurements from a CSV file, or write them to one.
+    /// Measure a powder's angle of repose by camera, on a bench with a stand for piles.
+    Measure(measure::Arguments),
+    /// Read measurements from a CSV file, write them to one, compare those by camera and by hand.
     Measurements(measurements::Arguments),
     /// Compare two calibrations.
     Compare(compare::Arguments),
@@ -99,7 +102,7 @@ enum Command {
     Audit(audit::Arguments),
     /// Run emulated devices, or a whole laboratory of them, until Ctrl-C.
     Emulate(emulate::Arguments),
-    /// List calibrations, trainings, evaluations and investigations, also while a server runs.
+    /// List calibrations, trainings, evaluations, investigations and measurements by camera, also while a server runs.
     Jobs(jobs::Arguments),
     /// Make API tokens.
     Token(token::Arguments),
@@ -137,6 +140,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Repose(arguments) => repose::run(common, arguments),
         Command::Validate(arguments) => validate::run(common, arguments),
         Command::Calibrate(arguments) => calibrate::run(common, arguments),
+        Command::Measure(arguments) => measure::run(common, arguments),
         Command::Measurements(arguments) => measurements::run(common, arguments),
         Command::Train(arguments) => train::run(common, arguments),
         Command::Evaluate(arguments) => evaluate::run(common, arguments),

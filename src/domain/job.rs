@@ -14,6 +14,8 @@ pub enum JobKind {
     Evaluation,
     /// Measured angles to what the simulator gets wrong.
     Investigation,
+    /// Piles under a camera to an angle of repose.
+    Repose,
 }
 
 /// Where a job stands.

@@ -7,6 +7,7 @@ pub mod job;
 pub mod motion;
 pub mod observable;
 pub mod parameters;
+pub mod pile;
 pub mod powder;
 pub mod seed;
 pub mod timestamp;

@@ -12,6 +12,7 @@ pub mod line;
 pub mod settle;
 pub mod shake_calibration;
 pub mod simulated;
+pub mod stand;
 pub mod station;
 pub mod waypoints;
 pub mod wire;

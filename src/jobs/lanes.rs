@@ -1,4 +1,4 @@
-//! Who computes at the same time: trainings beside everything, all else one after another.
+//! Who computes at the same time: trainings beside everything, what waits for a bench beside everything too, all else one after another.
 //!
 //! The steps of a training follow one another, so one leaves cores idle. A calibration, an evaluation or an investigation fills every core by
 //! itself, and a calibration leaves an emulator that the next one needs.
@@ -13,6 +13,8 @@ pub(super) struct Lanes {
     trainings: Arc<Semaphore>,
     /// Most trainings at once: as many as there are cores, and at least two.
     trainings_max: u32,
+    /// Whoever measures on the bench.
+    bench: Arc<Semaphore>,
 }
 
 /// A place, free again when dropped.
@@ -23,13 +25,14 @@ impl Lanes {
     pub fn new() -> Self {
         let trainings_max = std::thread::available_parallelism().map_or(2, |cores| cores.get().max(2)) as u32;
         let free = |places: u32| Arc::new(Semaphore::new(places as usize));
-        Self { turns: free(1), trainings: free(trainings_max), trainings_max }
+        Self { turns: free(1), trainings: free(trainings_max), trainings_max, bench: free(1) }
     }
 
     /// A place for a job of this kind; `None` when all are taken.
     pub fn take(&self, kind: JobKind) -> Option<Place> {
         let lane = match kind {
             JobKind::Training => &self.trainings,
+            JobKind::Repose => &self.bench,
             JobKind::Calibration | JobKind::Evaluation | JobKind::Investigation => &self.turns,
         };
         lane.clone().try_acquire_owned().ok()
@@ -39,6 +42,7 @@ impl Lanes {
     pub async fn all_free(&self) {
         // They are never closed, so both are granted.
         let _ = self.turns.acquire().await;
+        let _ = self.bench.acquire().await;
         let _ = self.trainings.acquire_many(self.trainings_max).await;
     }
 }
@@ -53,13 +57,15 @@ mod tests {
         let calibration = lanes.take(JobKind::Calibration).unwrap();
         assert!(lanes.take(JobKind::Evaluation).is_none());
         assert!(lanes.take(JobKind::Investigation).is_none());
+        let measurement = lanes.take(JobKind::Repose).unwrap();
+        assert!(lanes.take(JobKind::Repose).is_none());
         let trainings: Vec<Place> = std::iter::from_fn(|| lanes.take(JobKind::Training)).collect();
         assert_eq!(trainings.len() as u32, lanes.trainings_max);
         drop(calibration);
         assert!(lanes.take(JobKind::Evaluation).is_some());
         let waiting = tokio::time::timeout(std::time::Duration::from_millis(20), lanes.all_free()).await;
         assert!(waiting.is_err(), "trainings still compute");
-        drop(trainings);
+        drop((trainings, measurement));
         lanes.all_free().await;
         assert!(lanes.take(JobKind::Training).is_some());
     }

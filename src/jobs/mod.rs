@@ -7,7 +7,7 @@
 //!  worker.rs   take a lane (lanes.rs) and claim the row: fence + lease; without either nothing is done, and it is delivered again
 //!     |        lease.rs renews the lease from a thread of its own
 //!     v
-//!  a compute thread: train.rs, several at once | calibrate.rs, evaluate.rs, investigate.rs, one at a time
+//!  a compute thread: train.rs, several at once | calibrate.rs, evaluate.rs, investigate.rs, one at a time | repose.rs, on the bench
 //!              load inputs, call the pure function, save what it finds; every write carries the fence
 //! ```
 //!
@@ -25,6 +25,7 @@ mod lease;
 pub mod observe;
 mod queue;
 mod reconcile;
+pub mod repose;
 mod spec;
 mod stop;
 pub mod train;
@@ -33,12 +34,13 @@ mod worker;
 pub use conditions::Conditions;
 pub use context::JobError;
 pub use spec::{
-    CalibrationSpec, EvaluationPowder, EvaluationSpec, Heaps, InvestigationSpec, JobSpec, SIMULATOR, TrainingSpec,
+    CalibrationSpec, EvaluationPowder, EvaluationSpec, Heaps, InvestigationSpec, JobSpec, ReposeSpec, SIMULATOR,
+    TrainingSpec,
 };
 
 use crate::domain::observable::Observable;
 use crate::domain::parameters::ParameterSet;
-use crate::sim::repose::{self, Refusal, Repose};
+use crate::sim::repose::{self as heap, Refusal, Repose};
 use crate::store::jobs::Job;
 use crate::store::ledger::Lease;
 use crate::store::{self, Store, new_id, now};
@@ -51,8 +53,8 @@ use tokio::sync::Notify;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-/// The heap experiment as calibrations call it: [`repose::repose`] in the product, a formula in tests.
-pub type Simulate = Arc<dyn Fn(&ParameterSet, &repose::Settings, u64) -> Result<Repose, Refusal> + Send + Sync>;
+/// The heap experiment as calibrations call it: [`heap::repose`] in the product, a formula in tests.
+pub type Simulate = Arc<dyn Fn(&ParameterSet, &heap::Settings, u64) -> Result<Repose, Refusal> + Send + Sync>;
 
 /// The experiments beside the heap, reduced: [`observe::observe`](crate::sim::observe::observe) in the product.
 pub type Observe = Arc<dyn Fn(&Observable, &ParameterSet, u64) -> Result<f64, Refusal> + Send + Sync>;
@@ -75,7 +77,7 @@ pub struct Functions {
 impl Default for Functions {
     fn default() -> Self {
         Self {
-            simulate: Arc::new(repose::repose),
+            simulate: Arc::new(heap::repose),
             observe: Arc::new(crate::sim::observe::observe),
             train: train::simulated(),
             pour: bench::simulated(),

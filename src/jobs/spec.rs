@@ -4,11 +4,14 @@ use super::conditions::Conditions;
 use crate::calibrate;
 use crate::discover::traces::Traces;
 use crate::discover::{self, Campaign, FitSet};
+use crate::domain::bench::BenchKind;
 use crate::domain::conditions::{Patch, Under};
 use crate::domain::job::JobKind;
 use crate::domain::observable::Observation;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::powder::Flowability;
+use crate::hardware::stand::Procedure;
+use crate::pile::{Limits, Rig};
 use crate::policy::{Kind, Schedule};
 use crate::sim;
 use crate::train;
@@ -31,6 +34,8 @@ pub enum JobSpec {
     Evaluation(EvaluationSpec),
     /// What the simulator gets wrong.
     Investigation(InvestigationSpec),
+    /// Piles under a camera.
+    Repose(ReposeSpec),
 }
 
 /// A calibration to carry out.
@@ -141,6 +146,25 @@ pub struct Heaps {
     pub sets: Vec<(FitSet, ParameterSet)>,
 }
 
+/// A measurement of the angle of repose to carry out on the bench.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ReposeSpec {
+    /// Powder id.
+    pub powder: String,
+    /// Which measurement of this powder it is: the same again is the same one, not another.
+    pub run: u32,
+    /// How piles are made and looked at.
+    pub procedure: Procedure,
+    /// What is known of the rig.
+    pub rig: Rig,
+    /// What frames must show.
+    pub limits: Limits,
+    /// What makes the piles.
+    pub bench: BenchKind,
+    /// The simulated powder on an emulated bench; none on devices.
+    pub set: Option<ParameterSet>,
+}
+
 impl InvestigationSpec {
     /// Name of the simulator's version that this investigation makes, if its extension wins.
     pub fn version(&self) -> String {
@@ -157,6 +181,7 @@ impl JobSpec {
             Self::Training(_) => JobKind::Training,
             Self::Evaluation(_) => JobKind::Evaluation,
             Self::Investigation(_) => JobKind::Investigation,
+            Self::Repose(_) => JobKind::Repose,
         }
     }
 

@@ -6,7 +6,7 @@ use super::lease::{Renewer, lease_end};
 use super::queue::{self, Delivery};
 use super::spec::JobSpec;
 use super::stop::{Stop, StopFlag};
-use super::{Shared, calibrate, evaluate, investigate, train};
+use super::{Shared, calibrate, evaluate, investigate, repose, train};
 use crate::domain::job::JobState;
 use crate::store::ledger::{Claim, Claimed, Lease};
 use crate::store::{self, now};
@@ -126,6 +126,7 @@ fn perform(context: &JobContext, claimed: &Claimed) -> Result<(), JobError> {
         JobSpec::Training(spec) => train::perform(context, &spec, claimed.checkpoint.as_deref()),
         JobSpec::Evaluation(spec) => evaluate::perform(context, &spec),
         JobSpec::Investigation(spec) => investigate::perform(context, &spec),
+        JobSpec::Repose(spec) => repose::perform(context, &spec),
     }
 }
 

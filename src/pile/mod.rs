@@ -27,6 +27,7 @@ mod settings;
 mod shot;
 mod spout;
 
+pub use crate::domain::pile::{Angle, Measurement};
 pub use comparison::{Compared, Stored, compare, published};
 pub use refusal::Refusal;
 pub use repeats::{Repeats, repeats};
@@ -36,47 +37,8 @@ use crate::hardware::camera::Frame;
 use bench::View;
 use fit::Point;
 use flank::{Apex, Departure, Flank};
-use serde::{Deserialize, Serialize};
 use shot::{Shot, median};
 use spout::Tip;
-
-/// An angle and how sure it is.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Angle {
-    /// Degrees.
-    pub deg: f64,
-    /// Combined standard uncertainty of one measurement, degrees: frames, fit and calibration. Twice this holds about 95 %.
-    pub u_deg: f64,
-    /// What the spread from frame to frame alone says of the mean, degrees.
-    pub u_frames_deg: f64,
-}
-
-/// What frames say of a pile.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Measurement {
-    /// atan(2 h / d_base), from the apex.
-    pub tip: Angle,
-    /// Slope of the cone fitted between 20 % and 80 % of the height.
-    pub cone: Angle,
-    /// h: height of the apex over the base, mm.
-    pub height_mm: f64,
-    /// Distance of apex and tip, mm.
-    pub tip_to_apex_mm: f64,
-    /// Height of the tip over the base as the frames state it, mm: to be compared with D.
-    pub tip_height_seen_mm: f64,
-    /// Distance of the apex from the spout's axis, mm.
-    pub off_centre_mm: f64,
-    /// How far the camera looks down, and its turn about its axis, degrees.
-    pub elevation_deg: f64,
-    /// See `elevation_deg`.
-    pub roll_deg: f64,
-    /// Pixels of the flank.
-    pub flank_pixels: u32,
-    /// Share of the pile's pixels without depth.
-    pub pile_invalid: f64,
-    /// Frames.
-    pub frames: u32,
-}
 
 /// Standard uncertainty of the bench as a level: its fit and its flatness, degrees.
 const LEVEL_U_DEG: f64 = 0.1;

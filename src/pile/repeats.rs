@@ -6,7 +6,7 @@ use crate::domain::powder::Flowability;
 use serde::{Deserialize, Serialize};
 
 /// Repeats of one powder, a pile each.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Repeats {
     /// From the apex: mean, standard deviation and number of the repeats.
     pub tip: Flowability,

@@ -4,7 +4,7 @@ use crate::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
 /// How lengths that the camera sees become lengths.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Lengths {
     /// By the depth unit that the frames state, as published. A scale error of 1 % is an error of the angle of 0.5 deg.
@@ -15,7 +15,7 @@ pub enum Lengths {
 }
 
 /// The rig, measured with a ruler or calipers.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Rig {
     /// D: height of the funnel's tip over the top of the base, 10 to 500 mm. Default 60.
@@ -78,7 +78,7 @@ impl Rig {
 }
 
 /// What frames must show.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Limits {
     /// Fewest frames, 3 to 100. Default 10, as published.

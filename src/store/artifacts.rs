@@ -78,7 +78,8 @@ impl Store {
     pub(super) async fn forget_artifact(&self, sha256: &str) -> Result<()> {
         let sql = "SELECT EXISTS (SELECT 1 FROM job WHERE checkpoint = ?1 \
              UNION SELECT 1 FROM job WHERE kind = 'calibration' AND result ->> '$.posterior' = ?1 \
-             UNION SELECT 1 FROM weighing WHERE trace = ?1)";
+             UNION SELECT 1 FROM weighing WHERE trace = ?1 \
+             UNION SELECT 1 FROM pile, json_tree(pile.body, '$.frames') WHERE json_tree.atom = ?1)";
         let named: bool = sqlx::query_scalar(sql).bind(sha256).fetch_one(&self.reader).await?;
         if named { Ok(()) } else { remove(&self.artifacts.path(sha256)) }
     }
@@ -88,7 +89,8 @@ impl Store {
         let named = "SELECT checkpoint FROM job WHERE checkpoint IS NOT NULL \
                      UNION SELECT result ->> '$.posterior' FROM job \
                      WHERE kind = 'calibration' AND result ->> '$.posterior' IS NOT NULL \
-                     UNION SELECT trace FROM weighing WHERE trace IS NOT NULL";
+                     UNION SELECT trace FROM weighing WHERE trace IS NOT NULL \
+                     UNION SELECT json_tree.atom FROM pile, json_tree(pile.body, '$.frames') WHERE json_tree.atom IS NOT NULL";
         let named: Vec<String> = sqlx::query_scalar(named).fetch_all(&self.reader).await?;
         self.artifacts.keep_only(&named.into_iter().collect())
     }

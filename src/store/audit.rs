@@ -27,7 +27,7 @@ pub struct AuditRecord {
     pub at: Timestamp,
     /// The weighing that it belongs to.
     pub weighing: Option<String>,
-    /// `intent`, `state`, `sent`, `received`, `reading`, `decision`, `outcome`, `person`, `latch` or `check`.
+    /// `intent`, `state`, `sent`, `received`, `reading`, `decision`, `outcome`, `person`, `latch`, `check` or `pile`.
     pub kind: String,
     /// What happened; the fields depend on the kind.
     #[schema(value_type = Object)]

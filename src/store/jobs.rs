@@ -11,7 +11,7 @@ use sqlx::sqlite::SqliteRow;
 /// A job as callers see it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Job {
-    /// Id; a calibration, training, evaluation or investigation has the id of its job.
+    /// Id; a calibration, training, evaluation, investigation or measurement of the angle of repose has the id of its job.
     pub id: String,
     /// What it computes.
     pub kind: JobKind,

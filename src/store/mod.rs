@@ -17,6 +17,7 @@ pub mod observations;
 mod open;
 pub mod page;
 pub mod parameter_sets;
+pub mod piles;
 pub mod policies;
 pub mod powders;
 mod row;

@@ -160,7 +160,8 @@ mod tests {
         assert_eq!(count("SELECT count(*) FROM sqlite_schema WHERE name = 'job_kept'").await, 0);
         let insert = "INSERT INTO job (id, kind, spec, spec_sha256, state, created_at) VALUES (?1, ?1, '{}', randomblob(32), 'queued', 0)";
         let insert_kind = async |kind| sqlx::query(insert).bind(kind).execute(writer).await;
-        assert!(insert_kind("investigation").await.is_ok() && insert_kind("seance").await.is_err());
+        assert!(insert_kind("investigation").await.is_ok() && insert_kind("repose").await.is_ok());
+        assert!(insert_kind("seance").await.is_err());
         // References hold again.
         assert!(sqlx::query("DELETE FROM job WHERE id = 'c'").execute(writer).await.is_err());
         assert!(

@@ -2,7 +2,8 @@
 
 use crate::toy::{Bench, Hold};
 use flip::api::{self, ServeConfig};
-use flip::app::{App, Options, Role};
+use flip::app::{App, Functions, Options, Role};
+use flip::jobs::bench::Apparatus;
 use reqwest::{Method, Response};
 use serde_json::Value;
 use std::net::SocketAddr;
@@ -35,10 +36,22 @@ impl Service {
         service
     }
 
+    /// On this bench, and salt can be weighed.
+    pub async fn ready_on(apparatus: Apparatus) -> Self {
+        let config = ServeConfig::loopback("127.0.0.1:0".parse().unwrap());
+        let service = Self::start_with(config, Some(apparatus)).await;
+        crate::toy::calibrate_salt(service.data.path()).await;
+        service
+    }
+
     pub async fn start_at(config: ServeConfig) -> Self {
+        Self::start_with(config, None).await
+    }
+
+    async fn start_with(config: ServeConfig, apparatus: Option<Apparatus>) -> Self {
         let data = TempDir::new().unwrap();
         let bench = Bench::default();
-        let options = Options { workers: true, functions: bench.functions() };
+        let options = Options { workers: true, functions: Functions { bench: apparatus, ..bench.functions() } };
         let app = App::open(data.path(), options).await.unwrap();
         let server = api::bind(app.clone(), config).unwrap();
         let address = server.address().unwrap();

@@ -9,6 +9,7 @@ mod investigations;
 mod measurements;
 mod protocol;
 mod refusals;
+mod repose;
 mod simulators;
 mod tls;
 mod toy;

@@ -35,7 +35,7 @@ macro_rules! same_names {
 
 same_names! {
     Method = Method { Automated Manual }
-    JobKind = JobKind { Calibration Training Evaluation Investigation }
+    JobKind = JobKind { Calibration Training Evaluation Investigation Repose }
     JobState = JobState { Queued Running Succeeded Failed Cancelled }
     Outcome = Outcome { Within Under Over NotStable Blocked Stopped Aborted Unknown }
     WeighingState = WeighingState { Planned Armed Dosing Settling Done Aborted Unknown }

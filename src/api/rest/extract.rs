@@ -12,6 +12,8 @@ use std::error::Error;
 
 /// Most bytes of a request body.
 pub const BODY_BYTES_MAX: usize = 1024 * 1024;
+/// Most bytes of a body that holds images.
+pub const LARGE_BYTES_MAX: usize = 16 * 1024 * 1024;
 
 /// A JSON body.
 #[derive(Debug)]
@@ -21,7 +23,19 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Input<T> {
     type Rejection = Problem;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
-        parse(&body(request, state, "application/json").await?).map(Self)
+        parse(&body(request, state, "application/json", BODY_BYTES_MAX).await?).map(Self)
+    }
+}
+
+/// A JSON body that holds images.
+#[derive(Debug)]
+pub struct Large<T>(pub T);
+
+impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Large<T> {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
+        parse(&body(request, state, "application/json", LARGE_BYTES_MAX).await?).map(Self)
     }
 }
 
@@ -33,19 +47,19 @@ impl<S: Send + Sync> FromRequest<S> for Csv {
     type Rejection = Problem;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
-        let bytes = body(request, state, "text/csv").await?;
+        let bytes = body(request, state, "text/csv", BODY_BYTES_MAX).await?;
         let text = String::from_utf8(bytes.into()).map_err(|_| Problem::malformed("the body is not UTF-8 text"))?;
         Ok(Self(text))
     }
 }
 
 /// A body of this kind and of a size that is read.
-async fn body<S: Send + Sync>(request: Request, state: &S, kind: &str) -> Result<Bytes, Problem> {
+async fn body<S: Send + Sync>(request: Request, state: &S, kind: &str, bytes_max: usize) -> Result<Bytes, Problem> {
     if !is_of_kind(request.headers(), kind) {
         return Err(Problem::unsupported_media_type(kind));
     }
     Bytes::from_request(request, state).await.map_err(|rejection| match rejection.status() {
-        StatusCode::PAYLOAD_TOO_LARGE => Problem::too_large(BODY_BYTES_MAX),
+        StatusCode::PAYLOAD_TOO_LARGE => Problem::too_large(bytes_max),
         _ => Problem::malformed("the body ended before it was whole"),
     })
 }

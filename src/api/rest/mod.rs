@@ -14,6 +14,7 @@ mod measurements;
 mod parameters;
 mod policies;
 mod powders;
+mod repose;
 mod simulators;
 mod tokens;
 mod trainings;
@@ -39,6 +40,10 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(measurements::import_measurements))
         .routes(routes!(measurements::export_measurements))
         .routes(routes!(measurements::export_powder_measurements))
+        .routes(routes!(repose::compare_methods))
+        .routes(routes!(repose::list_repose_measurements, repose::start_repose_measurement))
+        .routes(routes!(repose::get_repose_measurement))
+        .routes(routes!(repose::download_frame))
         .routes(routes!(parameters::list_parameters))
         .routes(routes!(parameters::list_parameter_sets))
         .routes(routes!(parameters::get_parameter_set))
@@ -87,9 +92,14 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(tokens::create_token))
 }
 
+/// Routes whose bodies are images.
+fn large_routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(repose::add_frame)).layer(DefaultBodyLimit::max(extract::LARGE_BYTES_MAX))
+}
+
 /// The OpenAPI document of everything below `/v1`.
 pub fn openapi() -> OpenApi {
-    document::complete(routes().into_openapi())
+    document::complete(routes().merge(large_routes()).into_openapi())
 }
 
 /// The routes, with `/openapi.json`.
@@ -97,10 +107,11 @@ pub fn router(app: App) -> Router {
     let document = openapi();
     let describe = move || async move { Json(document) };
     Router::from(routes())
+        .layer(DefaultBodyLimit::max(extract::BODY_BYTES_MAX))
+        .merge(Router::from(large_routes()))
         .with_state(app)
         .route("/openapi.json", get(describe))
         .method_not_allowed_fallback(async || Problem::method_not_allowed())
-        .layer(DefaultBodyLimit::max(extract::BODY_BYTES_MAX))
 }
 
 /// A file to keep, `NAME.csv`.

@@ -1,5 +1,6 @@
 //! What moves when a weighing is carried out: the simulator itself, a laboratory that is emulated around it, or devices.
 
+use super::stand::{self, PileStand};
 use crate::domain::bench::{BenchKind, Tick};
 use crate::domain::bench_check::ShakeCalibration;
 use crate::domain::parameters::ParameterSet;
@@ -18,7 +19,7 @@ use crate::sim::{balance, dispense};
 use crate::weigh::{self, Accuracy, Event, Order, Settings, Weighed, weigh};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Everything that one weighing needs.
@@ -104,6 +105,8 @@ pub struct Apparatus {
     pub recover: Recover,
     /// Step of the balance's display, mg, where it is known beforehand.
     pub readability_mg: Arc<dyn Fn() -> Option<f64> + Send + Sync>,
+    /// Where piles are made for an angle of repose; the simulator has none.
+    pub stand: Option<PileStand>,
 }
 
 impl Apparatus {
@@ -117,6 +120,7 @@ impl Apparatus {
             devices: Arc::new(BTreeMap::new),
             recover: Arc::new(|_| Ok(())),
             readability_mg: Arc::new(|| None),
+            stand: None,
         }
     }
 }
@@ -136,6 +140,7 @@ pub fn emulated(settings: lab::Settings) -> Apparatus {
     let wires = Wires::default();
     let readability_mg = settings.balance.readability_mg;
     let opened = wires.clone();
+    let stand = stand::emulated(settings.clone(), wires.clone());
     let pour: Pour = Arc::new(move |pouring, on_event, stop| {
         let clock = Clock::standing();
         let spoon = GrainsSpoon::new(&pouring.set, &pouring.powder(), pouring.seed);
@@ -156,7 +161,7 @@ pub fn emulated(settings: lab::Settings) -> Apparatus {
         }
     });
     // Each dose has a laboratory of its own.
-    wires.apparatus(BenchKind::Emulated, pour, Arc::new(|_| Ok(())), readability_mg)
+    Apparatus { stand: Some(stand), ..wires.apparatus(BenchKind::Emulated, pour, Arc::new(|_| Ok(())), readability_mg) }
 }
 
 /// The closed loop on the devices of this file.
@@ -166,17 +171,22 @@ pub fn devices(file: BenchFile) -> Apparatus {
     let (opened, url, tap) = (wires.clone(), file.arm.url.clone(), wires.tap());
     let recover: Recover =
         Arc::new(move |person| Arm::connect(&url, tap.clone(), Deadlines::default())?.recover(person));
+    let stand = stand::devices(file.clone(), wires.clone());
     let pour: Pour =
         Arc::new(move |pouring, on_event, stop| on_devices(&opened, &file, Clock::wall(), pouring, on_event, stop));
-    wires.apparatus(BenchKind::Devices, pour, recover, readability_mg)
+    Apparatus { stand: Some(stand), ..wires.apparatus(BenchKind::Devices, pour, recover, readability_mg) }
 }
 
 /// What outlives the weighing that opened the devices.
 #[derive(Clone, Default)]
-struct Wires {
+pub(super) struct Wires {
     exchanges: Arc<Mutex<Vec<Exchange>>>,
     stopper: Arc<Mutex<Option<Stopper>>>,
     devices: Arc<Mutex<BTreeMap<String, String>>>,
+    /// Held by whoever moves devices: weighings and piles take turns.
+    floor: Arc<Mutex<()>>,
+    /// Stop was pressed since the devices were opened.
+    halted: Arc<AtomicBool>,
 }
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -184,14 +194,37 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Wires {
+    /// Wait for one's turn.
+    pub(super) fn floor(&self) -> MutexGuard<'_, ()> {
+        locked(&self.floor)
+    }
+
+    /// Devices are open.
+    pub(super) fn opened(&self, devices: BTreeMap<String, String>, stopper: Stopper) {
+        self.halted.store(false, Ordering::SeqCst);
+        *locked(&self.devices) = devices;
+        *locked(&self.stopper) = Some(stopper);
+    }
+
+    /// Nothing moves any more.
+    pub(super) fn closed(&self) {
+        *locked(&self.stopper) = None;
+    }
+
+    /// Whether stop was pressed since the devices were opened.
+    pub(super) fn was_halted(&self) -> bool {
+        self.halted.load(Ordering::SeqCst)
+    }
+
     fn tap(&self) -> Tap {
         let exchanges = self.exchanges.clone();
         Tap::new(move |exchange| locked(&exchanges).push(exchange))
     }
 
     fn apparatus(self, kind: BenchKind, pour: Pour, recover: Recover, readability_mg: f64) -> Apparatus {
-        let Self { exchanges, stopper, devices } = self;
+        let Self { exchanges, stopper, devices, halted, .. } = self;
         let halt = move || {
+            halted.store(true, Ordering::SeqCst);
             let stopper = locked(&stopper).clone();
             if let Some(Err(error)) = stopper.map(|stopper| stopper.stop("stop was pressed")) {
                 tracing::error!(%error, "the arm could not be told to stop: its dead-man acts");
@@ -205,6 +238,7 @@ impl Wires {
             devices: Arc::new(move || locked(&devices).clone()),
             recover,
             readability_mg: Arc::new(move || Some(readability_mg)),
+            stand: None,
         }
     }
 }
@@ -218,9 +252,9 @@ fn on_devices(
     on_event: &mut dyn FnMut(&Event<'_>) -> ControlFlow<()>,
     stop: &AtomicBool,
 ) -> Poured {
+    let _floor = wires.floor();
     let opened = Station::open(file, pouring.shakes.clone(), clock, &wires.tap()).and_then(|mut station| {
-        *locked(&wires.devices) = station.devices()?;
-        *locked(&wires.stopper) = Some(station.stopper()?);
+        wires.opened(station.devices()?, station.stopper()?);
         Ok(station)
     });
     let mut station = match opened {
@@ -229,7 +263,7 @@ fn on_devices(
     };
     let settings = Settings { accuracy: pouring.accuracy, ..Settings::BENCH };
     let weighed = weigh(&mut station, &pouring.controller, &pouring.rules, &pouring.order, &settings, on_event, stop);
-    *locked(&wires.stopper) = None;
+    wires.closed();
     poured(weighed, None)
 }
 

@@ -95,7 +95,7 @@ impl LaneThread {
         let rest = (self.apparatus.exchanges)();
         self.runtime.block_on(async {
             let mut tx = self.store.write().await?;
-            audit_exchanges(&mut tx, &weighing.id, &rest).await?;
+            audit_exchanges(&mut tx, Some(&weighing.id), &rest).await?;
             tx.end_weighing(&weighing.id, &ending, now()).await?;
             if let Some(reason) = must_look {
                 tx.latch_bench(&reason, Some(&weighing.id), now()).await?;
@@ -204,7 +204,7 @@ impl LaneThread {
     async fn record(&self, id: &str, event: &Event<'_>) -> store::Result<()> {
         let exchanges = (self.apparatus.exchanges)();
         let mut tx = self.store.write().await?;
-        audit_exchanges(&mut tx, id, &exchanges).await?;
+        audit_exchanges(&mut tx, Some(id), &exchanges).await?;
         match event {
             // Committed before the bench was opened.
             Event::Phase(Phase::Armed) => {}
@@ -259,14 +259,19 @@ impl LaneThread {
     }
 }
 
-async fn audit_exchanges(tx: &mut Tx, weighing: &str, exchanges: &[Exchange]) -> store::Result<()> {
+/// Write down what passed over the wires.
+pub(in crate::jobs) async fn audit_exchanges(
+    tx: &mut Tx,
+    weighing: Option<&str>,
+    exchanges: &[Exchange],
+) -> store::Result<()> {
     for exchange in exchanges {
         let kind = match exchange.direction {
             Direction::Sent => "sent",
             Direction::Received => "received",
         };
         let said = serde_json::json!({ "device": exchange.device, "text": exchange.text });
-        tx.audit(About { weighing: Some(weighing), kind }, &said, now()).await?;
+        tx.audit(About { weighing, kind }, &said, now()).await?;
     }
     Ok(())
 }

@@ -10,12 +10,16 @@
 //!                   +--process ended-----------+-------> [unknown]   and the bench is latched
 //! ```
 //!
-//! `lane.rs` is the thread and the record it keeps; `apparatus.rs` is what moves: the simulator, an emulated laboratory, or devices.
+//! `lane.rs` is the thread and the record it keeps; `apparatus.rs` is what moves: the simulator, an emulated laboratory, or devices; `stand.rs` is where
+//! piles are made between weighings.
 
 mod apparatus;
 mod lane;
+mod stand;
 
 pub use apparatus::{Apparatus, Pour, Poured, Pouring, devices, emulated, simulated};
+pub(super) use lane::audit_exchanges;
+pub use stand::{Awaited, Inbox, PileStand, Piling, Unpiled};
 
 use super::conditions::Conditions;
 use crate::domain::bench::BenchKind;
@@ -97,6 +101,11 @@ impl Bench {
         self.apparatus.kind
     }
 
+    /// Where piles are made, if anywhere.
+    pub fn stand(&self) -> Option<&PileStand> {
+        self.apparatus.stand.as_ref()
+    }
+
     /// Its devices by role, as they said themselves when they were last open.
     pub fn devices(&self) -> BTreeMap<String, String> {
         (self.apparatus.devices)()
@@ -107,10 +116,13 @@ impl Bench {
         self.moving().as_ref().map(|(id, _)| id.clone())
     }
 
-    /// Stop whatever moves; which weighing that is.
+    /// Stop whatever moves; which weighing that is, if it is one.
     pub fn stop_moving(&self) -> Option<String> {
         let moving = self.moving();
-        let (id, stop) = moving.as_ref()?;
+        let Some((id, stop)) = moving.as_ref() else {
+            (self.apparatus.halt)();
+            return None;
+        };
         self.halt(stop);
         Some(id.clone())
     }

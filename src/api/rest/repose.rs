@@ -1,0 +1,122 @@
+//! `/v1/repose-measurements`: angles of repose by camera; `/v1/measurements/comparison`: automated beside manual.
+
+use super::extract::{Input, Large, Path, Query};
+use super::list::{ListParams, respond};
+use super::{accepted, started};
+use crate::api::auth::{Operator, Viewer};
+use crate::api::problem::Problem;
+use crate::app::{App, Awaited, Compared, FrameUpload, Job, Page, ReposeMeasurement, ReposeRequest};
+use crate::domain::FieldError;
+use axum::Json;
+use axum::extract::{OriginalUri, State};
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use serde::{Deserialize, Serialize};
+
+/// A frame of a depth camera.
+#[derive(Debug, Deserialize, Serialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NewFrame {
+    /// Depth, Base64: a PNG of 16 bit grey, or the bare Z16 values, little-endian, row by row.
+    depth: String,
+    /// Colour of the same size, Base64: a PNG of 8 bit RGB.
+    colour: String,
+    /// `intrinsics` with `width`, `height`, `fx`, `fy`, `ppx`, `ppy`, `model` and five `coefficients`; `depth_unit_m`; `taken_at` (RFC 3339). All of it.
+    #[schema(value_type = Object)]
+    description: serde_json::Value,
+}
+
+impl NewFrame {
+    fn upload(self) -> Result<FrameUpload, FieldError> {
+        let bytes = |field: &str, text: &str| {
+            STANDARD.decode(text).map_err(|error| FieldError::new(field, format!("must be Base64: {error}")))
+        };
+        Ok(FrameUpload {
+            depth: bytes("depth", &self.depth)?,
+            colour: bytes("colour", &self.colour)?,
+            description: self.description.to_string().into(),
+        })
+    }
+}
+
+/// List measurements by camera, newest first, without their piles.
+#[utoipa::path(get, path = "/v1/repose-measurements", tag = "powders", params(ListParams),
+    responses((status = 200, description = "A page of measurements", body = Page<ReposeMeasurement>)))]
+pub async fn list_repose_measurements(
+    _: Viewer,
+    State(app): State<App>,
+    OriginalUri(uri): OriginalUri,
+    Query(params): Query<ListParams>,
+) -> Result<Response, Problem> {
+    Ok(respond(&uri, app.reposes(params.into()).await?))
+}
+
+/// Measure a powder's angle of repose by camera.
+///
+/// For each pile the arm turns the platform over the funnel, the gate opens, the pile comes to rest, and frames are taken: on devices they are uploaded
+/// while `awaits` says so. Each pile is kept with its raw frames.
+#[utoipa::path(post, path = "/v1/repose-measurements", tag = "powders", request_body = ReposeRequest,
+    responses((status = 202, description = "Queued; the measurement has the id of its job", body = Job,
+        headers(("Location" = String, description = "Where the measurement is"))),
+        (status = 200, description = "Asked for before: the job that does it", body = Job),
+        (status = 409, description = "The bench cannot, or may not", body = Problem,
+            content_type = "application/problem+json")))]
+pub async fn start_repose_measurement(
+    _: Operator,
+    State(app): State<App>,
+    Input(request): Input<ReposeRequest>,
+) -> Result<Response, Problem> {
+    Ok(started("repose-measurements", app.start_repose(request).await?))
+}
+
+/// One measurement by camera, with its piles.
+#[utoipa::path(get, path = "/v1/repose-measurements/{id}", tag = "powders",
+    params(("id" = String, Path, description = "Id of the measurement, which is the id of its job")),
+    responses((status = 200, description = "The measurement", body = ReposeMeasurement)))]
+pub async fn get_repose_measurement(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Json<ReposeMeasurement>, Problem> {
+    Ok(Json(app.repose(&id).await?))
+}
+
+/// Upload a frame of the pile that waits for frames; at most 16 MiB.
+#[utoipa::path(post, path = "/v1/repose-measurements/{id}/frames", tag = "powders", request_body = NewFrame,
+    params(("id" = String, Path, description = "Id of the measurement")),
+    responses((status = 202, description = "How many frames the pile has now", body = Awaited),
+        (status = 409, description = "No pile waits for frames", body = Problem,
+            content_type = "application/problem+json")))]
+pub async fn add_frame(
+    _: Operator,
+    State(app): State<App>,
+    Path(id): Path<String>,
+    Large(frame): Large<NewFrame>,
+) -> Result<Response, Problem> {
+    let awaited = app.add_frame(&id, frame.upload()?).await?;
+    Ok(accepted(format!("/v1/repose-measurements/{id}"), awaited))
+}
+
+/// Download a part of a raw frame as it came.
+#[utoipa::path(get, path = "/v1/repose-measurements/{id}/piles/{pile}/frames/{frame}/{part}", tag = "powders",
+    params(("id" = String, Path, description = "Id of the measurement"),
+        ("pile" = u32, Path, description = "Which pile, from 1"), ("frame" = u32, Path, description = "Which frame, from 1"),
+        ("part" = String, Path, description = "`depth`, `colour` or `description`")),
+    responses((status = 200, description = "The bytes", body = Vec<u8>, content_type = "application/octet-stream")))]
+pub async fn download_frame(
+    _: Viewer,
+    State(app): State<App>,
+    Path((id, pile, frame, part)): Path<(String, u32, u32, String)>,
+) -> Result<Response, Problem> {
+    let bytes = app.raw_frame(&id, pile, frame, &part).await?;
+    Ok(([(header::CONTENT_TYPE, "application/octet-stream")], bytes).into_response())
+}
+
+/// Automated beside manual, of every powder that was measured both ways.
+#[utoipa::path(get, path = "/v1/measurements/comparison", tag = "powders",
+    responses((status = 200, description = "A row for each powder", body = Vec<Compared>)))]
+pub async fn compare_methods(_: Viewer, State(app): State<App>) -> Result<Json<Vec<Compared>>, Problem> {
+    Ok(Json(app.compare_methods().await?))
+}

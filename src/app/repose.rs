@@ -1,0 +1,204 @@
+//! Angles of repose by camera: measurements on the bench, the frames that they wait for, and automated beside manual.
+
+use super::check::Check;
+use super::jobs::{corrupt, stored};
+use super::{App, Error, Result};
+use crate::domain::FieldError;
+use crate::domain::bench::BenchKind;
+use crate::domain::job::JobKind;
+use crate::hardware::camera::Upload;
+use crate::hardware::stand::Procedure;
+use crate::jobs::bench::Awaited;
+use crate::jobs::repose::ReposeResult;
+use crate::jobs::{JobSpec, ReposeSpec};
+use crate::pile::{Compared, Limits, Rig, Stored, compare};
+use crate::store::jobs::{Job, JobRow};
+use crate::store::page::{Page, PageQuery};
+use crate::store::piles::Pile;
+use serde::{Deserialize, Serialize};
+
+/// Most measurements by camera of one powder.
+const RUNS_MAX: u32 = 1_000_000;
+
+/// A measurement by camera to carry out. Everything but the powder has a default.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ReposeRequest {
+    /// Powder id.
+    pub powder: String,
+    /// Which measurement of this powder it is, from 1; the same again is answered with the same one, and makes no other piles. Default the next.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub run: Option<u32>,
+    /// How piles are made and looked at.
+    #[serde(default)]
+    pub procedure: Procedure,
+    /// The rig, as it was measured with a ruler or calipers.
+    #[serde(default)]
+    pub rig: Rig,
+    /// What frames must show.
+    #[serde(default)]
+    pub limits: Limits,
+}
+
+/// A measurement by camera: its job, its piles, and once it has succeeded its angle.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct ReposeMeasurement {
+    /// The job; the measurement has the same id.
+    pub job: Job,
+    /// Powder id.
+    pub powder: String,
+    /// Which measurement of this powder it is.
+    pub run: u32,
+    /// What makes the piles.
+    pub bench: BenchKind,
+    /// How.
+    pub procedure: Procedure,
+    /// The rig.
+    pub rig: Rig,
+    /// What frames must show.
+    pub limits: Limits,
+    /// The pile that waits for frames now.
+    pub awaits: Option<Awaited>,
+    /// Piles so far, with those that have no angle; left out of lists.
+    pub piles: Vec<Pile>,
+    /// What came out; absent until it has succeeded.
+    pub result: Option<ReposeResult>,
+}
+
+impl App {
+    /// Queue a measurement by camera. `false`: the same one was asked for before, and this is its job.
+    ///
+    /// # Errors
+    /// `Invalid`; `Conflict` (`no_stand`, `bench_latched`, `calibration_missing`).
+    pub async fn start_repose(&self, request: ReposeRequest) -> Result<(Job, bool)> {
+        let within = |part: &'static str| {
+            move |error: FieldError| FieldError::new(format!("{part}.{}", error.field), error.message)
+        };
+        let mut check = Check::default();
+        let procedure = check.keep(request.procedure.checked().map_err(within("procedure")));
+        check.keep(request.rig.checked().map_err(within("rig")));
+        let limits = check.keep(request.limits.checked().map_err(within("limits")));
+        if let Some(run) = request.run {
+            check.count("run", run, 1, RUNS_MAX);
+        }
+        if let (Some(procedure), Some(limits)) = (procedure, limits)
+            && procedure.frames < limits.frames_min
+        {
+            let advice =
+                format!("must be at least `limits.frames_min`, {}, got {}", limits.frames_min, procedure.frames);
+            check.refuse("procedure.frames", advice);
+        }
+        check.done()?;
+        let powder = self.powder_of("powder", &request.powder).await?.id;
+        let jobs = self.jobs_or_refuse()?;
+        let bench = jobs.bench().kind();
+        if jobs.bench().stand().is_none() {
+            let advice = "the simulated bench has no gate and no camera: start FLIP with `--bench emulated` or with the file of a bench";
+            return Err(Error::conflict("no_stand", advice));
+        }
+        if let Some(latch) = self.store().latch().await? {
+            return Err(super::weighings::latched(&latch));
+        }
+        let set = match bench {
+            BenchKind::Devices => None,
+            _ => Some(self.emulated_powder(&powder).await?),
+        };
+        let run = match request.run {
+            Some(run) => run,
+            None => self.store().repose_runs(&powder).await? + 1,
+        };
+        let ReposeRequest { procedure, rig, limits, .. } = request;
+        let spec = ReposeSpec { powder, run, procedure, rig, limits, bench, set };
+        Ok(jobs.enqueue(&JobSpec::Repose(spec)).await?)
+    }
+
+    /// What stands for a powder on an emulated bench: the first of its calibrated sets.
+    async fn emulated_powder(&self, powder: &str) -> Result<crate::domain::parameters::ParameterSet> {
+        let sets = self.calibrated_sets(Some(powder), 0.0, None).await?.unwrap_or_default();
+        sets.first().map(|set| set.parameters).ok_or_else(|| {
+            let advice = format!(
+                "an emulated bench piles simulated powder, and {}",
+                super::trainings::without_sets(powder, None)
+            );
+            Error::conflict("calibration_missing", advice)
+        })
+    }
+
+    /// One measurement by camera, with its piles.
+    pub async fn repose(&self, id: &str) -> Result<ReposeMeasurement> {
+        let row = self.store().job(id).await?.filter(|row| row.job.kind == JobKind::Repose);
+        let mut found = repose(row.ok_or_else(|| Error::not_found("repose measurement", id))?)?;
+        found.piles = self.store().piles(id).await?;
+        found.awaits = self.inner.jobs.as_ref().and_then(|jobs| jobs.bench().stand()?.inbox.as_ref()?.awaits(id));
+        Ok(found)
+    }
+
+    /// Measurements by camera, newest first, without their piles.
+    pub async fn reposes(&self, page: PageQuery) -> Result<Page<ReposeMeasurement>> {
+        self.jobs_as(JobKind::Repose, page, repose).await
+    }
+
+    /// A frame of the pile that waits for frames; how many it has now.
+    ///
+    /// # Errors
+    /// `Invalid`: the frame cannot be read; `Conflict` (`no_pile_waits`).
+    pub async fn add_frame(&self, id: &str, frame: Upload) -> Result<Awaited> {
+        let jobs = self.jobs_or_refuse()?;
+        self.repose(id).await?;
+        // Told to whoever took it, while the pile still lies there.
+        let decoding = frame.clone();
+        let decoded = tokio::task::spawn_blocking(move || decoding.decode().map(drop)).await;
+        decoded.map_err(|error| Error::Internal(error.into()))??;
+        let inbox = jobs.bench().stand().and_then(|stand| stand.inbox.clone());
+        let taken = inbox.and_then(|inbox| inbox.add(id, frame));
+        taken.ok_or_else(|| {
+            let advice = "no pile of this measurement waits for frames: its `awaits` says when one does";
+            Error::conflict("no_pile_waits", advice)
+        })
+    }
+
+    /// A part of a raw frame as it came: `depth`, `colour` or `description`; piles count from 1, frames from 1.
+    ///
+    /// # Errors
+    /// `NotFound`
+    pub async fn raw_frame(&self, id: &str, pile: u32, frame: u32, part: &str) -> Result<Vec<u8>> {
+        let found = self.repose(id).await?;
+        let pile = found.piles.iter().find(|it| it.number == pile);
+        let files = pile.and_then(|pile| pile.frames.get((frame as usize).checked_sub(1)?));
+        let sha256 = files.and_then(|files| files.part(part)).ok_or_else(|| Error::not_found("raw frame", part))?;
+        Ok(self.store().artifacts().get(sha256)?)
+    }
+
+    /// Automated beside manual, of every powder that was measured both ways; the newest measurement by each method counts.
+    ///
+    /// # Errors
+    /// `Internal`
+    pub async fn compare_methods(&self) -> Result<Vec<Compared>> {
+        let measurements = self.store().all_measurements(None).await?;
+        let stored: std::result::Result<Vec<Stored>, FieldError> = measurements
+            .into_iter()
+            .map(|it| {
+                let flowability = crate::domain::powder::Flowability::new(it.repose_deg, it.sd_deg, it.n)?;
+                Ok(Stored { powder: it.powder, method: it.method, flowability })
+            })
+            .collect();
+        Ok(compare(&stored.map_err(|error| Error::Internal(error.into()))?))
+    }
+}
+
+fn repose(row: JobRow) -> Result<ReposeMeasurement> {
+    let JobSpec::Repose(spec) = stored(&row.spec)? else { return Err(corrupt("a measurement's specification")) };
+    let ReposeSpec { powder, run, procedure, rig, limits, bench, .. } = spec;
+    Ok(ReposeMeasurement {
+        job: row.job,
+        powder,
+        run,
+        bench,
+        procedure,
+        rig,
+        limits,
+        awaits: None,
+        piles: Vec::new(),
+        result: row.result.as_deref().map(stored).transpose()?,
+    })
+}

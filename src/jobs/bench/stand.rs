@@ -1,0 +1,264 @@
+//! What makes piles and takes their pictures when an angle of repose is measured: devices and whoever uploads frames, or a laboratory that is emulated,
+//! its camera too.
+
+use super::apparatus::Wires;
+use crate::emulate::arm::{Flow, FormulaSpoon};
+use crate::emulate::camera::{Noise, Optics, Pose, Scene, Studio, Surface, frames, upload};
+use crate::emulate::lab::{self, Laboratory};
+use crate::hardware::DeviceError;
+use crate::hardware::bench_file::BenchFile;
+use crate::hardware::camera::Upload;
+use crate::hardware::clock::Clock;
+use crate::hardware::stand::{Procedure, Stand};
+use crate::hardware::wire::{Exchange, Tap};
+use std::ops::ControlFlow;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Bench seconds in a second of the room while an emulated gate is open: heartbeats are of the room, so that time may not stand.
+const SPEED: f64 = 50.0;
+/// How long frames of a pile that rests may take to come.
+const FRAMES_MAX: Duration = Duration::from_secs(15 * 60);
+/// How often somebody is asked whether to go on waiting for them.
+const ASK_EVERY: Duration = Duration::from_millis(100);
+
+/// One pile to make.
+#[derive(Debug, Clone, Copy)]
+pub struct Piling<'a> {
+    /// The measurement, by its job.
+    pub job: &'a str,
+    /// Which pile, from 1.
+    pub number: u32,
+    /// How.
+    pub procedure: &'a Procedure,
+    /// How steep the powder piles, degrees, where nothing real piles.
+    pub cone_deg: Option<f64>,
+    /// Seed of what is emulated.
+    pub seed: u64,
+}
+
+/// Why there are no frames of a pile.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Unpiled {
+    /// Whoever was asked whether to go on said no.
+    Stopped,
+    /// Something failed; a person must look before it is tried again.
+    Failed(String),
+}
+
+impl From<DeviceError> for Unpiled {
+    fn from(error: DeviceError) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+/// Make one pile and wait for its frames. Each step is told; `Break` ends it with the gate closed.
+pub type Heaping =
+    Arc<dyn Fn(&Piling<'_>, &mut dyn FnMut(&str) -> ControlFlow<()>) -> Result<Vec<Upload>, Unpiled> + Send + Sync>;
+
+/// Where piles are made.
+#[derive(Clone)]
+pub struct PileStand {
+    /// Makes one.
+    pub heap: Heaping,
+    /// What passed over the wires since this was last asked.
+    pub exchanges: Arc<Mutex<Vec<Exchange>>>,
+    /// Where uploaded frames arrive; none where the camera is emulated.
+    pub inbox: Option<Arc<Inbox>>,
+}
+
+/// A laboratory for each pile, and a camera over a cone as steep as the powder piles.
+pub(super) fn emulated(settings: lab::Settings, wires: Wires) -> PileStand {
+    let (exchanges, tap) = recorder();
+    let heap: Heaping = Arc::new(move |piling, go_on| {
+        let clock = Clock::fast(SPEED);
+        let spoon = Box::new(FormulaSpoon::new(Flow::default(), piling.seed));
+        let laboratory = Laboratory::start(settings.clone(), clock.clone(), spoon)
+            .map_err(|error| Unpiled::Failed(format!("the emulated laboratory cannot be set up: {error}")))?;
+        let _floor = wires.floor();
+        made(&wires, &tap, &laboratory.file(), clock, piling, go_on)?;
+        photographed(piling)
+    });
+    PileStand { heap, exchanges, inbox: None }
+}
+
+/// Where exchanges are kept, and what hears them.
+fn recorder() -> (Arc<Mutex<Vec<Exchange>>>, Tap) {
+    let exchanges: Arc<Mutex<Vec<Exchange>>> = Arc::default();
+    let hearing = exchanges.clone();
+    (exchanges, Tap::new(move |exchange| hearing.lock().unwrap_or_else(PoisonError::into_inner).push(exchange)))
+}
+
+fn photographed(piling: &Piling<'_>) -> Result<Vec<Upload>, Unpiled> {
+    let none = || Unpiled::Failed("nothing says how steep the emulated powder piles".to_owned());
+    let cone = Studio::drawn(piling.cone_deg.ok_or_else(none)?, piling.seed).cone;
+    let scene = Scene::of(Surface::Cone(cone));
+    let count = piling.procedure.frames as usize;
+    let taken = frames(&scene, &Pose::default(), &Optics::default(), &Noise::default(), piling.seed, count);
+    let uploads: Result<Vec<Upload>, _> = taken.iter().map(upload).collect();
+    uploads.map_err(|error| Unpiled::Failed(error.to_string()))
+}
+
+/// The devices of this file; frames are uploaded.
+pub(super) fn devices(file: BenchFile, wires: Wires) -> PileStand {
+    let (exchanges, tap) = recorder();
+    let inbox = Arc::new(Inbox::default());
+    let arriving = inbox.clone();
+    let heap: Heaping = Arc::new(move |piling, go_on| {
+        // Until the frames have come: the arm must not walk into the picture.
+        let _floor = wires.floor();
+        made(&wires, &tap, &file, Clock::wall(), piling, go_on)?;
+        arriving.collect(piling, go_on)
+    });
+    PileStand { heap, exchanges, inbox: Some(inbox) }
+}
+
+/// Make the pile; the devices are given back when it rests.
+fn made(
+    wires: &Wires,
+    tap: &Tap,
+    file: &BenchFile,
+    clock: Clock,
+    piling: &Piling<'_>,
+    go_on: &mut dyn FnMut(&str) -> ControlFlow<()>,
+) -> Result<(), Unpiled> {
+    let mut stand = Stand::open(file, clock, tap)?;
+    wires.opened(stand.devices(), stand.stopper()?);
+    let poured = stand.pour(piling.procedure, &mut |what| match wires.was_halted() {
+        true => ControlFlow::Break(()),
+        false => go_on(what),
+    });
+    wires.closed();
+    match (poured, wires.was_halted()) {
+        (Ok(true), _) => Ok(()),
+        (_, true) => Err(Unpiled::Failed("stopped at the bench: the gate is closed".to_owned())),
+        (Ok(false), false) => Err(Unpiled::Stopped),
+        (Err(error), false) => Err(error.into()),
+    }
+}
+
+/// Where frames arrive while a pile waits for them.
+#[derive(Default)]
+pub struct Inbox {
+    waiting: Mutex<Option<Waiting>>,
+    arrived: Condvar,
+}
+
+struct Waiting {
+    job: String,
+    number: u32,
+    wanted: usize,
+    uploads: Vec<Upload>,
+}
+
+/// Which pile waits, and how many frames of how many it has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
+pub struct Awaited {
+    /// Which pile, from 1.
+    pub pile: u32,
+    /// Frames that have come.
+    pub have: u32,
+    /// Frames that are wanted.
+    pub wanted: u32,
+}
+
+impl Inbox {
+    /// The pile of this measurement that waits for frames.
+    pub fn awaits(&self, job: &str) -> Option<Awaited> {
+        self.locked().as_ref().filter(|it| it.job == job).map(Waiting::awaited)
+    }
+
+    /// A frame has come; what the pile now has. `None`: no pile of this measurement waits for one.
+    pub fn add(&self, job: &str, frame: Upload) -> Option<Awaited> {
+        let mut waiting = self.locked();
+        let open = waiting.as_mut().filter(|it| it.job == job && it.uploads.len() < it.wanted)?;
+        open.uploads.push(frame);
+        self.arrived.notify_all();
+        Some(open.awaited())
+    }
+
+    fn collect(
+        &self,
+        piling: &Piling<'_>,
+        go_on: &mut dyn FnMut(&str) -> ControlFlow<()>,
+    ) -> Result<Vec<Upload>, Unpiled> {
+        let wanted = piling.procedure.frames as usize;
+        let job = piling.job.to_owned();
+        *self.locked() = Some(Waiting { job, number: piling.number, wanted, uploads: Vec::new() });
+        let until = Instant::now() + FRAMES_MAX;
+        let collected = loop {
+            let have = self.locked().as_ref().map_or(0, |it| it.uploads.len());
+            let ended = match () {
+                () if have >= wanted => Some(Ok(())),
+                () if go_on(&format!("waits for frames, {have} of {wanted} have come")).is_break() => {
+                    Some(Err(Unpiled::Stopped))
+                }
+                () if Instant::now() >= until => {
+                    let minutes = FRAMES_MAX.as_secs() / 60;
+                    let cause = format!(
+                        "{have} of {wanted} frames came within {minutes} minutes: is the camera's program running?"
+                    );
+                    Some(Err(Unpiled::Failed(cause)))
+                }
+                () => None,
+            };
+            if let Some(ended) = ended {
+                break ended;
+            }
+            let waiting = self.locked();
+            drop(self.arrived.wait_timeout(waiting, ASK_EVERY));
+        };
+        let waited = self.locked().take();
+        collected.map(|()| waited.map_or_else(Vec::new, |it| it.uploads))
+    }
+
+    fn locked(&self) -> MutexGuard<'_, Option<Waiting>> {
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Waiting {
+    fn awaited(&self) -> Awaited {
+        Awaited { pile: self.number, have: self.uploads.len() as u32, wanted: self.wanted as u32 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(k: u8) -> Upload {
+        Upload { depth: vec![k], colour: vec![], description: vec![] }
+    }
+
+    #[test]
+    fn frames_are_taken_while_a_pile_waits_for_them_and_not_one_more() {
+        let inbox = Arc::new(Inbox::default());
+        assert_eq!(inbox.add("m", frame(0)), None);
+        let procedure = Procedure { frames: 3, ..Procedure::default() };
+        let waits = inbox.clone();
+        let waiting = std::thread::spawn(move || {
+            let piling = Piling { job: "m", number: 2, procedure: &procedure, cone_deg: None, seed: 1 };
+            waits.collect(&piling, &mut |_| ControlFlow::Continue(()))
+        });
+        while inbox.awaits("m").is_none() {
+            std::thread::yield_now();
+        }
+        assert_eq!((inbox.awaits("other"), inbox.add("other", frame(9))), (None, None));
+        for k in 1..=3 {
+            assert_eq!(inbox.add("m", frame(k)), Some(Awaited { pile: 2, have: u32::from(k), wanted: 3 }));
+        }
+        assert_eq!(inbox.add("m", frame(4)), None);
+        assert_eq!(waiting.join().unwrap(), Ok(vec![frame(1), frame(2), frame(3)]));
+        assert_eq!(inbox.awaits("m"), None);
+    }
+
+    #[test]
+    fn whoever_stops_waiting_leaves_no_pile_that_waits() {
+        let inbox = Inbox::default();
+        let procedure = Procedure::default();
+        let piling = Piling { job: "m", number: 1, procedure: &procedure, cone_deg: None, seed: 1 };
+        assert_eq!(inbox.collect(&piling, &mut |_| ControlFlow::Break(())), Err(Unpiled::Stopped));
+        assert_eq!(inbox.awaits("m"), None);
+    }
+}

@@ -1,0 +1,170 @@
+//! Angles of repose by camera: a laboratory that is emulated whole, and devices whose frames are uploaded.
+
+use crate::harness::{Service, fields, problem};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use flip::app::{LaboratorySettings, Role, emulated_bench, file_bench};
+use flip::emulate::arm::{Flow, FormulaSpoon};
+use flip::emulate::camera::{
+    CameraFault, Noise, Optics, Pose, Scene, Studio, Surface, faulty_uploads, frames, upload,
+};
+use flip::emulate::lab::{self, Laboratory};
+use flip::hardware::camera::Upload;
+use flip::hardware::clock::Clock;
+use reqwest::Response;
+use serde_json::{Value, json};
+use std::time::{Duration, Instant};
+
+const MEASUREMENTS: &str = "/v1/repose-measurements";
+
+async fn post(service: &Service, path: &str, body: &Value) -> Response {
+    let request = service.request("POST", path).bearer_auth(service.token(Role::Operator).await);
+    request.json(body).send().await.unwrap()
+}
+
+async fn get(service: &Service, path: &str) -> Value {
+    let response = service.get(path).await;
+    assert_eq!(response.status(), 200, "{path}");
+    response.json().await.unwrap()
+}
+
+/// Start a measurement; where it is.
+async fn started(service: &Service, body: &Value) -> String {
+    let response = post(service, MEASUREMENTS, body).await;
+    assert_eq!(response.status(), 202, "{body}");
+    response.headers()["location"].to_str().unwrap().to_owned()
+}
+
+/// Ask until what is asked for is so.
+async fn until(service: &Service, path: &str, so: impl Fn(&Value) -> bool) -> Value {
+    let deadline = Instant::now() + Duration::from_secs(120);
+    loop {
+        let found = get(service, path).await;
+        if so(&found) {
+            return found;
+        }
+        assert!(Instant::now() < deadline, "{found}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+fn has_ended(found: &Value) -> bool {
+    !["queued", "running"].contains(&found["job"]["state"].as_str().unwrap())
+}
+
+fn body(Upload { depth, colour, description }: &Upload) -> Value {
+    let description: Value = serde_json::from_slice(description).unwrap();
+    json!({ "depth": STANDARD.encode(depth), "colour": STANDARD.encode(colour), "description": description })
+}
+
+fn photographed(deg: f64, seed: u64, count: usize) -> Vec<Upload> {
+    let scene = Scene::of(Surface::Cone(Studio::drawn(deg, seed).cone));
+    let taken = frames(&scene, &Pose::default(), &Optics::default(), &Noise::default(), seed, count);
+    taken.iter().map(|frame| upload(frame).unwrap()).collect()
+}
+
+/// Salt's simulated heaps have 36 deg here (the toy's formula), so that every pile of the emulated laboratory should.
+#[tokio::test]
+async fn an_emulated_laboratory_piles_and_photographs_by_itself() {
+    let service = Service::ready_on(emulated_bench(LaboratorySettings::default())).await;
+    let asked = json!({ "powder": "salt", "run": 3, "procedure": { "repeats": 2, "open_s": 2.0, "rest_s": 1.0 } });
+    let place = started(&service, &asked).await;
+    let found = until(&service, &place, has_ended).await;
+    assert_eq!(found["job"]["state"], "succeeded", "{found}");
+    let piles = found["piles"].as_array().unwrap();
+    assert_eq!(piles.len(), 2);
+    for pile in piles {
+        let files = pile["frames"].as_array().unwrap();
+        assert_eq!((files.len(), pile["refusal"].is_null()), (10, true));
+        assert!(pile["measured"]["tip"]["u_deg"].as_f64().unwrap() > 0.0);
+    }
+    let deg = found["result"]["repeats"]["tip"]["repose_deg"].as_f64().unwrap();
+    let heap = flip::domain::powder::PUBLISHED.iter().find(|it| it.id == "salt").unwrap().automated.repose_deg;
+    assert!((deg - heap).abs() < 2.0, "{deg} {heap}");
+    // Nobody has measured the powder: what was known of it stays.
+    assert_eq!(found["result"]["registered"], false);
+    assert_eq!(get(&service, "/v1/powders/salt").await["flowability"]["repose_deg"], heap);
+    // The same again is the same, and another run is another.
+    assert_eq!(post(&service, MEASUREMENTS, &asked).await.status(), 200);
+    // A raw frame is what was photographed.
+    let raw = service.get(&format!("{place}/piles/2/frames/10/depth")).await;
+    assert_eq!(raw.status(), 200);
+    assert!(raw.bytes().await.unwrap().starts_with(b"\x89PNG"));
+    for missing in ["piles/3/frames/1/depth", "piles/1/frames/11/depth", "piles/1/frames/0/depth", "piles/1/frames/1/sound"] {
+        problem(service.get(&format!("{place}/{missing}")).await, 404).await;
+    }
+    // What passed over the wires is on record, and so is every pile.
+    let audit = get(&service, "/v1/audit?limit=200").await;
+    let kinds: Vec<&str> = audit["items"].as_array().unwrap().iter().map(|it| it["kind"].as_str().unwrap()).collect();
+    assert_eq!(kinds.iter().filter(|kind| **kind == "pile").count(), 2);
+    assert!(kinds.contains(&"sent") && kinds.contains(&"received"));
+    let list = get(&service, MEASUREMENTS).await;
+    assert_eq!(list["items"].as_array().unwrap().len(), 1);
+    service.stop().await;
+}
+
+#[tokio::test]
+async fn frames_are_uploaded_while_a_pile_waits_and_one_without_an_angle_is_made_again() {
+    let clock = Clock::fast(20.0);
+    let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
+    let laboratory = Laboratory::start(lab::Settings::default(), clock, spoon).unwrap();
+    let service = Service::ready_on(file_bench(laboratory.file())).await;
+    let asked = json!({ "powder": "salt", "procedure": { "repeats": 1, "open_s": 1.0, "rest_s": 0.0 } });
+    let place = started(&service, &asked).await;
+    let frames_at = format!("{place}/frames");
+    until(&service, &place, |found| found["awaits"] == json!({ "pile": 1, "have": 0, "wanted": 10 })).await;
+    // What cannot be read is refused while the pile still lies there, and counts for nothing.
+    let mut bad = body(&photographed(35.0, 1, 1)[0]);
+    bad["description"]["depth_unit_m"] = json!(null);
+    assert_eq!(fields(&problem(post(&service, &frames_at, &bad).await, 400).await), ["depth_unit_m"]);
+    bad["depth"] = json!("not base64!");
+    assert_eq!(fields(&problem(post(&service, &frames_at, &bad).await, 400).await), ["depth"]);
+    let scene = Scene::of(Surface::Cone(Studio::drawn(35.0, 1).cone));
+    for frame in faulty_uploads(CameraFault::FunnelMissing, &scene, &Optics::default(), 1).unwrap() {
+        assert_eq!(post(&service, &frames_at, &body(&frame)).await.status(), 202);
+    }
+    until(&service, &place, |found| found["awaits"]["pile"] == 2).await;
+    let good = photographed(35.0, 1, 10);
+    for frame in &good {
+        assert_eq!(post(&service, &frames_at, &body(frame)).await.status(), 202);
+    }
+    let found = until(&service, &place, has_ended).await;
+    assert_eq!((&found["job"]["state"], &found["result"]["registered"]), (&json!("succeeded"), &json!(true)), "{found}");
+    assert!(found["piles"][0]["measured"].is_null() && found["piles"][0]["refusal"].as_str().is_some());
+    let tip = found["piles"][1]["measured"]["tip"]["deg"].as_f64().unwrap();
+    assert!((tip - 35.0).abs() < 1.5, "{tip}");
+    // It is what salt is now, and it is compared with what was measured by hand.
+    let salt = get(&service, "/v1/powders/salt").await;
+    assert_eq!(salt["flowability"]["repose_deg"].as_f64(), Some(tip));
+    let compared = get(&service, "/v1/measurements/comparison").await;
+    let row = compared.as_array().unwrap().iter().find(|row| row["powder"] == "salt").unwrap();
+    assert_eq!(row["automated"]["repose_deg"].as_f64(), Some(tip));
+    assert_eq!(compared.as_array().unwrap().len(), 5);
+    // The bytes are those that came.
+    let raw = service.get(&format!("{place}/piles/2/frames/3/colour")).await.bytes().await.unwrap();
+    assert_eq!(raw, good[2].colour);
+    let late = problem(post(&service, &frames_at, &body(&good[0])).await, 409).await;
+    assert!(late["type"].as_str().unwrap().ends_with("no_pile_waits"), "{late}");
+    service.stop().await;
+}
+
+#[tokio::test]
+async fn a_bench_that_cannot_and_numbers_that_mean_nothing_are_refused() {
+    let service = Service::ready().await;
+    let refused = problem(post(&service, MEASUREMENTS, &json!({ "powder": "salt" })).await, 409).await;
+    assert!(refused["type"].as_str().unwrap().ends_with("no_stand"), "{refused}");
+    for (body, field) in [
+        (json!({}), "powder"),
+        (json!({ "powder": "chalk" }), "powder"),
+        (json!({ "powder": "salt", "run": 0 }), "run"),
+        (json!({ "powder": "salt", "procedure": { "repeats": 21 } }), "procedure.repeats"),
+        (json!({ "powder": "salt", "procedure": { "frames": 5 } }), "procedure.frames"),
+        (json!({ "powder": "salt", "procedure": { "open_s": 0.5 } }), "procedure.open_s"),
+        (json!({ "powder": "salt", "rig": { "base_diameter_mm": -60 } }), "rig.base_diameter_mm"),
+        (json!({ "powder": "salt", "limits": { "pile_invalid_max": 2 } }), "limits.pile_invalid_max"),
+    ] {
+        assert_eq!(fields(&problem(post(&service, MEASUREMENTS, &body).await, 400).await), [field], "{body}");
+    }
+    assert_eq!(get(&service, MEASUREMENTS).await["items"], json!([]));
+    service.stop().await;
+}
