@@ -230,7 +230,9 @@ async fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_wa
     poured_mg.sort_by(f64::total_cmp);
     let quartiles: Vec<String> = (0..=4).map(|q| format!("{:.1}", poured_mg[q * (poured_mg.len() - 1) / 4])).collect();
     let quartiles = quartiles.join(", ");
-    println!("{kills} kills: {unknown} doses unknown and latched, {ended} had ended; in the vials (quartiles) {quartiles} mg of {TARGET_MG}");
+    println!(
+        "{kills} kills: {unknown} doses unknown and latched, {ended} had ended; in the vials (quartiles) {quartiles} mg of {TARGET_MG}"
+    );
     assert!(poured_mg[poured_mg.len() - 1] <= TARGET_MG + 1.0, "an overdose: {quartiles}");
     assert!(unknown * 2 >= kills, "most kills hit a dose: {unknown} of {kills}");
     let verified = service.get("/v1/audit/verification").await;

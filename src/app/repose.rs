@@ -2,10 +2,14 @@
 
 use super::check::Check;
 use super::jobs::{corrupt, stored};
+use super::trainings::without_sets;
+use super::weighings::latched;
 use super::{App, Error, Result};
 use crate::domain::FieldError;
 use crate::domain::bench::BenchKind;
 use crate::domain::job::JobKind;
+use crate::domain::parameters::ParameterSet;
+use crate::domain::powder::Flowability;
 use crate::hardware::camera::Upload;
 use crate::hardware::stand::Procedure;
 use crate::jobs::bench::Awaited;
@@ -13,7 +17,7 @@ use crate::jobs::repose::ReposeResult;
 use crate::jobs::{JobSpec, ReposeSpec};
 use crate::pile::{Compared, Limits, Rig, Stored, compare};
 use crate::store::jobs::{Job, JobRow};
-use crate::store::page::{Page, PageQuery};
+use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use crate::store::piles::Pile;
 use serde::{Deserialize, Serialize};
 
@@ -97,7 +101,7 @@ impl App {
             return Err(Error::conflict("no_stand", advice));
         }
         if let Some(latch) = self.store().latch().await? {
-            return Err(super::weighings::latched(&latch));
+            return Err(latched(&latch));
         }
         let set = match bench {
             BenchKind::Devices => None,
@@ -112,14 +116,13 @@ impl App {
         Ok(jobs.enqueue(&JobSpec::Repose(spec)).await?)
     }
 
-    /// What stands for a powder on an emulated bench: the first of its calibrated sets.
-    async fn emulated_powder(&self, powder: &str) -> Result<crate::domain::parameters::ParameterSet> {
-        let sets = self.calibrated_sets(Some(powder), 0.0, None).await?.unwrap_or_default();
-        sets.first().map(|set| set.parameters).ok_or_else(|| {
-            let advice = format!(
-                "an emulated bench piles simulated powder, and {}",
-                super::trainings::without_sets(powder, None)
-            );
+    /// What stands for a powder on an emulated bench: one of its calibrated sets, by content, so that it is the same in every data folder that has them.
+    async fn emulated_powder(&self, powder: &str) -> Result<ParameterSet> {
+        let every = PageQuery::first(LIST_LIMIT_MAX).window(LIST_LIMIT_MAX)?;
+        let sets = self.store().sets_under(powder, None, every).await?.items;
+        let set = sets.into_iter().min_by(|a, b| a.id.cmp(&b.id)).map(|set| set.parameters);
+        set.ok_or_else(|| {
+            let advice = format!("an emulated bench piles simulated powder, and {}", without_sets(powder, None));
             Error::conflict("calibration_missing", advice)
         })
     }
@@ -178,7 +181,7 @@ impl App {
         let stored: std::result::Result<Vec<Stored>, FieldError> = measurements
             .into_iter()
             .map(|it| {
-                let flowability = crate::domain::powder::Flowability::new(it.repose_deg, it.sd_deg, it.n)?;
+                let flowability = Flowability::new(it.repose_deg, it.sd_deg, it.n)?;
                 Ok(Stored { powder: it.powder, method: it.method, flowability })
             })
             .collect();

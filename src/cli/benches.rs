@@ -21,17 +21,17 @@ impl BenchArguments {
         let bench = match self.bench.as_str() {
             "simulated" => None,
             "emulated" => Some(emulated_bench(LaboratorySettings::default())),
-            file => Some(file_bench(read(Path::new(file))?)),
+            file => Some(file_bench(read("bench", Path::new(file))?)),
         };
         Ok(Options { functions: Functions { bench, ..Functions::default() }, ..Options::default() })
     }
 }
 
-/// The bench file at this path.
-pub(super) fn read(path: &Path) -> Result<BenchFile, Failure> {
+/// The bench file at this path, which `field` names.
+pub(super) fn read(field: &str, path: &Path) -> Result<BenchFile, Failure> {
     let text = std::fs::read_to_string(path).map_err(|error| {
-        let advice = format!("must be `simulated`, `emulated` or a file that can be read; {}: {error}", path.display());
-        FieldError::new("bench", advice)
+        let kinds = if field == "bench" { "`simulated`, `emulated` or " } else { "" };
+        FieldError::new(field, format!("must be {kinds}a file that can be read; {}: {error}", path.display()))
     })?;
     Ok(BenchFile::parse(&text)?)
 }

@@ -15,6 +15,9 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde::{Deserialize, Serialize};
 
+/// What every PNG begins with.
+const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
+
 /// A frame of a depth camera.
 #[derive(Debug, Deserialize, Serialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -111,7 +114,12 @@ pub async fn download_frame(
     Path((id, pile, frame, part)): Path<(String, u32, u32, String)>,
 ) -> Result<Response, Problem> {
     let bytes = app.raw_frame(&id, pile, frame, &part).await?;
-    Ok(([(header::CONTENT_TYPE, "application/octet-stream")], bytes).into_response())
+    let kind = match part.as_str() {
+        "description" => "application/json",
+        _ if bytes.starts_with(PNG) => "image/png",
+        _ => "application/octet-stream",
+    };
+    Ok(([(header::CONTENT_TYPE, kind)], bytes).into_response())
 }
 
 /// Automated beside manual, of every powder that was measured both ways.

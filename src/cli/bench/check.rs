@@ -41,7 +41,7 @@ struct Document {
 
 /// Ask every device, and print what is wrong. Exit status 1 if something is.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
-    let bench = read(&arguments.config)?;
+    let bench = read("config", &arguments.config)?;
     let looked = Looked::by(&arguments.by, arguments.spoon_empty, arguments.funnel_empty)?;
     let report = check(&bench, &looked, &Bounds::CONTRACT, &Clock::wall(), &Tap::none());
     let document = Document { bench, report };

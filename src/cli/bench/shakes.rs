@@ -45,7 +45,7 @@ impl Drop for EndOnDrop {
 ///
 /// The data folder is held meanwhile, so that no server weighs on the same bench.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
-    let file = read(&arguments.config)?;
+    let file = read("config", &arguments.config)?;
     let looked = Looked::by(&arguments.by, arguments.spoon_empty, false)?;
     let Arguments { amplitudes_mm, repeats, .. } = arguments.clone();
     let plan = Plan { amplitudes_mm, repeats, seed: common.seed }.checked()?;

@@ -45,6 +45,13 @@ export const comparison = (id: string, other: string) =>
   body(client.GET('/v1/calibrations/{id}/compare', { params: { ...at(id), query: { with: other } } }))
 export const startCalibration = (request: T.CalibrationRequest) => body(client.POST('/v1/calibrations', { body: request }))
 
+export const reposes = (query: Query = {}) => body(client.GET('/v1/repose-measurements', { params: { query } }))
+export const repose = (id: string) => body(client.GET('/v1/repose-measurements/{id}', { params: at(id) }))
+/** Asked for without a run it is a new one each time. */
+export const startRepose = (request: T.ReposeRequest) => body(client.POST('/v1/repose-measurements', { body: request }))
+/** Address of a part of a raw frame. */
+export const rawFrame = (id: string, pile: number, frame: number, part: 'depth' | 'colour' | 'description') => `/v1/repose-measurements/${id}/piles/${pile}/frames/${frame}/${part}`
+
 export const trainings = (query: Query = {}) => body(client.GET('/v1/trainings', { params: { query } }))
 export const training = (id: string) => body(client.GET('/v1/trainings/{id}', { params: at(id) }))
 export const episodes = (id: string, query: Query) => body(client.GET('/v1/trainings/{id}/episodes', { params: { ...at(id), query } }))
