@@ -167,7 +167,7 @@ fn measured(weighing: &Weighing) -> Vec<(&'static str, String)> {
     rows.extend(weighing.shakes.map(|n| ("Shakes", n.to_string())));
     rows.extend(weighing.seconds.map(|s| ("Time on the bench", format!("{s:.1} s"))));
     let thrown = it.discarded_mg.iter().map(|mg| digits(*mg)).collect::<Vec<_>>().join(", ");
-    rows.extend((!thrown.is_empty()).then(|| ("Thrown away before, mg", thrown)));
+    rows.extend((!thrown.is_empty()).then_some(("Thrown away before, mg", thrown)));
     rows
 }
 

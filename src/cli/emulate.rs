@@ -171,7 +171,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 
 fn photograph(common: &Common, asked: &CameraArguments) -> Result<(), Failure> {
     let CameraArguments { out, fault, .. } = asked;
-    let deg = bounded("repose-deg", asked.repose_deg, 5.0, 80.0, "deg")?;
+    let deg = bounded("repose_deg", asked.repose_deg, 5.0, 80.0, "deg")?;
     let count = bounded("frames", f64::from(asked.frames), 1.0, 100.0, "frames")? as usize;
     let scene = Scene::of(Surface::Cone(Studio::drawn(deg, common.seed).cone));
     let uploads = match fault {

@@ -7,10 +7,11 @@ import { fileURLToPath } from 'node:url'
 
 const BINARY = process.env.FLIP_BIN ?? fileURLToPath(new URL('../../target/release/flip', import.meta.url))
 
-export async function startService() {
+/** With these arguments beside those of every test's. */
+export async function startService(...more) {
   if (!existsSync(BINARY)) throw new Error(`no binary at ${BINARY}: run cargo build --release, or set FLIP_BIN`)
   const folder = mkdtempSync(join(tmpdir(), 'flip-page-'))
-  const child = spawn(BINARY, ['serve', '--json', '--listen', '127.0.0.1:0', '--data-dir', join(folder, 'data')], { stdio: ['ignore', 'pipe', 'pipe'] })
+  const child = spawn(BINARY, ['serve', '--json', '--listen', '127.0.0.1:0', '--data-dir', join(folder, 'data'), ...more], { stdio: ['ignore', 'pipe', 'pipe'] })
   let log = ''
   child.stderr.on('data', (text) => (log = (log + text).slice(-8000)))
   let said = ''
