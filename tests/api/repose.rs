@@ -177,3 +177,24 @@ async fn a_bench_that_cannot_and_numbers_that_mean_nothing_are_refused() {
     assert_eq!(get(&service, MEASUREMENTS).await["items"], json!([]));
     service.stop().await;
 }
+
+#[tokio::test]
+async fn a_stop_at_the_bench_and_a_cancelled_measurement_find_the_gate_closed() {
+    let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
+    let laboratory = Laboratory::start(lab::Settings::default(), Clock::fast(20.0), spoon).unwrap();
+    let service = Service::ready_on(file_bench(laboratory.file())).await;
+    let asked = json!({ "powder": "salt", "procedure": { "repeats": 1, "open_s": 300.0 } });
+    for (end, state) in [("/v1/bench/stop", "failed"), ("cancel", "cancelled")] {
+        let place = started(&service, &asked).await;
+        while laboratory.slide.opening() < 1.0 {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        let id = place.rsplit('/').next().unwrap();
+        let end = if end == "cancel" { format!("/v1/jobs/{id}/cancel") } else { end.to_owned() };
+        assert!(post(&service, &end, &json!({})).await.status().is_success(), "{end}");
+        let found = until(&service, &place, has_ended).await;
+        assert_eq!(found["job"]["state"], state, "{found}");
+        assert_eq!((laboratory.slide.opening(), &found["piles"]), (0.0, &json!([])));
+    }
+    service.stop().await;
+}
