@@ -191,7 +191,7 @@ async fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_wa
             0 => drawn % 8000,
             _ => {
                 while laboratory.vial_mg() - before_mg < share * TARGET_MG && !service.has_ended(&id).await {
-                    tokio::time::sleep(Duration::from_millis(3)).await;
+                    tokio::time::sleep(Duration::from_millis(15)).await;
                 }
                 drawn / 1000 % 200
             }
