@@ -16,6 +16,11 @@ pub(super) struct BenchArguments {
 }
 
 impl BenchArguments {
+    /// Whether it is the file of a bench.
+    pub(super) fn is_file(&self) -> bool {
+        !matches!(self.bench.as_str(), "simulated" | "emulated")
+    }
+
     /// The application with this bench.
     pub(super) fn options(&self) -> Result<Options, Failure> {
         let bench = match self.bench.as_str() {

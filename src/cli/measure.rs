@@ -7,6 +7,7 @@ use super::session::with_bench;
 use super::table::table;
 use super::watch::Watch;
 use crate::app::{Job, Pile, Procedure, ReposeMeasurement, ReposeRequest, Rig};
+use crate::domain::FieldError;
 
 /// Arguments of `flip measure`.
 #[derive(Debug, clap::Args)]
@@ -44,6 +45,11 @@ pub(super) struct Arguments {
 
 /// Measure, and print every pile.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    if arguments.bench.is_file() {
+        // Nobody could upload a frame to this process: the pile would be poured in vain.
+        let advice = "must be `emulated` here: frames of devices are uploaded, so run `flip serve --bench FILE` and POST /v1/repose-measurements";
+        return Err(FieldError::new("bench", advice).into());
+    }
     let Arguments { powder, repeats, frames, open_s, rest_s, run, .. } = arguments;
     let rig = Rig {
         tip_height_mm: arguments.tip_height_mm,

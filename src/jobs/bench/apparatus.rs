@@ -185,7 +185,7 @@ pub(super) struct Wires {
     devices: Arc<Mutex<BTreeMap<String, String>>>,
     /// Held by whoever moves devices: weighings and piles take turns.
     floor: Arc<Mutex<()>>,
-    /// Stop was pressed since the devices were opened.
+    /// Stop was pressed since somebody took the floor.
     halted: Arc<AtomicBool>,
 }
 
@@ -194,14 +194,15 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Wires {
-    /// Wait for one's turn.
+    /// Wait for one's turn. A stop from now on is for whoever has it, also while devices are being opened, which takes seconds.
     pub(super) fn floor(&self) -> MutexGuard<'_, ()> {
-        locked(&self.floor)
+        let floor = locked(&self.floor);
+        self.halted.store(false, Ordering::SeqCst);
+        floor
     }
 
     /// Devices are open.
     pub(super) fn opened(&self, devices: BTreeMap<String, String>, stopper: Stopper) {
-        self.halted.store(false, Ordering::SeqCst);
         *locked(&self.devices) = devices;
         *locked(&self.stopper) = Some(stopper);
     }
@@ -211,7 +212,7 @@ impl Wires {
         *locked(&self.stopper) = None;
     }
 
-    /// Whether stop was pressed since the devices were opened.
+    /// Whether stop was pressed since somebody took the floor.
     pub(super) fn was_halted(&self) -> bool {
         self.halted.load(Ordering::SeqCst)
     }
