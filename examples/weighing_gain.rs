@@ -23,7 +23,7 @@ use flip::domain::bench::{INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MAX};
 use flip::domain::conditions::{Patch, Under};
 use flip::domain::parameters::ParameterSet;
 use flip::domain::seed::derive;
-use flip::policy::{Controller, Observation, Rules, decode, normal};
+use flip::policy::{Controller, Observation, Rules, decode, id, normal};
 use flip::sim::mechanisms::Extensions;
 use flip::sim::repose::{self, repose};
 use flip::sim::{balance, dispense};
@@ -68,6 +68,9 @@ fn rested(rest_min: f64) -> Patch {
     Patch { amplitudes: [("consolidation".to_owned(), consolidation(rest_min))].into(), ..Patch::default() }
 }
 
+/// A policy by its content.
+type Named = (String, Controller);
+
 /// The command and the folder in which it works.
 struct Flip {
     program: PathBuf,
@@ -105,11 +108,7 @@ impl Flip {
     }
 
     /// The policies of these trainings, one for each seed, as controllers.
-    fn trained(
-        &self,
-        seeds: std::ops::RangeInclusive<u64>,
-        arguments: &[&str],
-    ) -> anyhow::Result<Vec<(String, Controller)>> {
+    fn trained(&self, seeds: std::ops::RangeInclusive<u64>, arguments: &[&str]) -> anyhow::Result<Vec<Named>> {
         let seeds = seeds.map(|seed| seed.to_string()).collect::<Vec<_>>().join(",");
         let trained = self.ask(&[&["train", "--seeds", &seeds], arguments].concat())?;
         let all = trained.as_array().map_or_else(|| vec![&trained], |all| all.iter().collect());
@@ -153,15 +152,15 @@ fn campaign(powders: &[Vec<ParameterSet>], seed: u64) -> anyhow::Result<String> 
 }
 
 /// A policy that went on in the truth, kept as a file.
-fn oracle(flip: &Flip, old: &(String, Controller), truth: &[Level], seed: u64) -> anyhow::Result<Controller> {
+fn oracle(flip: &Flip, old: &Named, truth: &[Level], seed: u64) -> anyhow::Result<Named> {
     let file = flip.path(&format!("oracle-{seed}.safetensors"));
     if let Ok(bytes) = std::fs::read(&file) {
-        return Ok(decode(&bytes)?.controller);
+        return Ok((id(&bytes), decode(&bytes)?.controller));
     }
-    let (id, Controller::Learned(actor)) = old else { bail!("the old policy has no network") };
+    let (before, Controller::Learned(actor)) = old else { bail!("the old policy has no network") };
     let under = Under { simulator: "the truth".to_owned(), conditions: BTreeMap::new() };
     let extended = Extended { under, days: vec![rested(BENCH_MIN)], powders: BTreeMap::new() };
-    let settings = Settings::of(Preset::Flip, Order::Curriculum, seed).going_on_from(id.clone());
+    let settings = Settings::of(Preset::Flip, Order::Curriculum, seed).going_on_from(before.clone());
     let settings = Settings { extended: Some(extended), ..settings };
     eprintln!("oracle {seed}");
     let trained =
@@ -169,11 +168,17 @@ fn oracle(flip: &Flip, old: &(String, Controller), truth: &[Level], seed: u64) -
             ControlFlow::Continue(())
         })?;
     std::fs::write(&file, &trained.artifact)?;
-    Ok(decode(&trained.artifact)?.controller)
+    Ok((id(&trained.artifact), decode(&trained.artifact)?.controller))
 }
 
-/// Errors of each of these controllers over the same doses on the laboratory's bench, mg: `[controllers][doses]`.
-fn weigh(controllers: &[Controller], powders: &[Vec<ParameterSet>], seed: u64) -> Vec<Vec<f64>> {
+/// Errors of each of these policies over the same doses on the laboratory's bench, mg: `[policies][doses]`. Each dose is a file in `kept`.
+fn weigh(
+    policies: &[Named],
+    powders: &[Vec<ParameterSet>],
+    seed: u64,
+    kept: &std::path::Path,
+) -> anyhow::Result<Vec<Vec<f64>>> {
+    std::fs::create_dir_all(kept)?;
     let rules = Rules::FLIP;
     let filling = Simulated { settings: dispense::Settings { pitch: rules.pitch, ..dispense::Settings::default() } };
     let balance = balance::Settings::default();
@@ -184,23 +189,30 @@ fn weigh(controllers: &[Controller], powders: &[Vec<ParameterSet>], seed: u64) -
             doses.extend((0..REPEATS).map(|r| (sets[r as usize % sets.len()], target_mg, seed(r))));
         }
     }
-    let errors: Vec<Vec<f64>> = doses
-        .par_iter()
-        .map(|(set, target_mg, seed)| {
+    let errors = doses.par_iter().enumerate().map(|(dose, (set, target_mg, seed))| {
+        let file = kept.join(format!("dose-{dose}.json"));
+        let mut errors: BTreeMap<String, f64> = match std::fs::read(&file) {
+            Ok(bytes) => serde_json::from_slice(&bytes)?,
+            Err(_) => BTreeMap::new(),
+        };
+        let missing: Vec<&Named> = policies.iter().filter(|(id, _)| !errors.contains_key(id)).collect();
+        if !missing.is_empty() {
             let filled = filling.fill_under(set, &rested(BENCH_MIN), *seed);
-            let one = |controller: &Controller| {
+            for (id, controller) in missing {
                 let mut dosing = controller.begin(&rules, balance.readability_mg);
                 let played = play(&mut filled.clone(), &rules, &balance, *target_mg, *seed, |seen: &Observation| {
                     let action = dosing.propose(seen);
                     let incline = action.incline_change_deg / INCLINE_CHANGE_DEG_MAX;
                     [incline as f32, (2.0 * action.shake_mm / SHAKE_MM_MAX - 1.0) as f32]
                 });
-                played.dispensed_mg - target_mg
-            };
-            controllers.iter().map(one).collect()
-        })
-        .collect();
-    (0..controllers.len()).map(|c| errors.iter().map(|of_dose| of_dose[c]).collect()).collect()
+                errors.insert(id.clone(), played.dispensed_mg - target_mg);
+            }
+            std::fs::write(&file, serde_json::to_vec(&errors)?)?;
+        }
+        Ok(policies.iter().map(|(id, _)| errors[id]).collect())
+    });
+    let errors: Vec<Vec<f64>> = errors.collect::<anyhow::Result<_>>()?;
+    Ok((0..policies.len()).map(|c| errors.iter().map(|of_dose| of_dose[c]).collect()).collect())
 }
 
 /// 95 % interval of the mean of these differences, one for each training seed: Student's t.
@@ -219,7 +231,7 @@ fn main() -> anyhow::Result<()> {
     let program = std::env::var_os("FLIP_BIN").context("FLIP_BIN names the program")?.into();
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("target/weighing-gain");
     std::fs::create_dir_all(&folder)?;
-    let flip = Flip { program, folder, seed: 1 };
+    let flip = Flip { program, folder: folder.clone(), seed: 1 };
 
     let base = flip.calibrated(None)?;
     let old = flip.trained(1..=1, &[])?.remove(0);
@@ -243,18 +255,17 @@ fn main() -> anyhow::Result<()> {
             sets: sets[..TRAINED].to_vec(),
         })
         .collect();
-    let mut arms: Vec<(&str, Vec<Controller>)> = vec![("old", vec![old.1.clone()])];
     let from = ["--from", &old.0];
-    let controllers = |of: Vec<(String, Controller)>| of.into_iter().map(|(_, controller)| controller).collect();
     let under = [&from[..], &["--simulator", version, "--condition", &condition]].concat();
-    arms.push(("sham", controllers(flip.trained(1..=seeds, &from)?)));
-    arms.push(("extended", controllers(flip.trained(1..=seeds, &under)?)));
-    // Side by side, as the command's are: the steps of one training follow one another.
-    let best: anyhow::Result<_> = (1..=seeds).into_par_iter().map(|seed| oracle(&flip, &old, &truth, seed)).collect();
-    arms.push(("oracle", best?));
-
-    let all: Vec<Controller> = arms.iter().flat_map(|(_, of)| of.clone()).collect();
-    let errors = weigh(&all, &of_laboratory, flip.seed);
+    // Side by side: the steps of one training follow one another.
+    let (taught, best) = rayon::join(
+        || -> anyhow::Result<_> { Ok([flip.trained(1..=seeds, &from)?, flip.trained(1..=seeds, &under)?]) },
+        || (1..=seeds).into_par_iter().map(|seed| oracle(&flip, &old, &truth, seed)).collect::<anyhow::Result<_>>(),
+    );
+    let ([sham, extended], best) = (taught?, best?);
+    let arms: [(&str, Vec<Named>); 4] = [("old", vec![old]), ("sham", sham), ("extended", extended), ("oracle", best)];
+    let all: Vec<Named> = arms.iter().flat_map(|(_, of)| of.clone()).collect();
+    let errors = weigh(&all, &of_laboratory, flip.seed, &folder.join("weighed"))?;
     let doses = errors[0].len();
     println!(
         "| policy | trainings | mean absolute error mg, {doses} doses each | SD over trainings | more than 1 mg over | more than 1 mg short |"

@@ -19,7 +19,7 @@ use std::collections::HashMap;
 /// The only metadata key: the format keeps no order among several.
 const KEY: &str = "flip.training";
 /// Raised when the layout changes: an older checkpoint is then refused, not misread.
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -42,12 +42,13 @@ fn fingerprint(levels: &[Level], settings: &Settings) -> String {
 }
 
 /// Names of the learner's blocks, and the blocks.
-fn blocks(learner: &Learner) -> [(&'static str, &[f32]); 10] {
+fn blocks(learner: &Learner) -> [(&'static str, &[f32]); 11] {
     let l = learner;
     [
         ("actor", &l.actor),
         ("actor_adam.m", &l.actor_adam.m),
         ("actor_adam.v", &l.actor_adam.v),
+        ("averaged", &l.averaged),
         ("critics", &l.critics),
         ("critics_adam.m", &l.critics_adam.m),
         ("critics_adam.v", &l.critics_adam.v),
@@ -121,6 +122,7 @@ pub(super) fn decode(bytes: &[u8], levels: &[Level], settings: &Settings) -> Res
     learner.critics_adam = adam("critics", header.adam_steps[1])?;
     learner.alpha_adam = adam("log_alpha", header.adam_steps[2])?;
     learner.actor = read("actor")?;
+    learner.averaged = read("averaged")?;
     learner.critics = read("critics")?;
     learner.targets = read("targets")?;
     learner.log_alpha = read("log_alpha")?;

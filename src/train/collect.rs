@@ -3,7 +3,7 @@
 use super::environment::{Filling, Played, Spoon, play};
 use super::episodes::Episode;
 use super::replay::Memory;
-use super::settings::{Order, Settings};
+use super::settings::{Extended, Order, Settings};
 use super::spoons::Spoons;
 use super::surrogate::Surrogate;
 use super::training::{Flow, Level};
@@ -86,26 +86,25 @@ pub fn play_round<F: Filling>(
     settings: &Settings,
     flow: &Flow<'_>,
 ) -> Option<Vec<(Planned, Played)>> {
+    // A day that comes once is not worth the room that its spoons take.
+    let recur = settings.extended.as_ref().is_none_or(Extended::is_held);
     planned
         .into_par_iter()
         .map(|mut plan| {
             if flow().is_break() {
                 return None;
             }
-            let surrogate = Surrogate::new(settings.rules.pitch);
-            let played = if plan.index < settings.surrogate_episodes {
-                let spoon = surrogate.fill(&plan.set, derive(plan.seed, &[SPOONFUL]));
-                play_planned(&mut plan, spoon, actor, settings)
-            } else if plan.randomised {
-                let spoon = spoons.fill(&plan.set, plan.index, &plan.patch);
-                play_planned(&mut plan, spoon, actor, settings)
-            } else if !plan.patch.is_none() {
-                let spoon = spoons.fill(&plan.set, plan.heap, &plan.patch);
-                play_planned(&mut plan, spoon, actor, settings)
-            } else {
-                let spoon = spoons.take(&plan.set, plan.heap);
-                play_planned(&mut plan, spoon, actor, settings)
+            if plan.index < settings.surrogate_episodes {
+                let spoon = Surrogate::new(settings.rules.pitch).fill(&plan.set, derive(plan.seed, &[SPOONFUL]));
+                let played = play_planned(&mut plan, spoon, actor, settings);
+                return Some((plan, played));
+            }
+            let spoon = match (plan.randomised, recur) {
+                (true, _) => spoons.fill(&plan.set, plan.index, &plan.patch),
+                (false, false) => spoons.fill(&plan.set, plan.heap, &plan.patch),
+                (false, true) => spoons.take(&plan.set, plan.heap, &plan.patch),
             };
+            let played = play_planned(&mut plan, spoon, actor, settings);
             Some((plan, played))
         })
         .collect()
@@ -138,7 +137,7 @@ pub fn remembered(plan: &Planned, played: &Played, actor: &Actor, settings: &Set
 
 #[cfg(test)]
 mod tests {
-    use super::super::settings::{Extended, Preset};
+    use super::super::settings::Preset;
     use super::*;
     use crate::domain::conditions::Under;
 

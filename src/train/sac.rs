@@ -97,6 +97,8 @@ pub struct Losses {
 pub struct Learner {
     /// Actor's parameters.
     pub actor: Vec<f32>,
+    /// Their mean over the last updates, where the settings ask for one; what they are, where not.
+    pub averaged: Vec<f32>,
     /// Both critics' parameters, one after the other.
     pub critics: Vec<f32>,
     /// The slow copies of the critics.
@@ -123,6 +125,7 @@ impl Learner {
             alpha_adam: Adam::new(1),
             targets: critics.clone(),
             log_alpha: vec![settings.initial_alpha.ln() as f32],
+            averaged: actor.clone(),
             actor,
             critics,
             networks,
@@ -137,6 +140,17 @@ impl Learner {
     /// The actor as it is now, in plain Rust; `None` when its weights are no longer finite.
     pub fn snapshot(&self, settings: &Settings) -> Option<Actor> {
         self.networks.snapshot(settings.encoding, &self.actor)
+    }
+
+    /// The same of the actor that a training ends with.
+    pub fn outcome(&self, settings: &Settings) -> Option<Actor> {
+        self.networks.snapshot(settings.encoding, &self.averaged)
+    }
+
+    /// Go on with this actor.
+    pub fn take(&mut self, actor: Vec<f32>) {
+        self.averaged.clone_from(&actor);
+        self.actor = actor;
     }
 
     /// One update of critics, actor, temperature and targets from one batch; of critics and targets alone while the settings hold
@@ -167,6 +181,7 @@ impl Learner {
             self.actor_adam.step(&mut self.actor, &gradient, settings.learning_rate);
             let gradient = temperature_gradient(alpha, mean_log_prob, settings.target_entropy);
             self.alpha_adam.step(&mut self.log_alpha, &[gradient as f32], settings.learning_rate);
+            self.average(settings);
         }
 
         let tau = settings.tau as f32;
@@ -178,6 +193,18 @@ impl Learner {
             actor: actor_loss.double_value(&[]),
             entropy: -mean_log_prob,
             alpha,
+        }
+    }
+
+    /// Count the actor as it is now: `mean <- mean + (now - mean) / n` over n updates, or nothing but the present one.
+    fn average(&mut self, settings: &Settings) {
+        match settings.from.as_ref().map_or(0, |from| from.averaged_updates) {
+            0 | 1 => self.averaged.clone_from(&self.actor),
+            n => {
+                for (mean, now) in self.averaged.iter_mut().zip(&self.actor) {
+                    *mean += (now - *mean) / n as f32;
+                }
+            }
         }
     }
 

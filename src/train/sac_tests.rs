@@ -5,7 +5,7 @@ use crate::domain::parameters::COUNT;
 use crate::policy::Encoding;
 use crate::train::episodes::interleave;
 use crate::train::replay::Courses;
-use crate::train::settings::{Network, Order, Preset, Replayed};
+use crate::train::settings::{FineTuning, Network, Order, Preset, Replayed};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde_json::Value;
@@ -99,6 +99,29 @@ fn one_update_equals_an_independent_implementation() {
         assert_close("actor", &learner.actor, &numbers(&expected["actor"]));
         assert_close("targets", &learner.targets, &numbers(&expected["targets"]));
         assert_close("log alpha", &learner.log_alpha, &[number("log_alpha")]);
+    }
+}
+
+#[test]
+fn the_actor_that_comes_out_is_the_mean_of_what_it_was_or_the_last_one() {
+    let (mut learner, settings, batch, noise) = start(&references()[0]);
+    let from = |averaged_updates| FineTuning { policy: "p".into(), held_updates: 2, averaged_updates };
+    let averaging = Settings { from: Some(from(4)), ..settings.clone() };
+    learner.take(learner.actor.clone());
+    let mut actors = vec![learner.actor.clone()];
+    for _ in 0..6 {
+        learner.update(&batch, &noise, &averaging);
+        actors.push(learner.actor.clone());
+    }
+    // Held for two updates; each of the other four counts for a quarter of what is left.
+    assert!(actors[0] == actors[2] && actors[2] != actors[3]);
+    let weights = [0.75f64.powi(4), 0.25 * 0.75f64.powi(3), 0.25 * 0.75f64.powi(2), 0.25 * 0.75, 0.25];
+    let mean =
+        |k: usize| weights.iter().zip(&actors[2..]).map(|(w, actor)| w * f64::from(actor[k])).sum::<f64>() as f32;
+    assert_close("averaged", &learner.averaged, &(0..learner.actor.len()).map(mean).collect::<Vec<_>>());
+    for last in [Settings { from: Some(from(0)), ..settings.clone() }, settings] {
+        learner.update(&batch, &noise, &last);
+        assert_eq!(learner.averaged, learner.actor);
     }
 }
 

@@ -4,6 +4,7 @@ use super::environment::{Filling, Spoon};
 use super::spoons::Spoons;
 use super::training::Level;
 use crate::domain::bench::{Action, SHAKE_MM_MAX};
+use crate::domain::conditions::Patch;
 use crate::domain::seed::derive;
 use crate::policy::{Controller, Episode, ON_TARGET_MG, Observation, Rules, Schedule, ScheduledStep};
 use crate::sim::balance;
@@ -176,7 +177,7 @@ pub(super) fn mean_error_mg<F: Filling>(
         .into_par_iter()
         .flat_map_iter(|(level, dose)| {
             let set = &level.sets[dose as usize % level.sets.len()];
-            let spoon = spoons.take(set, dose / level.sets.len() as u32);
+            let spoon = spoons.take(set, dose / level.sets.len() as u32, &Patch::default());
             pour(spoon, derive(seed, &[3, dose.into()]))
         })
         .collect();

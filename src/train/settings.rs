@@ -101,6 +101,11 @@ impl Extended {
         &days[(seed % days.len() as u64) as usize]
     }
 
+    /// Whether each powder's days are all alike: every condition is held.
+    pub(super) fn is_held(&self) -> bool {
+        self.powders.values().chain([&self.days]).all(|days| days.windows(2).all(|pair| pair[0] == pair[1]))
+    }
+
     fn check(&self, spoon: &dispense::Settings) -> Result<(), FieldError> {
         if self.days.is_empty() {
             return Err(FieldError::new("extended.days", "must hold at least one day"));
@@ -118,6 +123,10 @@ pub struct FineTuning {
     pub policy: String,
     /// Updates of the critics alone. They begin with nothing, and a policy that followed them at once would forget what it can.
     pub held_updates: u32,
+    /// Updates over which the policy that comes out is a mean of what the actor was, an exponential one (Polyak and Juditsky 1992): after so short a
+    /// training the last one is where chance left it. Default 2000; 0, the last one, is what trainings of earlier versions had.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub averaged_updates: u32,
 }
 
 /// Every setting of a training; stored with its job, its checkpoints and its policy.
@@ -301,7 +310,7 @@ impl Settings {
     /// minutes.
     #[must_use]
     pub fn going_on_from(self, policy: String) -> Self {
-        let from = Some(FineTuning { policy, held_updates: 2000 });
+        let from = Some(FineTuning { policy, held_updates: 2000, averaged_updates: 2000 });
         Self { from, episodes: 240, warmup_episodes: 0, initial_alpha: 0.02, ..self }
     }
 

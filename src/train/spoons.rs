@@ -8,9 +8,9 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock};
 
 /// Filled spoons, each filled by the first who asks.
-type Shelf<S> = HashMap<(String, u32), Arc<OnceLock<S>>>;
+type Shelf<S> = HashMap<(String, u32, String), Arc<OnceLock<S>>>;
 
-/// Filled spoons by parameter set and heap number. A clone of one is a new dose from the same heap.
+/// Filled spoons by parameter set, heap number and conditions. A clone of one is a new dose from the same heap.
 pub struct Spoons<'a, F: Filling> {
     filling: &'a F,
     seed: u64,
@@ -23,13 +23,14 @@ impl<'a, F: Filling> Spoons<'a, F> {
         Self { filling, seed, kept: Mutex::new(HashMap::new()) }
     }
 
-    /// Heap `heap` of this powder, filled on first use. The same whoever asks first.
-    pub fn take(&self, set: &ParameterSet, heap: u32) -> F::Spoon {
+    /// Heap `heap` of this powder in these conditions, filled on first use. The same whoever asks first.
+    pub fn take(&self, set: &ParameterSet, heap: u32, patch: &Patch) -> F::Spoon {
+        let conditions = serde_json::to_string(patch).expect("plain data");
         let slot = {
             let mut kept = self.kept.lock().unwrap_or_else(|broken| broken.into_inner());
-            kept.entry((set.id(), heap)).or_default().clone()
+            kept.entry((set.id(), heap, conditions)).or_default().clone()
         };
-        slot.get_or_init(|| self.fill(set, heap, &Patch::default())).clone()
+        slot.get_or_init(|| self.fill(set, heap, patch)).clone()
     }
 
     /// The same without keeping it, for powders and conditions that are met once.
@@ -50,10 +51,11 @@ mod tests {
         let formula = Formula { pitch: PitchLimits::WIDE };
         let spoons = Spoons::new(&formula, 1);
         let set = ParameterSet::default();
-        let mut first = spoons.take(&set, 0);
+        let none = Patch::default();
+        let mut first = spoons.take(&set, 0, &none);
         first.step(Action { incline_change_deg: 8.0, shake_mm: 16.0 });
         assert!(first.vial_mg() > 0.0);
-        assert_eq!(spoons.take(&set, 0).vial_mg(), 0.0);
+        assert_eq!(spoons.take(&set, 0, &none).vial_mg(), 0.0);
         assert_eq!(spoons.kept.lock().unwrap().len(), 1);
     }
 }

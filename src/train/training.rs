@@ -258,7 +258,7 @@ impl State {
             let advice = "is a policy of another network than this training's: take one of the same preset";
             return Err(FieldError::new("from", advice));
         }
-        self.learner.actor = actor.to_flat();
+        self.learner.take(actor.to_flat());
         Ok(self)
     }
 
@@ -343,7 +343,7 @@ impl State {
 
     fn finish(self, levels: &[Level], settings: &Settings) -> Result<Trained, TrainError> {
         let episodes = self.progress.episodes;
-        let actor = self.learner.snapshot(settings).ok_or(TrainError::Diverged { episodes })?;
+        let actor = self.learner.outcome(settings).ok_or(TrainError::Diverged { episodes })?;
         let levels: Vec<LevelManifest> = levels
             .iter()
             .zip(&self.progress.on_level)
