@@ -11,11 +11,11 @@ use serde_json::{Value, json};
 use tonic::transport::Channel;
 use tonic::{Code, Request, Status};
 
-async fn channel(service: &Service) -> Channel {
+pub async fn channel(service: &Service) -> Channel {
     Channel::from_shared(service.url("")).unwrap().connect().await.unwrap()
 }
 
-async fn as_operator<T>(service: &Service, message: T) -> Request<T> {
+pub async fn as_operator<T>(service: &Service, message: T) -> Request<T> {
     let mut request = Request::new(message);
     let token = format!("Bearer {}", service.token(Role::Operator).await);
     request.metadata_mut().insert("authorization", token.parse().unwrap());
@@ -23,7 +23,7 @@ async fn as_operator<T>(service: &Service, message: T) -> Request<T> {
 }
 
 /// The problem that a status carries, after checking that both say the same.
-fn problem_of(status: &Status) -> Value {
+pub fn problem_of(status: &Status) -> Value {
     let bytes = status.metadata().get_bin("flip-problem-bin").expect("a problem in the trailer").to_bytes().unwrap();
     let problem: Value = serde_json::from_slice(&bytes).unwrap();
     assert_eq!(problem["detail"], status.message());
@@ -232,6 +232,8 @@ async fn health_and_reflection_know_every_service() {
         "Investigations",
         "Simulators",
         "Weighings",
+        "Bench",
+        "ReposeMeasurements",
         "Jobs",
     ] {
         let name = format!("flip.v1.{name}");

@@ -1,8 +1,11 @@
 //! Angles of repose by camera: a laboratory that is emulated whole, and devices whose frames are uploaded.
 
+use crate::grpc::{as_operator, channel, problem_of};
 use crate::harness::{Service, fields, problem};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use flip::api::grpc::proto;
+use flip::api::grpc::proto::repose_measurements_client::ReposeMeasurementsClient;
 use flip::app::{LaboratorySettings, Role, emulated_bench, file_bench};
 use flip::domain::parameters::ParameterSet;
 use flip::domain::powder::PUBLISHED;
@@ -14,6 +17,7 @@ use flip::hardware::clock::Clock;
 use reqwest::Response;
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
+use tonic::Code;
 
 const MEASUREMENTS: &str = "/v1/repose-measurements";
 
@@ -154,6 +158,50 @@ async fn frames_are_uploaded_while_a_pile_waits_and_one_without_an_angle_is_made
     assert_eq!(raw, good[2].colour);
     let late = problem(post(&service, &frames_at, &body(&good[0])).await, 409).await;
     assert!(late["type"].as_str().unwrap().ends_with("no-pile-waits"), "{late}");
+    service.stop().await;
+}
+
+#[tokio::test]
+async fn over_grpc_a_measurement_is_the_same_and_takes_frames() {
+    let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
+    let laboratory = Laboratory::start(lab::Settings::default(), Clock::fast(20.0), spoon).unwrap();
+    let service = Service::ready_on(file_bench(laboratory.file())).await;
+    let mut client = ReposeMeasurementsClient::new(channel(&service).await).max_decoding_message_size(1 << 24);
+    let asked = |procedure: &str| proto::StartReposeMeasurementRequest {
+        powder: "salt".into(),
+        procedure_json: Some(procedure.to_owned()),
+        ..Default::default()
+    };
+    let wrong = as_operator(&service, asked("{\"repeats\": \"one\"}")).await;
+    let refused = client.start_repose_measurement(wrong).await.unwrap_err();
+    assert_eq!(refused.code(), Code::InvalidArgument);
+    assert_eq!(fields(&problem_of(&refused)), ["procedure_json"]);
+    let right = as_operator(&service, asked("{\"repeats\": 1, \"open_s\": 1.0, \"rest_s\": 0.0}")).await;
+    let id = client.start_repose_measurement(right).await.unwrap().into_inner().job.unwrap().id;
+    let place = format!("{MEASUREMENTS}/{id}");
+    until(&service, &place, |found| found["awaits"]["have"] == 0).await;
+    let frames = photographed(35.0, 1, 10);
+    for (k, frame) in frames.iter().enumerate() {
+        let Upload { depth, colour, description } = frame.clone();
+        let description_json = String::from_utf8(description).unwrap();
+        let frame = proto::AddFrameRequest { id: id.clone(), depth, colour, description_json };
+        let awaited = client.add_frame(as_operator(&service, frame).await).await.unwrap().into_inner();
+        assert_eq!((awaited.pile, awaited.have, awaited.wanted), (1, k as u32 + 1, 10));
+    }
+    let rest = until(&service, &place, has_ended).await;
+    let get = proto::GetReposeMeasurementRequest { id: id.clone() };
+    let found = client.get_repose_measurement(get).await.unwrap().into_inner();
+    assert_eq!(serde_json::from_str::<Value>(&found.rig_json).unwrap(), rest["rig"]);
+    assert_eq!(found.piles[0].tip.unwrap().deg, rest["piles"][0]["measured"]["tip"]["deg"].as_f64().unwrap());
+    let result = found.result.unwrap();
+    assert!(result.registered && result.tip_u_deg == rest["result"]["repeats"]["tip_u_deg"].as_f64().unwrap());
+    let raw = proto::DownloadFrameRequest { id, pile: 1, frame: 3, part: "depth".into() };
+    assert_eq!(client.download_frame(raw).await.unwrap().into_inner().bytes, frames[2].depth);
+    let list = client.list_repose_measurements(proto::ListReposeMeasurementsRequest::default()).await.unwrap();
+    assert!(list.into_inner().items.iter().all(|it| it.powder == "salt" && it.piles.is_empty() && it.result.is_some()));
+    let compared = client.compare_methods(proto::CompareMethodsRequest {}).await.unwrap().into_inner().items;
+    let salt = compared.iter().find(|it| it.powder == "salt").unwrap();
+    assert_eq!(salt.automated.unwrap().repose_deg, result.tip.unwrap().repose_deg);
     service.stop().await;
 }
 

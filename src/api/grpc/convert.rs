@@ -9,6 +9,7 @@ use crate::domain::conditions::{Condition, Conditions, Under};
 use crate::domain::job::{JobKind, JobState};
 use crate::domain::observable::{Observable, Observation};
 use crate::domain::parameters::{Parameter, ParameterSet};
+use crate::domain::pile::Angle;
 use crate::domain::powder::{Flowability, Method};
 use crate::domain::weighing::{Outcome, WeighingState};
 use prost_types::Timestamp;
@@ -261,6 +262,34 @@ same_fields! {
         broken_seq: v.broken.as_ref().map(|broken| broken.seq),
         broken_why: v.broken.map(|broken| broken.why),
     }
+    r: app::ReposeMeasurement => ReposeMeasurement { powder run } {
+        job: Some(r.job.into()),
+        bench: bench_kind(r.bench),
+        procedure_json: json(&r.procedure),
+        rig_json: json(&r.rig),
+        limits_json: json(&r.limits),
+        awaits: r.awaits.map(Into::into),
+        piles: all(r.piles),
+        result: r.result.map(Into::into),
+    }
+    a: app::Awaited => AwaitedFrames { pile have wanted } {}
+    p: app::Pile => Pile { number refusal } {
+        at: at(p.at),
+        tip: p.measured.map(|it| it.tip.into()),
+        cone: p.measured.map(|it| it.cone.into()),
+        frames: p.frames.len() as u32,
+    }
+    a: Angle => PileAngle { deg u_deg u_frames_deg } {}
+    r: app::ReposeResult => ReposeResult { registered } {
+        tip: Some(r.repeats.tip.into()),
+        tip_u_deg: r.repeats.tip_u_deg,
+        cone: Some(r.repeats.cone.into()),
+        cone_u_deg: r.repeats.cone_u_deg,
+    }
+    c: app::Compared => ComparedMethods { powder difference_deg standard_error_deg } {
+        automated: Some(c.automated.into()),
+        manual: Some(c.manual.into()),
+    }
     d: app::WeighingDetail => WeighingDetail {} {
         weighing: Some(d.weighing.into()),
         ticks: all(d.ticks),
@@ -275,6 +304,11 @@ same_fields! {
         data_json: e.data.to_string(),
         at: at(e.at),
     }
+}
+
+/// Plain data as JSON text: numbers, text and lists, which JSON never refuses.
+fn json(plain: &impl serde::Serialize) -> String {
+    serde_json::to_string(plain).unwrap_or_default()
 }
 
 fn bench_kind(kind: BenchKind) -> String {

@@ -8,13 +8,14 @@ mod investigations;
 mod jobs;
 mod policies;
 mod powders;
+mod repose;
 mod simulators;
 pub mod status;
 mod trainings;
 mod weighings;
 
 use super::auth;
-use super::rest::extract::BODY_BYTES_MAX;
+use super::rest::extract::{BODY_BYTES_MAX, LARGE_BYTES_MAX};
 use crate::app::App;
 use crate::app::Event;
 use crate::app::Role;
@@ -30,6 +31,7 @@ use proto::investigations_server::InvestigationsServer;
 use proto::jobs_server::JobsServer;
 use proto::policies_server::PoliciesServer;
 use proto::powders_server::PowdersServer;
+use proto::repose_measurements_server::ReposeMeasurementsServer;
 use proto::simulators_server::SimulatorsServer;
 use proto::trainings_server::TrainingsServer;
 use proto::weighings_server::WeighingsServer;
@@ -47,7 +49,7 @@ pub mod proto {
 const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/flip.v1.bin"));
 
 /// Names that the health service knows; the empty one is the whole service.
-const SERVICES: [&str; 11] = [
+const SERVICES: [&str; 12] = [
     "",
     "flip.v1.Powders",
     "flip.v1.Calibrations",
@@ -58,6 +60,7 @@ const SERVICES: [&str; 11] = [
     "flip.v1.Simulators",
     "flip.v1.Weighings",
     "flip.v1.Bench",
+    "flip.v1.ReposeMeasurements",
     "flip.v1.Jobs",
 ];
 
@@ -79,6 +82,9 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
             $server::new(service.clone()).max_decoding_message_size(BODY_BYTES_MAX)
         };
     }
+    let frames = ReposeMeasurementsServer::new(service.clone()).max_decoding_message_size(LARGE_BYTES_MAX);
+    // What has come as a frame goes out again.
+    let frames = frames.max_encoding_message_size(LARGE_BYTES_MAX);
     let mut routes = Routes::new(health);
     if let Ok(reflection) = reflection().build_v1() {
         routes = routes.add_service(reflection);
@@ -97,6 +103,7 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         .add_service(limited!(SimulatorsServer))
         .add_service(limited!(WeighingsServer))
         .add_service(limited!(BenchServer))
+        .add_service(frames)
         .add_service(limited!(JobsServer))
         .into_axum_router()
         .reset_fallback()

@@ -13,19 +13,17 @@ impl trainings_server::Trainings for Service {
         request: Request<StartTrainingRequest>,
     ) -> Result<Response<StartJobResponse>, Status> {
         let asked = write(request)?;
-        let StartTrainingRequest {
-            order, preset, episodes, powders, seed, surrogate_episodes, simulator, from, ..
-        } = asked;
         let request = TrainingRequest {
-            order: named::<Order, _>("order", order)?.unwrap_or_default(),
-            preset: named::<Preset, _>("preset", preset)?.unwrap_or_default(),
-            episodes,
-            surrogate_episodes,
-            powders: given(powders),
-            from,
-            seed,
-            simulator,
+            order: named::<Order, _>("order", asked.order)?.unwrap_or_default(),
+            preset: named::<Preset, _>("preset", asked.preset)?.unwrap_or_default(),
+            episodes: asked.episodes,
+            surrogate_episodes: asked.surrogate_episodes,
+            powders: given(asked.powders),
+            from: asked.from,
+            seed: asked.seed,
+            simulator: asked.simulator,
             conditions: conditions(asked.conditions),
+            as_calibrated: asked.as_calibrated,
         };
         Ok(Response::new(self.app.start_training(request).await?.into()))
     }
