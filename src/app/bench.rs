@@ -132,6 +132,16 @@ impl App {
         Ok(found)
     }
 
+    /// What the arm makes of a commanded shake, as it was measured last.
+    ///
+    /// # Errors
+    /// `Conflict` (`shakes_not_calibrated`).
+    pub(super) async fn shakes(&self) -> Result<ShakeCalibration> {
+        let measured: Option<(_, ShakeCalibration)> = self.store().newest_check(CheckKind::Shakes).await?;
+        let advice = "the arm's shakes were not measured yet: run `flip bench calibrate-shake` first";
+        measured.map(|(_, calibration)| calibration).ok_or_else(|| Error::conflict("shakes_not_calibrated", advice))
+    }
+
     /// Keep what the arm makes of commanded shakes; weighings command accordingly from now on.
     ///
     /// # Errors

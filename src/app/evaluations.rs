@@ -4,7 +4,6 @@ use super::check::Check;
 use super::jobs::{corrupt, stored};
 use super::trainings::without_sets;
 use super::{App, Error, Result};
-use crate::domain::bench_check::{CheckKind, ShakeCalibration};
 use crate::domain::conditions::{Conditions as Day, Under};
 use crate::domain::job::JobKind;
 use crate::domain::powder::PUBLISHED;
@@ -99,12 +98,7 @@ impl App {
     pub async fn start_evaluation(&self, request: EvaluationRequest) -> Result<(Job, bool)> {
         let mut conditions = checked(&request)?;
         if request.as_calibrated {
-            let measured: Option<(_, ShakeCalibration)> = self.store().newest_check(CheckKind::Shakes).await?;
-            let (_, calibration) = measured.ok_or_else(|| {
-                let advice = "the arm's shakes were not measured yet: run `flip bench calibrate-shake` first";
-                Error::conflict("shakes_not_calibrated", advice)
-            })?;
-            conditions = conditions.as_calibrated(&calibration);
+            conditions = conditions.as_calibrated(&self.shakes().await?);
         }
         let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
         let simulator = extended.as_ref().map(|(under, _)| under.simulator.as_str());

@@ -55,6 +55,9 @@ pub struct TrainingRequest {
     /// Held in every episode; the others are drawn for each as the version's campaign saw them.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Conditions,
+    /// Shake as the bench's arm was measured to (`flip bench calibrate-shake`); default as the simulator does. The surrogate does not know the difference.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub as_calibrated: bool,
 }
 
 /// A training: its job, its levels, and once it has succeeded its policy.
@@ -100,6 +103,9 @@ impl App {
         let mut settings = settings_of(&request)?;
         if let Some(from) = &request.from {
             self.check_predecessor(from, &settings).await?;
+        }
+        if request.as_calibrated {
+            settings.spoon = settings.spoon.as_executed(&self.shakes().await?);
         }
         let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
         let simulator = extended.as_ref().map(|(under, _)| under.simulator.as_str());

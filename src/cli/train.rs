@@ -42,6 +42,9 @@ pub(super) struct Arguments {
     /// Seeds of several trainings that differ in nothing else, made side by side; their documents come as a list [default: --seed alone].
     #[arg(long, value_name = "N,…", value_delimiter = ',')]
     seeds: Option<Vec<u64>>,
+    /// Shake as the bench's arm was measured to by `flip bench calibrate-shake`.
+    #[arg(long)]
+    as_calibrated: bool,
     #[command(flatten)]
     extended: SimulatorArguments,
 }
@@ -50,11 +53,11 @@ pub(super) struct Arguments {
 enum OrderFlag {
     /// From the lowest angle of repose to the highest, moving on when the errors are small.
     Curriculum,
-    /// Levels shuffled once.
+    /// A level drawn for each episode.
     Random,
     /// From the highest angle of repose to the lowest.
     Reverse,
-    /// A level drawn anew for every episode.
+    /// A parameter set drawn from the whole published box for each episode; the levels are not used.
     DomainRandomisation,
 }
 
@@ -104,6 +107,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         seed: Some(seed),
         simulator: arguments.extended.simulator.clone(),
         conditions: conditions.clone(),
+        as_calibrated: arguments.as_calibrated,
     };
     let document = |training: Training, seed: u64| {
         let result = training.result.ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?;

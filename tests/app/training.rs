@@ -3,6 +3,8 @@
 use crate::harness::{OnEvent, calibrated, ended, functions, mg, open, open_in, pour, trained, training_of, until};
 use flip::app::{App, Episode, Error, EvaluationRequest, Functions, JobState, PageQuery, SERIES_LIMIT_MAX};
 use flip::app::{Preset, TrainingRequest};
+use flip::domain::bench_check::{ExecutedShake, ShakeCalibration};
+use flip::domain::motion::{MotionLimits, Move};
 use flip::jobs::bench::{Poured, Pouring};
 use flip::policy::{self, Controller};
 use std::sync::Arc;
@@ -203,11 +205,35 @@ async fn missing_prerequisites_are_conflicts_that_name_the_command() {
     let train = async |request| conflict(app.start_training(request).await.map(|(_, created)| ((), created)));
     let (code, message) = train(TrainingRequest::default()).await;
     assert!(code == "calibration_missing" && message.contains("flip calibrate --powder sand"), "{message}");
+    let shaken = TrainingRequest { as_calibrated: true, ..Default::default() };
+    let (code, message) = train(shaken).await;
+    assert!(code == "shakes_not_calibrated" && message.contains("flip bench calibrate-shake"), "{message}");
     let (code, message) = train(TrainingRequest { preset: Preset::Paper, ..Default::default() }).await;
     assert!(code == "calibration_missing" && message.contains("28 deg"), "{message}");
     let evaluate = app.start_evaluation(EvaluationRequest::default()).await;
     let (code, message) = conflict(evaluate.map(|(_, created)| ((), created)));
     assert!(code == "calibration_missing" && message.contains("flip calibrate --powder sand"), "{message}");
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_training_shakes_as_the_arm_was_measured_to() {
+    let (_folder, app) = open(functions()).await;
+    calibrated(&app, "sand").await;
+    let velocity = async |as_calibrated| {
+        let request = TrainingRequest { as_calibrated, ..training_of("sand", 8) };
+        let (job, _) = app.start_training(request).await.unwrap();
+        ended(&app, &job.id).await;
+        app.training(&job.id).await.unwrap().settings["spoon"]["shake"]["velocity_m_s"].as_f64().unwrap()
+    };
+    let usual = velocity(false).await;
+    // Half as fast as planned.
+    let shake = |commanded_mm: f64| {
+        let top_mm_s = 1e3 * Move::new(commanded_mm * 1e-3, MotionLimits::BRISK).top_m_s();
+        ExecutedShake { commanded_mm, executed_mm: commanded_mm, planned_mm_s: top_mm_s, peak_mm_s: top_mm_s / 2.0 }
+    };
+    app.keep_shakes(&ShakeCalibration::of([2.0, 4.0, 8.0].map(shake).to_vec()).unwrap()).await.unwrap();
+    assert!((velocity(true).await / usual - 0.5).abs() < 1e-9);
     app.shutdown().await.unwrap();
 }
 
