@@ -313,3 +313,23 @@ fn poured(weighed: Weighed, dispensed_mg: Option<f64>) -> Poured {
         must_look,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stop_is_for_whoever_has_the_floor_also_before_the_devices_are_open() {
+        let wires = Wires::default();
+        let pour: Pour = Arc::new(|_, _, _| not_begun("nothing pours here".into()));
+        let halt = wires.clone().apparatus(BenchKind::Devices, pour, Arc::new(|_| Ok(())), 1.0).halt;
+        let floor = wires.floor();
+        halt();
+        assert!(wires.was_halted());
+        wires.closed();
+        drop(floor);
+        assert!(wires.was_halted(), "nobody else has begun");
+        let _next = wires.floor();
+        assert!(!wires.was_halted());
+    }
+}
