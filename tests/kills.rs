@@ -4,6 +4,9 @@
 //! dead-man levels and retracts the spoon. `FLIP_KILLS` says how often (`make reliability`: 300).
 
 use serde_json::{Value, json};
+use std::cell::{RefCell, RefMut};
+use std::fs::File;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -11,6 +14,8 @@ use tempfile::TempDir;
 
 /// Kills in `make test`.
 const KILLS: u64 = 30;
+/// Laboratories whose services are killed side by side: a dose is mostly waiting.
+const LABORATORIES: u64 = 8;
 /// Longest wait for anything.
 const PATIENCE: Duration = Duration::from_secs(120);
 /// Bench seconds in a second of the room.
@@ -41,11 +46,35 @@ fn started(arguments: &[&str]) -> (Process, Value) {
     (Process(process), said.expect("it says where it is").unwrap())
 }
 
+/// What the arm did, read on from where the last look ended: the file grows by every motion of every dose.
+struct Motions {
+    file: BufReader<File>,
+    unfinished: String,
+    count: usize,
+    /// The newest motion; null before the first.
+    last: Value,
+}
+
+impl Motions {
+    fn open(path: &Path) -> Self {
+        let file = File::options().create(true).append(true).read(true).open(path).unwrap();
+        Self { file: BufReader::new(file), unfinished: String::new(), count: 0, last: Value::Null }
+    }
+
+    fn read_on(&mut self) {
+        while self.file.read_line(&mut self.unfinished).unwrap() > 0 && self.unfinished.ends_with('\n') {
+            self.last = serde_json::from_str(&self.unfinished).unwrap();
+            self.count += 1;
+            self.unfinished.clear();
+        }
+    }
+}
+
 /// The emulated laboratory: its bench file and what its arm did.
 struct Laboratory {
     _process: Process,
     bench: PathBuf,
-    motions: PathBuf,
+    motions: RefCell<Motions>,
 }
 
 impl Laboratory {
@@ -54,27 +83,28 @@ impl Laboratory {
         let out = [bench.to_str().unwrap(), motions.to_str().unwrap()];
         let lab = ["emulate", "lab", "--formula", "--speed", SPEED, "--out", out[0], "--motions", out[1]];
         let (process, _) = started(&lab);
-        Self { _process: process, bench, motions }
+        Self { _process: process, bench, motions: RefCell::new(Motions::open(&motions)) }
     }
 
     /// Every motion that was written down so far.
-    fn motions(&self) -> Vec<Value> {
-        let text = std::fs::read_to_string(&self.motions).unwrap_or_default();
-        text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+    fn motions(&self) -> RefMut<'_, Motions> {
+        let mut motions = self.motions.borrow_mut();
+        motions.read_on();
+        motions
     }
 
     /// Powder in the vial, mg.
     fn vial_mg(&self) -> f64 {
-        self.motions().last().map_or(0.0, |motion| motion["vial_mg"].as_f64().unwrap())
+        self.motions().last["vial_mg"].as_f64().unwrap_or(0.0)
     }
 
     /// Nothing has moved for as long as the dead-man and the way back take.
     fn wait_until_still(&self) {
-        let mut count = self.motions().len();
+        let mut count = self.motions().count;
         let mut since = Instant::now();
         while since.elapsed() < Duration::from_millis(1200) {
             std::thread::sleep(Duration::from_millis(20));
-            let now = self.motions().len();
+            let now = self.motions().count;
             if now != count {
                 (count, since) = (now, Instant::now());
             }
@@ -168,16 +198,23 @@ async fn calibrate(service: &Service) {
     }
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_waits_for_a_person() {
-    let kills = std::env::var("FLIP_KILLS").map_or(KILLS, |text| text.parse().unwrap());
+/// What became of the doses that were killed.
+#[derive(Default)]
+struct Tally {
+    unknown: u64,
+    ended: u64,
+    /// What each kill left in its vial, mg.
+    poured_mg: Vec<f64>,
+}
+
+/// The service of one laboratory, killed in each of these doses.
+async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
     let folder = TempDir::new().unwrap();
     let laboratory = Laboratory::start(folder.path());
     let mut service = Service::start(folder.path(), &laboratory, None);
     calibrate(&service).await;
-    let (mut unknown, mut ended) = (0, 0);
-    let mut poured_mg = Vec::new();
-    for kill in 0..kills {
+    let mut tally = Tally::default();
+    for kill in kills {
         let before_mg = laboratory.vial_mg();
         let key = format!("vial-{kill}");
         let (status, weighing) = service.weigh(&key).await;
@@ -200,7 +237,7 @@ async fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_wa
         let token = service.kill();
         laboratory.wait_until_still();
         let after_kill_mg = laboratory.vial_mg();
-        let last = laboratory.motions().last().cloned().unwrap_or_default();
+        let last = laboratory.motions().last.clone();
         assert_eq!(last["pitch_deg"].as_f64().unwrap_or(0.0), 0.0, "kill {kill}: the spoon is not level: {last}");
 
         service = Service::start(folder.path(), &laboratory, Some(token));
@@ -208,13 +245,13 @@ async fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_wa
         let latched = !service.get("/v1/bench").await["latch"].is_null();
         match state.as_str() {
             "unknown" => {
-                unknown += 1;
+                tally.unknown += 1;
                 assert!(latched, "kill {kill}: an interrupted dose leaves the bench latched");
                 let (status, refused) = service.weigh(&format!("another-{kill}")).await;
                 let latched = (409, Some("urn:flip:problem:bench-latched"));
                 assert_eq!((status, refused["type"].as_str()), latched, "{refused}");
             }
-            "done" | "aborted" => ended += 1,
+            "done" | "aborted" => tally.ended += 1,
             other => panic!("kill {kill}: {other}"),
         }
         // The same request again finds the same weighing, and pours nothing.
@@ -222,11 +259,33 @@ async fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_wa
         assert_eq!(again["id"].as_str(), Some(id.as_str()), "{again}");
         tokio::time::sleep(Duration::from_millis(150)).await;
         assert_eq!(laboratory.vial_mg(), after_kill_mg, "kill {kill}: something was poured after the restart");
-        poured_mg.push(after_kill_mg - before_mg);
+        tally.poured_mg.push(after_kill_mg - before_mg);
         if latched {
             service.clear().await;
         }
     }
+    let verified = service.get("/v1/audit/verification").await;
+    assert!(verified["broken"].is_null() && verified["records"].as_i64().unwrap() > 0, "{verified}");
+    tally
+}
+
+#[test]
+fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_waits_for_a_person() {
+    let kills = std::env::var("FLIP_KILLS").map_or(KILLS, |text| text.parse().unwrap());
+    let (mut unknown, mut ended, mut poured_mg) = (0, 0, Vec::new());
+    let in_laboratory = |first: u64| {
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        runtime.block_on(kill_all((first..kills).step_by(LABORATORIES as usize)))
+    };
+    std::thread::scope(|scope| {
+        let all: Vec<_> = (0..LABORATORIES.min(kills)).map(|first| scope.spawn(move || in_laboratory(first))).collect();
+        for laboratory in all {
+            let tally = laboratory.join().expect("a laboratory has failed");
+            unknown += tally.unknown;
+            ended += tally.ended;
+            poured_mg.extend(tally.poured_mg);
+        }
+    });
     poured_mg.sort_by(f64::total_cmp);
     let quartiles: Vec<String> = (0..=4).map(|q| format!("{:.1}", poured_mg[q * (poured_mg.len() - 1) / 4])).collect();
     let quartiles = quartiles.join(", ");
@@ -235,6 +294,4 @@ async fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_wa
     );
     assert!(poured_mg[poured_mg.len() - 1] <= TARGET_MG + 1.0, "an overdose: {quartiles}");
     assert!(unknown * 2 >= kills, "most kills hit a dose: {unknown} of {kills}");
-    let verified = service.get("/v1/audit/verification").await;
-    assert!(verified["broken"].is_null() && verified["records"].as_i64().unwrap() > 0, "{verified}");
 }

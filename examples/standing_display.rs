@@ -1,0 +1,140 @@
+//! What a balance whose display stands still costs, and what guarding against it costs the doses of sound ones:
+//! `cargo run --release --example standing_display [doses] [seed]`.
+//!
+//! The shipped rules dose 5, 10, 15 and 20 mg from spoons that follow a formula, in thirty steps with a tolerance of 1 mg, each dose twice: on a sound
+//! display, and on one that stands from a step of the sound dose, drawn at random, to the end. [`Forecast::stands_still`] is chosen from this table
+//! (`docs/reliability.md`); what is printed depends on the code and the seed alone.
+
+use flip::domain::bench::{Action, PitchLimits, Reading};
+use flip::domain::seed::derive;
+use flip::emulate::arm::{Flow, FormulaSpoon, Spoon};
+use flip::policy::{Controller, Ending, Episode, Observation, Paced, Rules};
+use flip::weigh::forecast::{Fall, Forecast};
+use flip::weigh::guard::{Halt, Limits, Situation, guard};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+const RULES: Rules = Rules { steps_max: 30, ending: Ending::OnTarget, pitch: PitchLimits::WIDE };
+const TARGETS_MG: [f64; 4] = [5.0, 10.0, 15.0, 20.0];
+const TOLERANCE_MG: f64 = 1.0;
+const CHANCES: [f64; 6] = [0.0, 0.001, 0.003, 0.01, 0.03, 0.1];
+const POWDERS: [&str; 3] = ["salt", "a quarter to four times as much", "comes late"];
+
+/// Powders that a spoon may hold.
+fn flow(powder: usize, seed: u64) -> Flow {
+    let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[1]));
+    let salt = Flow::default();
+    match powder {
+        0 => salt,
+        1 => Flow {
+            level_mg: salt.level_mg * f64::exp2(rng.random_range(-2.0..2.0)),
+            onset_deg: rng.random_range(0.0..15.0),
+            variation: rng.random_range(0.3..0.9),
+            ..salt
+        },
+        _ => Flow { onset_deg: rng.random_range(20.0..45.0), onset_width_deg: 1.0, variation: 0.8, ..salt },
+    }
+}
+
+/// What lies in the vial, mg, and the steps it took, on a display that stands from a step on.
+fn dose(flow: Flow, target_mg: f64, limits: &Limits, seed: u64, stands_from: Option<u32>) -> (f64, u32) {
+    let readability_mg = limits.readability_mg;
+    let mut spoon = FormulaSpoon::new(flow, seed);
+    spoon.refill();
+    let controller = Controller::Paced(Paced::CHOSEN);
+    let mut dosing = controller.begin(&RULES, readability_mg);
+    let (mut vial_mg, mut shown_mg, mut before_mg, mut last) = (0.0, 0.0, 0.0, Action::default());
+    let mut falls: Vec<Fall> = Vec::new();
+    for steps in 0.. {
+        if stands_from.is_none_or(|from| steps < from) {
+            shown_mg = f64::round(vial_mg / readability_mg) * readability_mg;
+        }
+        let shaken = last.executed_shake_mm() > 0.0;
+        let pitch_deg = spoon.pitch_deg();
+        if shaken {
+            falls.push(Fall { pitch_deg, shake_mm: last.shake_mm, mass_mg: shown_mg - before_mg });
+        }
+        let seen = Observation { reading_mg: shown_mg, target_mg, pitch_deg };
+        let stable = |mass_mg: f64| Reading { mass_mg, stable: true };
+        let situation = Situation {
+            target_mg,
+            tolerance_upper_mg: TOLERANCE_MG,
+            steps,
+            seconds: 0.0,
+            moved_s: 0.0,
+            read_s: 0.0,
+            pitch_deg,
+            before: stable(before_mg),
+            now: stable(shown_mg),
+            shaken,
+            falls: &falls,
+        };
+        let allowed = guard(limits, &situation, dosing.propose(&seen));
+        if RULES.after(steps, &seen, readability_mg) == Episode::Terminated {
+            return (vial_mg, steps);
+        }
+        let action = match allowed {
+            Ok(allowed) => allowed.action,
+            Err(Halt::NotANumber | Halt::NotAnAction | Halt::Stale) => unreachable!("nothing is wrong with it"),
+            Err(_) => return (vial_mg, steps),
+        };
+        vial_mg += spoon.step(action).mass_mg;
+        (before_mg, last) = (shown_mg, action);
+    }
+    unreachable!("a dose ends when its steps are spent")
+}
+
+/// Errors of doses, mg.
+struct Errors(Vec<f64>);
+
+impl Errors {
+    fn share_pct(&self, is: impl Fn(f64) -> bool) -> f64 {
+        100.0 * self.0.iter().filter(|error| is(**error)).count() as f64 / self.0.len() as f64
+    }
+
+    fn over_pct(&self) -> f64 {
+        self.share_pct(|error| error > TOLERANCE_MG)
+    }
+
+    fn excess_mg(&self) -> f64 {
+        self.0.iter().map(|error| (error - TOLERANCE_MG).max(0.0)).sum::<f64>() / self.0.len() as f64
+    }
+}
+
+fn main() {
+    let numbers: Vec<u64> = std::env::args().skip(1).filter_map(|text| text.parse().ok()).collect();
+    let (doses, seed) = (numbers.first().copied().unwrap_or(600), numbers.get(1).copied().unwrap_or(1));
+    println!(
+        "{doses} doses a row; over and short by more than {TOLERANCE_MG} mg; excess: mean over doses of what lies beyond the tolerance\n"
+    );
+    println!(
+        "| powder | display mg | chance | sound: over | short | mean absolute error mg | standing: over | excess mg |"
+    );
+    println!("|---|---|---|---|---|---|---|---|");
+    for (powder, name) in POWDERS.into_iter().enumerate() {
+        for readability_mg in [1.0, 0.1] {
+            for stands_still in CHANCES {
+                let forecast = Some(Forecast { stands_still, ..Forecast::GENERIC });
+                let limits = Limits { readability_mg, forecast, ..Limits::new(RULES.pitch, RULES.steps_max) };
+                let (mut sound, mut standing) = (Vec::new(), Vec::new());
+                for k in 0..doses {
+                    let seed = derive(seed, &[powder as u64, k]);
+                    let (flow, target_mg) = (flow(powder, seed), TARGETS_MG[k as usize % TARGETS_MG.len()]);
+                    let (vial_mg, steps) = dose(flow, target_mg, &limits, seed, None);
+                    sound.push(vial_mg - target_mg);
+                    let from = derive(seed, &[2]) % u64::from(steps.max(1));
+                    standing.push(dose(flow, target_mg, &limits, seed, Some(from as u32)).0 - target_mg);
+                }
+                let (sound, standing) = (Errors(sound), Errors(standing));
+                let absolute_mg = sound.0.iter().map(|error| error.abs()).sum::<f64>() / doses as f64;
+                println!(
+                    "| {name} | {readability_mg} | {stands_still} | {:.1} % | {:.1} % | {absolute_mg:.2} | {:.0} % | {:.1} |",
+                    sound.over_pct(),
+                    sound.share_pct(|error| error < -TOLERANCE_MG),
+                    standing.over_pct(),
+                    standing.excess_mg()
+                );
+            }
+        }
+    }
+}
