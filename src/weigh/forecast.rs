@@ -383,7 +383,11 @@ mod tests {
         assert!((0..6).all(|n| still(n, 1.0) < still(n + 1, 1.0) && still(n + 1, 1.0) < 1.0));
         assert!(still(1, 0.1) > still(1, 1.0), "a fine display tells more by standing");
         // Each hides 2 mg, which a forecast that believed the display would take for less and less risk.
-        assert!((1..6).all(|n| with(n, 0.1).1 < with(n + 1, 0.1).1) && with(6, 0.1).1 > GENERIC.risk, "{:?}", with(6, 0.1));
+        assert!(
+            (1..6).all(|n| with(n, 0.1).1 < with(n + 1, 0.1).1) && with(6, 0.1).1 > GENERIC.risk,
+            "{:?}",
+            with(6, 0.1)
+        );
         let believing = Forecast { stands_still: 0.0, ..GENERIC };
         let falls = [vec![fall(20.0, 3.0, 2.0); 3], vec![fall(20.0, 3.0, 0.0); 4]].concat();
         assert!(believing.chance_above(&falls, 0.1, 20.0, 3.0, 6.0) < GENERIC.risk);
