@@ -1,7 +1,10 @@
-//! How soon a stop that arrives makes the arm stand still, while a hundred clients poll: `cargo bench --bench stop_latency -- [stops] [clients]`.
+//! How soon a stop that arrives makes the arm stand still, while a hundred clients poll: `cargo bench --bench stop_latency -- [stops] [clients] [laboratories]`.
 //!
 //! The service is a process of its own, as in a laboratory; the emulated laboratory lives in this one and tells when its arm was stopped. Measured is from
 //! before the request is sent until the motion has ended, so connection, queueing and the arm's call are in it. Only stops that ended a motion count.
+//!
+//! A balance is watched for three seconds of the room before each dose, so a thousand stops take an hour; several laboratories side by side, each with a service
+//! and clients of its own, share them and the machine.
 
 use flip::emulate::arm::{End, Flow, FormulaSpoon};
 use flip::emulate::lab::{Laboratory, Settings};
@@ -12,8 +15,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Bench seconds in a second of the room: so that a scoop of eight seconds does not take eight seconds.
-const SPEED: f64 = 10.0;
+/// Bench seconds in a second of the room: a dose that is stopped takes forty, and a thousand stops are asked for.
+const SPEED: f64 = 40.0;
+/// A stop comes at any time from the first motion up to here, bench s.
+const LATEST_S: f64 = 7.0;
 
 struct Service {
     process: Child,
@@ -60,7 +65,42 @@ impl Service {
 #[tokio::main]
 async fn main() -> anyhow::Result<()> {
     let numbers: Vec<u64> = std::env::args().skip(1).filter_map(|text| text.parse().ok()).collect();
-    let (stops, clients) = (numbers.first().copied().unwrap_or(200), numbers.get(1).copied().unwrap_or(100));
+    let number = |k: usize, default: u64| numbers.get(k).copied().unwrap_or(default);
+    let (stops, clients, laboratories) = (number(0, 200), number(1, 100), number(2, 1).max(1));
+    let all = (0..laboratories).map(|first| {
+        let stops = (first..stops).step_by(laboratories as usize).collect();
+        tokio::spawn(async move { in_laboratory(stops, clients).await })
+    });
+    let (mut latencies_ms, mut idle, mut rate) = (Vec::new(), 0, 0.0);
+    for laboratory in all.collect::<Vec<_>>() {
+        let stopped = laboratory.await??;
+        latencies_ms.extend(stopped.latencies_ms);
+        idle += stopped.idle;
+        rate += stopped.rate;
+    }
+    latencies_ms.sort_by(f64::total_cmp);
+    let at = |share: f64| {
+        latencies_ms[((latencies_ms.len() as f64 * share).ceil() as usize).clamp(1, latencies_ms.len()) - 1]
+    };
+    anyhow::ensure!(!latencies_ms.is_empty(), "no stop ended a motion");
+    println!(
+        "{} stops that ended a motion ({idle} came between two), {laboratories} laboratories with {clients} clients each, {rate:.0} requests a second in all",
+        latencies_ms.len()
+    );
+    println!("| median ms | p90 | p99 | p99.9 | most |\n|---|---|---|---|---|");
+    println!("| {:.1} | {:.1} | {:.1} | {:.1} | {:.1} |", at(0.5), at(0.9), at(0.99), at(0.999), at(1.0));
+    Ok(())
+}
+
+struct Stopped {
+    latencies_ms: Vec<f64>,
+    /// Stops that found nothing moving.
+    idle: u64,
+    /// Requests that were answered in a second.
+    rate: f64,
+}
+
+async fn in_laboratory(stops: Vec<u64>, clients: u64) -> anyhow::Result<Stopped> {
     let folder = tempfile::tempdir()?;
     let clock = Clock::fast(SPEED);
     let spoon = || Box::new(FormulaSpoon::new(Flow { level_mg: 0.05, ..Flow::default() }, 1));
@@ -86,7 +126,7 @@ async fn main() -> anyhow::Result<()> {
         .collect();
 
     let (began, mut latencies_ms, mut idle) = (Instant::now(), Vec::new(), 0);
-    for stop in 0..stops {
+    for stop in stops {
         match one_stop(&service, &laboratory, &clock, stop).await? {
             Some(ms) => latencies_ms.push(ms),
             None => idle += 1,
@@ -97,18 +137,7 @@ async fn main() -> anyhow::Result<()> {
     for poller in pollers {
         poller.await?;
     }
-    latencies_ms.sort_by(f64::total_cmp);
-    let at = |share: f64| {
-        latencies_ms[((latencies_ms.len() as f64 * share).ceil() as usize).clamp(1, latencies_ms.len()) - 1]
-    };
-    anyhow::ensure!(!latencies_ms.is_empty(), "no stop ended a motion");
-    println!(
-        "{} stops that ended a motion ({idle} came between two), {clients} clients, {rate:.0} requests a second",
-        latencies_ms.len()
-    );
-    println!("| median ms | p90 | p99 | p99.9 | most |\n|---|---|---|---|---|");
-    println!("| {:.1} | {:.1} | {:.1} | {:.1} | {:.1} |", at(0.5), at(0.9), at(0.99), at(0.999), at(1.0));
-    Ok(())
+    Ok(Stopped { latencies_ms, idle, rate })
 }
 
 async fn calibrate(service: &Service) -> anyhow::Result<()> {
@@ -130,8 +159,8 @@ async fn one_stop(service: &Service, laboratory: &Laboratory, clock: &Clock, sto
     while !laboratory.arm.is_moving() {
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
-    let moment = flip::domain::seed::derive(7, &[stop]) % 700;
-    tokio::time::sleep(Duration::from_millis(moment)).await;
+    let share = (flip::domain::seed::derive(7, &[stop]) % 1000) as f64 / 1000.0;
+    tokio::time::sleep(Duration::from_secs_f64(share * LATEST_S / SPEED)).await;
     let seen = laboratory.arm.log().len();
     let sent_s = clock.now_s();
     service.post(&format!("/v1/weighings/{id}/stop"), None, &json!({})).await?;
