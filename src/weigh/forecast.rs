@@ -16,18 +16,6 @@
 //! P(next > u) = (1 - h) P_level(next > u) + h Phi((f + 0.55 ln amplitude - ln u) / g)
 //! ```
 //!
-//! A display that stands still hides what falls. Since it last moved by a step d there were z silent shakes; P(still) is how likely it stands, and what they
-//! hid counts as fallen:
-//!
-//! ```text
-//! P(still)       = p / (p + prod P(fell_i < d))                                        each by the level that the shakes before it left
-//! ln(hidden + next + (z + 1) c) ~ ln(sum of exp x_i + exp x) + sqrt(P + r^2) t_4       levels as they were before the first silent shake
-//! P(hidden + next > u) = (1 - P(still)) P(next > u) + P(still) P(hidden + next > u)    and never less than P(next > u)
-//! ```
-//!
-//! Before the display has moved at all nothing is known of the powder: what it hides is reckoned for a sluggish one, m - s, lest every powder that comes
-//! late be taken for a display that stands.
-//!
 //! | symbol | field | value | from |
 //! |---|---|---|---|
 //! | m, s | `level`, `level_sd` | -2.3, 0.8 | courses of the shipped rules on simulated spoons; s is three times what they need, for powders that no simulator knows |
@@ -37,7 +25,6 @@
 //! | c | [`DUST_MG`] | 0.3 mg | less is dust |
 //! | h | `first_chance` | 0.12 | a first piece in eight shakes |
 //! | f, g | `first_ln_mg`, `first_sd` | 0.14, 1 | `docs/dispenser.md`, first pieces: medians 1.4 to 4.5 mg, 0.10 to 0.45 above 5 mg |
-//! | p | `stands_still` | 0.003 | chosen: `docs/reliability.md` |
 //!
 //! Source: Kalman, "A New Approach to Linear Filtering and Prediction Problems", 1960, for the level; the rest as given.
 
@@ -92,8 +79,6 @@ pub struct Forecast {
     pub first_ln_mg: f64,
     /// Its standard deviation.
     pub first_sd: f64,
-    /// Chance that the display stands still, before the dose. Default 0.003: far above what balances do, for what was poured cannot be taken back.
-    pub stands_still: f64,
 }
 
 impl Forecast {
@@ -110,7 +95,6 @@ impl Forecast {
         first_chance: 0.12,
         first_ln_mg: 0.14,
         first_sd: 1.0,
-        stands_still: 0.003,
     };
 
     /// The same for a powder of which earlier doses are known, each by its shakes in order.
@@ -129,7 +113,7 @@ impl Forecast {
         Self { level, level_sd, first_ln_mg, first_sd, ..*self }
     }
 
-    /// Chance that a shake of this amplitude at this pitch lets more than `room_mg` fall, with what a display that stands still may hide.
+    /// Chance that a shake of this amplitude at this pitch lets more than `room_mg` fall.
     pub fn chance_above(
         &self,
         falls: &[Fall],
@@ -144,7 +128,7 @@ impl Forecast {
         self.next(falls, readability_mg, pitch_deg, shake_mm).chance_above(room_mg)
     }
 
-    /// The mass that such a shake passes with the chance `risk`, mg, with what a display that stands still may hide.
+    /// The mass that such a shake passes with the chance `risk`, mg.
     pub fn upper_mg(&self, falls: &[Fall], readability_mg: f64, pitch_deg: f64, shake_mm: f64) -> f64 {
         if shake_mm <= 0.0 {
             return 0.0;
@@ -165,47 +149,7 @@ impl Forecast {
         libm::exp(self.per_deg * (fall.pitch_deg - reference.pitch_deg) + by_amplitude)
     }
 
-    /// How likely the display stands still: 0 if it has moved since the last shake.
-    pub fn chance_still(&self, falls: &[Fall], readability_mg: f64) -> f64 {
-        let (known, silent) = since_it_moved(falls, readability_mg);
-        if silent.is_empty() {
-            return 0.0;
-        }
-        let shakes = silent.iter().enumerate().filter(|(_, fall)| fall.shake_mm > 0.0);
-        let nothing = shakes.map(|(k, fall)| {
-            let next = self.seen(&falls[..known.len() + k], readability_mg, fall.pitch_deg, fall.shake_mm);
-            1.0 - next.chance_above(readability_mg)
-        });
-        self.stands_still / (self.stands_still + nothing.product::<f64>())
-    }
-
     fn next(&self, falls: &[Fall], readability_mg: f64, pitch_deg: f64, shake_mm: f64) -> Next {
-        let next = self.seen(falls, readability_mg, pitch_deg, shake_mm);
-        let (known, silent) = since_it_moved(falls, readability_mg);
-        if silent.is_empty() {
-            return next;
-        }
-        let powder = match known {
-            [] => Self { level: self.level - self.level_sd, level_sd: 0.0, ..*self },
-            _ => *self,
-        };
-        let at = |pitch_deg: f64, shake_mm: f64, earlier: usize| {
-            let (level, variance) = powder.filtered(known, readability_mg, pitch_deg, shake_mm);
-            (libm::exp(level - powder.spent * earlier as f64), variance)
-        };
-        let hidden_mg: f64 = silent.iter().enumerate().map(|(k, fall)| at(fall.pitch_deg, fall.shake_mm, k).0).sum();
-        let (own_mg, variance) = at(pitch_deg, shake_mm, silent.len());
-        let hidden = Hidden {
-            chance: self.chance_still(falls, readability_mg),
-            level: libm::log(hidden_mg + own_mg),
-            sd: (variance + self.scatter.powi(2)).sqrt(),
-            dust_mg: DUST_MG * (silent.len() + 1) as f64,
-        };
-        Next { hidden: Some(hidden), ..next }
-    }
-
-    /// The next fall if every fall was seen.
-    fn seen(&self, falls: &[Fall], readability_mg: f64, pitch_deg: f64, shake_mm: f64) -> Next {
         let (level, variance) = self.filtered(falls, readability_mg, pitch_deg, shake_mm);
         let fallen_mg: f64 = falls.iter().map(|fall| fall.mass_mg).sum();
         let first = (fallen_mg < PIECE_MG).then(|| First {
@@ -213,7 +157,7 @@ impl Forecast {
             ln_mg: self.first_ln_mg + FIRST_PER_LN_MM * libm::log(shake_mm),
             sd: self.first_sd,
         });
-        Next { level, sd: (variance + self.scatter.powi(2)).sqrt(), first, hidden: None }
+        Next { level, sd: (variance + self.scatter.powi(2)).sqrt(), first }
     }
 
     /// Mean and variance of the level of a shake, after these.
@@ -252,26 +196,11 @@ fn pooled(mean: f64, sd: f64, draws: impl Iterator<Item = f64>) -> (f64, f64) {
     (sum / (n + 1.0), sd * (0.5 + 0.5 / (n + 1.0)).sqrt())
 }
 
-/// Shakes up to the last one that moved the display by a step, and those since.
-pub fn since_it_moved(falls: &[Fall], readability_mg: f64) -> (&[Fall], &[Fall]) {
-    let moved = |fall: &Fall| fall.mass_mg > readability_mg - 1e-9;
-    falls.split_at(falls.iter().rposition(moved).map_or(0, |last| last + 1))
-}
-
 /// The distribution of the next fall.
 struct Next {
     level: f64,
     sd: f64,
     first: Option<First>,
-    hidden: Option<Hidden>,
-}
-
-/// The next fall and those that a display which stands still has hidden.
-struct Hidden {
-    chance: f64,
-    level: f64,
-    sd: f64,
-    dust_mg: f64,
 }
 
 /// A first piece that may come.
@@ -287,19 +216,12 @@ impl Next {
             return 1.0;
         }
         let usual = above_t4((libm::log(mass_mg + DUST_MG) - self.level) / self.sd);
-        let seen = match &self.first {
+        match &self.first {
             Some(first) => {
                 let piece = above_normal((libm::log(mass_mg.max(1e-9)) - first.ln_mg) / first.sd);
                 (1.0 - first.chance) * usual + first.chance * piece
             }
             None => usual,
-        };
-        match &self.hidden {
-            Some(hidden) => {
-                let with_it = above_t4((libm::log(mass_mg + hidden.dust_mg) - hidden.level) / hidden.sd);
-                seen + hidden.chance * (with_it - seen).max(0.0)
-            }
-            None => seen,
         }
     }
 }
@@ -373,39 +295,8 @@ mod tests {
     }
 
     #[test]
-    fn a_display_that_should_have_moved_and_did_not_is_taken_to_stand_still() {
-        let with = |silent: usize, readability_mg: f64| {
-            let falls = [vec![fall(20.0, 3.0, 2.0); 3], vec![fall(20.0, 3.0, 0.0); silent]].concat();
-            (GENERIC.chance_still(&falls, readability_mg), GENERIC.chance_above(&falls, readability_mg, 20.0, 3.0, 6.0))
-        };
-        let still = |silent: usize, readability_mg: f64| with(silent, readability_mg).0;
-        assert_eq!(still(0, 1.0), 0.0);
-        assert!((0..6).all(|n| still(n, 1.0) < still(n + 1, 1.0) && still(n + 1, 1.0) < 1.0));
-        assert!(still(1, 0.1) > still(1, 1.0), "a fine display tells more by standing");
-        // Each hides 2 mg, which a forecast that believed the display would take for less and less risk.
-        assert!(
-            (1..6).all(|n| with(n, 0.1).1 < with(n + 1, 0.1).1) && with(6, 0.1).1 > GENERIC.risk,
-            "{:?}",
-            with(6, 0.1)
-        );
-        let believing = Forecast { stands_still: 0.0, ..GENERIC };
-        let falls = [vec![fall(20.0, 3.0, 2.0); 3], vec![fall(20.0, 3.0, 0.0); 4]].concat();
-        assert!(believing.chance_above(&falls, 0.1, 20.0, 3.0, 6.0) < GENERIC.risk);
-        assert_eq!(believing.chance_still(&falls, 0.1), 0.0);
-    }
-
-    #[test]
-    fn gentle_shakes_that_a_coarse_display_does_not_show_are_no_sign_that_it_stands() {
-        let falls = [vec![fall(20.0, 1.0, 0.4); 8], vec![fall(10.0, 0.9, 0.0); 8]].concat();
-        assert!(GENERIC.chance_still(&falls, 1.0) < 0.05, "{}", GENERIC.chance_still(&falls, 1.0));
-    }
-
-    #[test]
     fn nothing_that_can_be_read_makes_the_bound_not_a_number() {
         let odd = [fall(10.0, 3.0, f64::NAN), fall(-10.0, 0.0, 3.0), fall(50.0, 16.0, -40.0), fall(50.0, 16.0, 1e6)];
-        for falls in [&odd[..], &odd[..3], &[fall(10.0, 3.0, f64::NAN), fall(50.0, 0.0, -1.0)]] {
-            assert!(GENERIC.upper_mg(falls, 1.0, 50.0, 16.0).is_finite(), "{falls:?}");
-            assert!((0.0..1.0).contains(&GENERIC.chance_still(falls, 1.0)), "{falls:?}");
-        }
+        assert!(GENERIC.upper_mg(&odd, 1.0, 50.0, 16.0).is_finite());
     }
 }

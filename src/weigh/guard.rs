@@ -3,7 +3,7 @@
 //! Only what [`guard`] returns reaches a device. It is a pure function of what has been read and done, so every rule can
 //! be tested as a table.
 
-use super::forecast::{Fall, Forecast, since_it_moved};
+use super::forecast::{Fall, Forecast};
 use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, PitchLimits, Reading, SHAKE_MM_MAX, SHAKE_MM_MIN};
 use serde::Serialize;
 
@@ -15,8 +15,6 @@ const FULL: f64 = 0.95;
 const GENTLER: f64 = std::f64::consts::FRAC_1_SQRT_2;
 /// From one lower pitch that is tried to the next, degrees.
 const LOWER_DEG: f64 = 1.0;
-/// From this chance on a display counts as one that stands still.
-const STANDS: f64 = 0.5;
 
 /// What a weighing may do at most.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -148,7 +146,7 @@ pub enum Halt {
         /// How many.
         shakes: usize,
     },
-    /// What gave something gives nothing any more, or the display should have moved by now and the steps or the room are spent.
+    /// What gave something gives nothing any more.
     #[error(
         "{shakes} shakes that should have given something gave nothing: the spoon is empty or blocked, or the balance stands still"
     )]
@@ -197,15 +195,14 @@ impl Halt {
 ///
 /// # Errors
 /// [`Halt`] when nothing may be carried out; the first rule that applies: unusable reading, moved vial, mass without a shake, target reached, steps or time
-/// spent, blocked, unusable proposal, no room; where the display should have moved by then, [`Halt::Deaf`] in place of spent steps and room.
+/// spent, blocked, unusable proposal, no room.
 pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<Allowed, Halt> {
     is_usable(limits, seen)?;
     if seen.now.mass_mg >= seen.target_mg {
         return Err(Halt::TargetReached);
     }
-    let deaf = standing(limits, seen.falls);
     if seen.steps >= limits.steps_max {
-        return Err(deaf.unwrap_or(Halt::StepsSpent));
+        return Err(Halt::StepsSpent);
     }
     if seen.seconds >= limits.seconds_max {
         return Err(Halt::TimeSpent);
@@ -213,16 +210,15 @@ pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<
     if is_blocked(limits, seen.falls) {
         return Err(Halt::Blocked { shakes: limits.blocked_shakes });
     }
-    if is_deaf(limits, seen.falls) {
-        return Err(Halt::Deaf { shakes: silent(limits, seen.falls) });
+    if let Some(shakes) = deaf(limits, seen.falls) {
+        return Err(Halt::Deaf { shakes });
     }
     if !proposed.incline_change_deg.is_finite() || !proposed.shake_mm.is_finite() {
         return Err(Halt::NotAnAction);
     }
     let action = bounded(limits, seen.pitch_deg, proposed);
     match &limits.forecast {
-        // Where the display may stand still a dose that has no room left is none that ran its course.
-        Some(forecast) => gentle(limits, forecast, seen, action, proposed).map_err(|no_room| deaf.unwrap_or(no_room)),
+        Some(forecast) => gentle(limits, forecast, seen, action, proposed),
         None => Ok(Allowed { action, cut: (action != proposed).then_some(Cut::Bounds) }),
     }
 }
@@ -259,26 +255,16 @@ fn is_blocked(limits: &Limits, falls: &[Fall]) -> bool {
     limits.blocked_shakes > 0 && falls[first..].iter().all(gave_nothing)
 }
 
-/// Since something last fell, shakes at no lower a pitch and no smaller an amplitude that were together worth many of the last one gave nothing.
-fn is_deaf(limits: &Limits, falls: &[Fall]) -> bool {
-    let (known, since) = since_it_moved(falls, limits.readability_mg);
-    let Some(last) = known.last() else { return false };
+/// How many shakes gave nothing since something last fell, if those at no lower a pitch and no smaller an amplitude were together worth many of that one.
+fn deaf(limits: &Limits, falls: &[Fall]) -> Option<usize> {
+    let gave = |fall: &Fall| fall.mass_mg > limits.readability_mg - 1e-9;
+    let last = falls.iter().rposition(gave)?;
+    let (since, last) = (&falls[last + 1..], falls[last]);
     let should_give =
         |fall: &&Fall| fall.pitch_deg > last.pitch_deg - AT_THE_END_DEG && fall.shake_mm >= FULL * last.shake_mm;
-    let worth = |fall: &Fall| limits.forecast.map_or(1.0, |it| it.worth(fall, last));
-    since.iter().filter(should_give).map(worth).sum::<f64>() >= limits.deaf_shakes
-}
-
-/// The halt of a display that rather stands still than tells the truth.
-fn standing(limits: &Limits, falls: &[Fall]) -> Option<Halt> {
-    let forecast = limits.forecast?;
-    let stands = forecast.chance_still(falls, limits.readability_mg) > STANDS;
-    stands.then(|| Halt::Deaf { shakes: silent(limits, falls) })
-}
-
-/// Shakes since one moved the display by a step.
-fn silent(limits: &Limits, falls: &[Fall]) -> usize {
-    since_it_moved(falls, limits.readability_mg).1.len()
+    let worth = |fall: &Fall| limits.forecast.map_or(1.0, |forecast| forecast.worth(fall, &last));
+    let all: f64 = since.iter().filter(should_give).map(worth).sum();
+    (all >= limits.deaf_shakes).then_some(since.len())
 }
 
 fn bounded(limits: &Limits, pitch_deg: f64, proposed: Action) -> Action {

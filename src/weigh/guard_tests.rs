@@ -143,32 +143,11 @@ fn shakes_that_should_give_and_do_not_end_a_dose_after_something_has_fallen() {
 
 #[test]
 fn harder_shakes_that_give_nothing_count_for_more() {
-    let limits = Limits { deaf_shakes: 8.0, ..careful() };
     let falls = |n: usize, shake_mm: f64| [vec![fall(20.0, 2.0, 2.0)], vec![fall(20.0, shake_mm, 0.0); n]].concat();
     // By the power of 0.75 a shake four times as large is worth 2.8.
     for (n, shake_mm, expected) in [(7, 2.0, false), (8, 2.0, true), (2, 8.0, false), (3, 8.0, true)] {
-        assert_eq!(is_deaf(&limits, &falls(n, shake_mm)), expected, "{n} of {shake_mm} mm");
+        assert_eq!(deaf(&careful(), &falls(n, shake_mm)).is_some(), expected, "{n} of {shake_mm} mm");
     }
-}
-
-#[test]
-fn what_a_standing_display_may_hide_is_no_room_for_more_and_its_dose_does_not_end_as_if_it_were_known() {
-    let gave = vec![fall(20.0, 3.0, 2.0); 3];
-    let silent = |n: usize| [gave.clone(), vec![fall(20.0, 3.0, 0.0); n]].concat();
-    let limits = Limits { readability_mg: 0.1, deaf_shakes: f64::INFINITY, ..careful() };
-    let at = |falls: &[Fall], steps: u32| {
-        let situation = Situation { steps, before: reading(6.0), now: reading(6.0), pitch_deg: 20.0, ..seen(falls) };
-        guard(&limits, &situation, action(0.0, 3.0))
-    };
-    let as_proposed = Ok(Allowed { action: action(0.0, 3.0), cut: None });
-    assert_eq!(at(&silent(0), 3), as_proposed);
-    // One shake of 2 mg, unseen, and another fit into 10 mg.
-    assert!(at(&silent(1), 4).is_ok(), "{:?}", at(&silent(1), 4));
-    let stands = |n: &usize| Forecast::GENERIC.chance_still(&silent(*n), 0.1) > 0.5;
-    let n = (1..20).find(stands).expect("a display that does not move stands still");
-    assert_eq!(at(&silent(n), 10), Err(Halt::Deaf { shakes: n }));
-    assert_eq!(at(&silent(n + 6), 9), Err(Halt::Deaf { shakes: n + 6 }));
-    assert_eq!(at(&silent(0), 10), Err(Halt::StepsSpent));
 }
 
 #[test]
