@@ -146,7 +146,7 @@ impl Fault {
     ///
     /// | fault | why nobody can see it | what bounds the harm |
     /// |---|---|---|
-    /// | stuck | the display stands, as it does over a blocked spoon | [`Self::STUCK_MG`]: what the guard reckons that it hides |
+    /// | stuck | the display stands, as it does over a blocked spoon | [`Self::STUCK_MG`]: silent shakes that should have given something; the spoon's filling |
     /// | drift | it creeps slower than powder falls, upwards: the dose is short | what crept until the tare and ended after it |
     /// | keypad-tare | below 3 mg it looks like a reading that is restless | the guard's 3 mg for a reading that falls |
     /// | shake-too-large | it is known when it has been made | one shake; then the forecast knows |
@@ -164,8 +164,8 @@ impl Fault {
         }
     }
 
-    /// What these four doses may let fall onto a display that stands; `examples/standing_display.rs` has hundreds of others.
-    pub const STUCK_MG: f64 = 10.0;
+    /// What a dose may let fall onto a display that stands: all that is in the spoon. `examples/standing_display.rs` tells how often.
+    pub const STUCK_MG: f64 = 35.0;
 }
 
 impl Case {
