@@ -189,8 +189,8 @@ impl Service {
 
 /// A powder with sets, from small heaps.
 async fn calibrate(service: &Service) {
-    let request = json!({"powder": "sand", "method": "sequential", "sets": 2, "seed": 3});
-    let (_, job) = service.post("/v1/calibrations", None, &request).await;
+    let heaps = json!({"powder": "sand", "method": "sequential", "sets": 2, "seed": 3, "tolerance_deg": 5, "trials_max": 60, "particles": 400});
+    let (_, job) = service.post("/v1/calibrations", None, &heaps).await;
     let (id, deadline) = (job["id"].as_str().unwrap().to_owned(), Instant::now() + PATIENCE);
     while service.get(&format!("/v1/jobs/{id}")).await["state"] != "succeeded" {
         assert!(Instant::now() < deadline, "the calibration does not end");
