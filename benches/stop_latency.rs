@@ -15,7 +15,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Bench seconds in a second of the room: a dose that is stopped takes forty, and a thousand stops are asked for.
+/// Bench seconds in a second of the room: so that a scoop of eight seconds does not take eight seconds.
 const SPEED: f64 = 40.0;
 /// A stop comes at any time from the first motion up to here, bench s.
 const LATEST_S: f64 = 7.0;

@@ -93,9 +93,15 @@ impl Laboratory {
         motions
     }
 
+    /// A number of the newest motion; 0 before the first.
+    fn newest(&self, key: &str) -> f64 {
+        let motions = self.motions();
+        if motions.last.is_null() { 0.0 } else { motions.last[key].as_f64().expect(key) }
+    }
+
     /// Powder in the vial, mg.
     fn vial_mg(&self) -> f64 {
-        self.motions().last["vial_mg"].as_f64().unwrap_or(0.0)
+        self.newest("vial_mg")
     }
 
     /// Nothing has moved for as long as the dead-man and the way back take.
@@ -237,8 +243,7 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
         let token = service.kill();
         laboratory.wait_until_still();
         let after_kill_mg = laboratory.vial_mg();
-        let last = laboratory.motions().last.clone();
-        assert_eq!(last["pitch_deg"].as_f64().unwrap_or(0.0), 0.0, "kill {kill}: the spoon is not level: {last}");
+        assert_eq!(laboratory.newest("pitch_deg"), 0.0, "kill {kill}: the spoon is not level");
 
         service = Service::start(folder.path(), &laboratory, Some(token));
         let state = service.state(&id).await;
