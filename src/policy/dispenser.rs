@@ -25,7 +25,7 @@
 use super::controller::Done;
 use super::episode::{Ending, Rules, on_target_mg};
 use super::observation::Observation;
-use super::response::{Response, Spoonful};
+use super::response::{Response, Spoonful, radical_inverse};
 use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MAX};
 use crate::stats::normal::quantile;
 
@@ -68,8 +68,7 @@ struct Moment {
 impl Dispenser {
     /// A dispenser with this prior.
     pub fn new(response: Response) -> Self {
-        let guess = |k: usize| response.spoonful([2, 3, 5].map(|base| quantile(radical_inverse(k + 1, base))));
-        Self { response, guesses: (0..GUESSES).map(guess).collect(), aims: Aims::new(&response) }
+        Self { response, guesses: response.guesses(GUESSES), aims: Aims::new(&response) }
     }
 
     /// Its prior.
@@ -111,10 +110,10 @@ impl Dispenser {
                 let mean =
                     guess.mean_mg(r, step.after.pitch_deg, step.action.shake_mm, step.before.reading_mg.max(0.0));
                 let gained = step.after.reading_mg - step.before.reading_mg;
-                let sd = r.sd(mean);
-                // Of a squared normal number, and of the difference of two rounded readings.
-                let variance = 4.0 * mean * sd * sd + 2.0 * sd.powi(4) + readability_mg.powi(2) / 6.0;
-                let z2 = (gained - mean - sd * sd).powi(2) / variance;
+                let [more, variance] = r.moments(mean);
+                // Of the difference of two rounded readings.
+                let variance = variance + readability_mg.powi(2) / 6.0;
+                let z2 = (gained - mean - more).powi(2) / variance;
                 -2.5 * libm::log1p(z2 / 4.0) - 0.5 * libm::log(variance)
             };
             shakes.map(one).sum()
@@ -183,17 +182,6 @@ impl Dispenser {
 
 /// Bases of the numbers that rollouts draw, a base for each step left.
 const PRIMES: [usize; 12] = [7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47];
-
-/// The `index`-th number of van der Corput's sequence of a base, within 0..1.
-fn radical_inverse(index: usize, base: usize) -> f64 {
-    let (mut rest, mut digit, mut value) = (index, 1.0 / base as f64, 0.0);
-    while rest > 0 {
-        value += (rest % base) as f64 * digit;
-        rest /= base;
-        digit /= base as f64;
-    }
-    value
-}
 
 /// The mean to aim at, by steps left and missing mass, if any mean could be had: for masses scattered as [`Response`] says
 ///

@@ -1,6 +1,7 @@
 //! What a shaken spoon lets fall, as a model of a few numbers: the prior of a dispenser.
 
 use crate::domain::{FieldError, bounded};
+use crate::stats::normal::quantile;
 use serde::{Deserialize, Serialize};
 
 /// What simulated spoons do, over powders and spoonfuls: the prior of a dispenser, and what it holds to be a loss.
@@ -100,6 +101,16 @@ impl Response {
         if missing_mg < 0.0 { -self.overdose_factor * missing_mg } else { missing_mg }
     }
 
+    /// By how much a mass is larger in the mean than the square of the middle of its root, mg, and its variance, mg^2.
+    ///
+    /// ```text
+    /// E m - mean = sd^2          Var m = 4 mean sd^2 + 2 sd^4          of the square of a normal number
+    /// ```
+    pub fn moments(&self, mean_mg: f64) -> [f64; 2] {
+        let sd = self.sd(mean_mg);
+        [sd * sd, 4.0 * mean_mg * sd * sd + 2.0 * sd.powi(4)]
+    }
+
     /// Scatter of the root of a mass of this mean.
     pub(super) fn sd(&self, mean_mg: f64) -> f64 {
         (self.floor.powi(2) + (self.caution * self.scatter).powi(2) * mean_mg).sqrt()
@@ -108,6 +119,12 @@ impl Response {
     /// A mass of this mean, `z` standard deviations from the middle of its root.
     pub fn draw(&self, mean_mg: f64, z: f64) -> f64 {
         (mean_mg.sqrt() + z * self.sd(mean_mg)).max(0.0).powi(2)
+    }
+
+    /// So many spoonfuls spread evenly over what is believed: Halton's points, each coordinate a quantile.
+    pub fn guesses(&self, count: usize) -> Vec<Spoonful> {
+        let guess = |k: usize| self.spoonful([2, 3, 5].map(|base| quantile(radical_inverse(k + 1, base))));
+        (0..count).map(guess).collect()
     }
 
     /// The spoonful that is `z` standard deviations from the means of onset, ln slope and ln stroke.
@@ -120,6 +137,17 @@ impl Response {
             stroke_mm: libm::exp(of(self.ln_stroke_mm, stroke)),
         }
     }
+}
+
+/// The `index`-th number of van der Corput's sequence of a base, within 0..1.
+pub(super) fn radical_inverse(index: usize, base: usize) -> f64 {
+    let (mut rest, mut digit, mut value) = (index, 1.0 / base as f64, 0.0);
+    while rest > 0 {
+        value += (rest % base) as f64 * digit;
+        rest /= base;
+        digit /= base as f64;
+    }
+    value
 }
 
 impl Spoonful {

@@ -28,6 +28,7 @@
 //!
 //! Source: Kalman, "A New Approach to Linear Filtering and Prediction Problems", 1960, for the level; the rest as given.
 
+use crate::domain::bench::Tick;
 use serde::{Deserialize, Serialize};
 
 /// Added to a mass before its logarithm, mg: less is dust.
@@ -50,6 +51,19 @@ pub struct Fall {
     pub shake_mm: f64,
     /// What fell, mg; below zero where the readings say so.
     pub mass_mg: f64,
+}
+
+impl Fall {
+    /// The shakes of a dose and what each gave, from what was done and read.
+    pub fn of(ticks: &[Tick]) -> Vec<Self> {
+        let shakes = ticks.windows(2).filter(|pair| pair[1].action.executed_shake_mm() > 0.0);
+        let fall = |pair: &[Tick]| Self {
+            pitch_deg: pair[1].pitch_deg,
+            shake_mm: pair[1].action.shake_mm,
+            mass_mg: pair[1].reading.mass_mg - pair[0].reading.mass_mg,
+        };
+        shakes.map(fall).collect()
+    }
 }
 
 /// What is believed of a powder before its dose begins; the symbols are the module's.

@@ -4,6 +4,7 @@
 //! be tested as a table.
 
 use super::forecast::{Fall, Forecast};
+use super::silence::Silence;
 use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, PitchLimits, Reading, SHAKE_MM_MAX, SHAKE_MM_MIN};
 use serde::Serialize;
 
@@ -35,6 +36,9 @@ pub struct Limits {
     /// Shakes that should together give so many times what the last one gave that gave something, and give nothing, are a blocked spoon or a balance that
     /// stands still. Default 8: the gentlest shakes of a dose's end may take five for a step of the display.
     pub deaf_shakes: f64,
+    /// Chance that a display stands still, before the dose. Default 0.003: far above what balances do, for what was poured cannot be taken back
+    /// (`docs/reliability.md` has what it costs and prevents). 0: it is believed.
+    pub stands_still: f64,
     /// Step of the balance's display, mg.
     pub readability_mg: f64,
     /// What the next shake may let fall; none: it is not asked.
@@ -47,7 +51,13 @@ impl Limits {
 
     /// The same for an episode, which goes on to its end whatever the spoon does.
     pub fn lenient(self) -> Self {
-        Self { rise_mg_max: f64::INFINITY, blocked_shakes: usize::MAX, deaf_shakes: f64::INFINITY, ..self }
+        Self {
+            rise_mg_max: f64::INFINITY,
+            blocked_shakes: usize::MAX,
+            deaf_shakes: f64::INFINITY,
+            stands_still: 0.0,
+            ..self
+        }
     }
 
     /// Limits of a weighing within this frame.
@@ -60,6 +70,7 @@ impl Limits {
             rise_mg_max: 3.0,
             blocked_shakes: 3,
             deaf_shakes: 8.0,
+            stands_still: 0.003,
             readability_mg: 1.0,
             forecast: None,
         }
@@ -146,7 +157,7 @@ pub enum Halt {
         /// How many.
         shakes: usize,
     },
-    /// What gave something gives nothing any more.
+    /// What gave something gives nothing any more, or the display should have moved by now and what it may hide leaves no room.
     #[error(
         "{shakes} shakes that should have given something gave nothing: the spoon is empty or blocked, or the balance stands still"
     )]
@@ -195,14 +206,17 @@ impl Halt {
 ///
 /// # Errors
 /// [`Halt`] when nothing may be carried out; the first rule that applies: unusable reading, moved vial, mass without a shake, target reached, steps or time
-/// spent, blocked, unusable proposal, no room.
+/// spent, blocked, unusable proposal, no room; where the display rather stands still, [`Halt::Deaf`] in place of spent steps, and where there was room but for
+/// what it may hide in place of no room.
 pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<Allowed, Halt> {
     is_usable(limits, seen)?;
     if seen.now.mass_mg >= seen.target_mg {
         return Err(Halt::TargetReached);
     }
+    let silence = limits.forecast.and_then(|_| Silence::after(seen.falls, limits.readability_mg, limits.stands_still));
     if seen.steps >= limits.steps_max {
-        return Err(Halt::StepsSpent);
+        let still = silence.filter(Silence::is_still);
+        return Err(still.map_or(Halt::StepsSpent, |it| Halt::Deaf { shakes: it.shakes }));
     }
     if seen.seconds >= limits.seconds_max {
         return Err(Halt::TimeSpent);
@@ -218,7 +232,7 @@ pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<
     }
     let action = bounded(limits, seen.pitch_deg, proposed);
     match &limits.forecast {
-        Some(forecast) => gentle(limits, forecast, seen, action, proposed),
+        Some(forecast) => gentle(limits, forecast, silence.as_ref(), seen, action, proposed),
         None => Ok(Allowed { action, cut: (action != proposed).then_some(Cut::Bounds) }),
     }
 }
@@ -277,15 +291,24 @@ fn bounded(limits: &Limits, pitch_deg: f64, proposed: Action) -> Action {
 fn gentle(
     limits: &Limits,
     forecast: &Forecast,
+    silence: Option<&Silence>,
     seen: &Situation<'_>,
     action: Action,
     proposed: Action,
 ) -> Result<Allowed, Halt> {
     let room_mg = seen.target_mg + seen.tolerance_upper_mg - seen.now.mass_mg;
     let pitch_of = |action: &Action| seen.pitch_deg + action.incline_change_deg;
+    let has_room = |action: &Action| {
+        let (pitch_deg, shake_mm) = (pitch_of(action), action.executed_shake_mm());
+        let chance = forecast.chance_above(seen.falls, limits.readability_mg, pitch_deg, shake_mm, room_mg);
+        (chance <= forecast.risk).then_some(chance)
+    };
     let is_safe = |action: &Action| {
         let (pitch_deg, shake_mm) = (pitch_of(action), action.executed_shake_mm());
-        forecast.chance_above(seen.falls, limits.readability_mg, pitch_deg, shake_mm, room_mg) <= forecast.risk
+        has_room(action).is_some_and(|chance| {
+            let hidden = |it: &Silence| it.chance_above(chance, pitch_deg, shake_mm, room_mg);
+            shake_mm <= 0.0 || silence.map_or(chance, hidden) <= forecast.risk
+        })
     };
     let upper_mg = |action: &Action| {
         forecast.upper_mg(seen.falls, limits.readability_mg, pitch_of(action), action.executed_shake_mm())
@@ -305,14 +328,14 @@ fn gentle(
         .take_while(|pitch_deg| *pitch_deg > lowest_deg)
         .chain([lowest_deg])
         .map(|pitch_deg| Action { incline_change_deg: pitch_deg - seen.pitch_deg, ..gentlest });
-    let mut tried = gentler.chain(lower);
-    match tried.find(is_safe) {
-        Some(action) => Ok(Allowed { action, cut }),
-        None => {
-            let last = Action { incline_change_deg: lowest_deg - seen.pitch_deg, ..gentlest };
-            Err(Halt::NoRoom { upper_mg: upper_mg(&last), room_mg })
-        }
+    if let Some(action) = gentler.chain(lower).find(is_safe) {
+        return Ok(Allowed { action, cut });
     }
+    let last = Action { incline_change_deg: lowest_deg - seen.pitch_deg, ..gentlest };
+    Err(match silence {
+        Some(silence) if has_room(&last).is_some() => Halt::Deaf { shakes: silence.shakes },
+        _ => Halt::NoRoom { upper_mg: upper_mg(&last), room_mg },
+    })
 }
 
 #[cfg(test)]

@@ -151,6 +151,29 @@ fn harder_shakes_that_give_nothing_count_for_more() {
 }
 
 #[test]
+fn what_a_standing_display_may_hide_is_no_room_for_more_and_its_dose_does_not_end_as_if_it_were_known() {
+    let gave: Vec<Fall> = (0..3).map(|k| fall(16.0 + 2.0 * f64::from(k), 4.0, 2.0)).collect();
+    let silent = |n: usize| [gave.clone(), (0..n).map(|k| fall(22.0 + k as f64, 4.0, 0.0)).collect()].concat();
+    let doubting = Limits { readability_mg: 0.1, deaf_shakes: f64::INFINITY, ..careful() };
+    let at = |limits: &Limits, falls: &[Fall], steps: u32| {
+        let pitch_deg = falls.last().map_or(0.0, |fall| fall.pitch_deg);
+        let situation = Situation { steps, before: reading(6.0), now: reading(6.0), pitch_deg, ..seen(falls) };
+        guard(limits, &situation, action(1.0, 4.0))
+    };
+    let as_proposed = Ok(Allowed { action: action(1.0, 4.0), cut: None });
+    assert_eq!(at(&doubting, &silent(0), 3), as_proposed);
+    // One shake of 2 mg, unseen, and another fit into 10 mg.
+    assert_eq!(at(&doubting, &silent(1), 4), as_proposed);
+    let ends = (1..12).find(|n| at(&doubting, &silent(*n), 4).is_err()).expect("it does not go on for ever");
+    assert!((3..8).contains(&ends), "{ends} shakes of 2 mg and more");
+    assert_eq!(at(&doubting, &silent(ends), 4), Err(Halt::Deaf { shakes: ends }));
+    assert_eq!(at(&doubting, &silent(ends), 10), Err(Halt::Deaf { shakes: ends }), "its steps are not merely spent");
+    assert_eq!(at(&doubting, &silent(0), 10), Err(Halt::StepsSpent));
+    let believing = Limits { stands_still: 0.0, ..doubting };
+    assert_eq!(at(&believing, &silent(ends), 4), as_proposed);
+}
+
+#[test]
 fn an_incline_without_a_shake_needs_no_room() {
     let wild = [fall(30.0, 0.9, 12.0); 3];
     let near = Situation { before: reading(13.0), now: reading(14.0), ..seen(&wild) };

@@ -20,6 +20,7 @@ mod event;
 pub mod forecast;
 pub mod guard;
 mod result;
+pub mod silence;
 
 pub use event::{Decision, Event, Phase};
 pub use result::{Accuracy, Weighed, minimum_weight_mg, repeatability_mg, uncertainty_mg};
