@@ -1,5 +1,6 @@
-//! Doses through the true protocols of an emulated laboratory, beside the same doses with the published robot's wait of 4 s:
-//! `cargo run --release --example emulated_doses [repeats] [seed]`.
+//! Doses through the true protocols of an emulated laboratory, beside the same doses with the published robot's wait of 4 s and others that are forecast
+//! from earlier ones:
+//! `cargo run --release --example emulated_doses [repeats] [seed] [first table]`.
 //!
 //! Five published powders, 15 and 20 mg, a balance that reads 1 mg, the policy that ships. A dose is a weighing like any other: intent, guard, audit trail.
 //! What is printed depends on the code and the seed alone.
@@ -22,10 +23,18 @@ const TOLERANCE_MG: f64 = 1.0;
 async fn main() -> anyhow::Result<()> {
     let numbers: Vec<u64> = std::env::args().skip(1).filter_map(|text| text.parse().ok()).collect();
     let (repeats, seed) = (numbers.first().copied().unwrap_or(5), numbers.get(1).copied().unwrap_or(1));
+    let first = numbers.get(2).copied().unwrap_or(1) as usize;
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/emulated-doses");
-    for (name, fixed_wait_s) in [("settling filter", None), ("fixed wait of 4 s", Some(4.0))] {
+    for (name, fixed_wait_s, remembers) in [
+        ("settling filter", None, false),
+        ("fixed wait of 4 s", Some(4.0), false),
+        ("settling filter, other spoonfuls, a powder's last twenty doses known", None, true),
+    ]
+    .into_iter()
+    .skip(first.saturating_sub(1))
+    {
         let readings = Readings { fixed_wait_s, ..Readings::default() };
-        let laboratory = LaboratorySettings { readings, ..LaboratorySettings::default() };
+        let laboratory = LaboratorySettings { readings, remembers, ..LaboratorySettings::default() };
         let functions = Functions { bench: Some(emulated_bench(laboratory)), ..Functions::default() };
         let app = App::open(&folder, Options { functions, ..Options::default() }).await?;
         calibrate(&app, seed).await?;
@@ -38,7 +47,9 @@ async fn main() -> anyhow::Result<()> {
             for target_mg in TARGETS_MG {
                 let mut doses = Vec::new();
                 for repeat in 0..repeats {
-                    let seed = flip::domain::seed::derive(seed, &[repeat]) >> 11;
+                    // What is remembered must not be the same spoonful.
+                    let other: &[u64] = if remembers { &[target_mg as u64] } else { &[] };
+                    let seed = flip::domain::seed::derive(seed, &[&[repeat], other].concat()) >> 11;
                     doses.push(dose(&app, powder.id, target_mg, seed).await?);
                 }
                 tell(powder.id, target_mg, &doses);

@@ -23,6 +23,8 @@ pub struct Settings {
     pub vial: Vial,
     /// How FLIP is told to read.
     pub readings: Readings,
+    /// FLIP expects of a powder what it did in earlier doses, as it does on devices. Default false: a dose follows from its seed alone.
+    pub remembers: bool,
 }
 
 /// A vial.

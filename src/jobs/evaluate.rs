@@ -13,6 +13,7 @@ use crate::sim::{balance, dispense};
 use crate::store;
 use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
 use crate::train::evaluate::{Contender, Dose, Plan, Row, Subject, Summary, evaluate};
+use crate::weigh::forecast::Forecast;
 use crate::weigh::{Accuracy, Order};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -45,6 +46,7 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
             let usual = spec.conditions.spoon();
             let extensions = usual.extensions.patched(&patch).map_err(|error| JobError::Fail(error.to_string()))?;
             let pouring = Pouring {
+                forecast: Forecast::GENERIC,
                 order: Order {
                     target_mg,
                     tolerance_lower_mg: 0.0,

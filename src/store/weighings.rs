@@ -150,6 +150,14 @@ impl Store {
         rows.iter().map(|row| row.json("data")).collect()
     }
 
+    /// Where the ticks are of a powder's newest doses on such a bench that ran their course, newest first.
+    pub(crate) async fn traces_of(&self, powder: &str, bench: BenchKind, count: u32) -> Result<Vec<String>> {
+        let sql = "SELECT trace FROM weighing WHERE powder = ?1 AND bench = ?2 AND outcome IN ('within', 'under', 'over') \
+                   AND trace IS NOT NULL ORDER BY seq DESC LIMIT ?3";
+        let query = sqlx::query_scalar(sql).bind(powder).bind(word(&bench)).bind(count);
+        Ok(query.fetch_all(&self.reader).await?)
+    }
+
     /// Weighings that wait for the bench.
     pub(crate) async fn planned_weighing(&self) -> Result<Option<Weighing>> {
         let sql = "SELECT * FROM weighing WHERE state = 'planned' ORDER BY seq LIMIT 1";

@@ -1,8 +1,12 @@
 //! Weighings: committed before they move, never poured twice, stopped, interrupted.
 
 use crate::harness::{OnEvent, calibrated, functions, mg, open, open_in, pour, trained, until};
-use flip::app::{App, Error, Functions, PageQuery, Target, Tolerance, Topic, Weighing, WeighingRequest};
+use flip::app::{
+    App, Error, Functions, LaboratorySettings, PageQuery, Target, Tolerance, Topic, Weighing, WeighingRequest,
+    emulated_bench,
+};
 use flip::domain::weighing::{Outcome, WeighingState};
+use flip::weigh::forecast::{Fall, Forecast};
 use futures::StreamExt;
 use futures::future::join_all;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -177,6 +181,43 @@ async fn a_pour_that_panics_is_recorded_and_the_next_one_goes_on() {
     assert!(broken.error.unwrap().contains("the bench is broken"));
     assert_eq!(done(&app, &whole).await.outcome, Some(Outcome::Within));
     app.shutdown().await.unwrap();
+}
+
+/// What doses were forecast with, one after another, on a bench whose shakes of 4 mm each give half of the dose.
+async fn forecasts(remembers: bool) -> Vec<Forecast> {
+    let seen = Arc::new(Mutex::new(Vec::new()));
+    let told = seen.clone();
+    let mut bench = emulated_bench(LaboratorySettings { remembers, ..LaboratorySettings::default() });
+    bench.pour = Arc::new(move |pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
+        told.lock().unwrap().push(pouring.forecast);
+        let mut poured = pour(pouring, on_event, stop);
+        poured.ticks[1..].iter_mut().for_each(|tick| tick.action.shake_mm = 4.0);
+        // The third one did not run its course: what it shows is not to be built on.
+        if pouring.order.target_mg == 9.0 {
+            poured.outcome = Outcome::Blocked;
+        }
+        poured
+    });
+    let (_folder, app) = open(Functions { bench: Some(bench), ..functions() }).await;
+    calibrated(&app, "sand").await;
+    calibrated(&app, "sugar").await;
+    for (key, (powder, target_mg)) in
+        [("sand", 15.0), ("sugar", 15.0), ("sand", 9.0), ("sand", 5.0)].into_iter().enumerate()
+    {
+        let weighing = app.start_weighing(mg(powder, target_mg), &format!("dose-{key}")).await.unwrap().0;
+        done(&app, &weighing.id).await;
+    }
+    app.shutdown().await.unwrap();
+    seen.lock().unwrap().clone()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_bench_that_remembers_expects_of_a_powder_what_it_did_before() {
+    let shake = |mass_mg: f64| Fall { pitch_deg: 10.0, shake_mm: 4.0, mass_mg };
+    let known = Forecast::GENERIC.informed(&[vec![shake(7.625), shake(7.625)]], 1.0);
+    assert_ne!(known, Forecast::GENERIC);
+    assert_eq!(forecasts(true).await, [Forecast::GENERIC, Forecast::GENERIC, known, known]);
+    assert_eq!(forecasts(false).await, [Forecast::GENERIC; 4]);
 }
 
 #[tokio::test(flavor = "multi_thread")]

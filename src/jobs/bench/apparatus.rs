@@ -16,6 +16,7 @@ use crate::hardware::station::Station;
 use crate::hardware::wire::{Exchange, Tap};
 use crate::policy::{Controller, Rules};
 use crate::sim::{balance, dispense};
+use crate::weigh::forecast::Forecast;
 use crate::weigh::{self, Accuracy, Event, Order, Settings, Weighed, weigh};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -41,6 +42,8 @@ pub struct Pouring {
     pub set: ParameterSet,
     /// What the arm makes of commanded shakes, if that was measured.
     pub shakes: Option<ShakeCalibration>,
+    /// What the powder is believed to do.
+    pub forecast: Forecast,
     /// Seed of the simulated powder.
     pub seed: u64,
 }
@@ -105,6 +108,8 @@ pub struct Apparatus {
     pub recover: Recover,
     /// Step of the balance's display, mg, where it is known beforehand.
     pub readability_mg: Arc<dyn Fn() -> Option<f64> + Send + Sync>,
+    /// What a powder did in earlier doses counts. Not where a dose has to follow from its seed alone.
+    pub remembers: bool,
     /// Where piles are made for an angle of repose; the simulator has none.
     pub stand: Option<PileStand>,
 }
@@ -120,6 +125,7 @@ impl Apparatus {
             devices: Arc::new(BTreeMap::new),
             recover: Arc::new(|_| Ok(())),
             readability_mg: Arc::new(|| None),
+            remembers: false,
             stand: None,
         }
     }
@@ -138,7 +144,7 @@ pub fn simulated() -> Pour {
 /// The closed loop on a laboratory that is emulated in this process, around the simulator; its time is virtual, so a dose is quick and always the same.
 pub fn emulated(settings: lab::Settings) -> Apparatus {
     let wires = Wires::default();
-    let readability_mg = settings.balance.readability_mg;
+    let (readability_mg, remembers) = (settings.balance.readability_mg, settings.remembers);
     let opened = wires.clone();
     let stand = stand::emulated(settings.clone(), wires.clone());
     let pour: Pour = Arc::new(move |pouring, on_event, stop| {
@@ -161,7 +167,8 @@ pub fn emulated(settings: lab::Settings) -> Apparatus {
         }
     });
     // Each dose has a laboratory of its own.
-    Apparatus { stand: Some(stand), ..wires.apparatus(BenchKind::Emulated, pour, Arc::new(|_| Ok(())), readability_mg) }
+    let apparatus = wires.apparatus(BenchKind::Emulated, pour, Arc::new(|_| Ok(())), readability_mg);
+    Apparatus { stand: Some(stand), remembers, ..apparatus }
 }
 
 /// The closed loop on the devices of this file.
@@ -239,6 +246,7 @@ impl Wires {
             devices: Arc::new(move || locked(&devices).clone()),
             recover,
             readability_mg: Arc::new(move || Some(readability_mg)),
+            remembers: kind == BenchKind::Devices,
             stand: None,
         }
     }
@@ -262,7 +270,7 @@ fn on_devices(
         Ok(station) => station,
         Err(error) => return refused(error),
     };
-    let settings = Settings { accuracy: pouring.accuracy, ..Settings::BENCH };
+    let settings = Settings { accuracy: pouring.accuracy, forecast: Some(pouring.forecast), ..Settings::BENCH };
     let weighed = weigh(&mut station, &pouring.controller, &pouring.rules, &pouring.order, &settings, on_event, stop);
     wires.closed();
     poured(weighed, None)

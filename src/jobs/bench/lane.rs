@@ -2,7 +2,7 @@
 
 use super::Moving;
 use super::apparatus::{Apparatus, Poured, Pouring};
-use crate::domain::bench::BenchKind;
+use crate::domain::bench::{BenchKind, Tick};
 use crate::domain::bench_check::{CheckKind, Repeatability, ShakeCalibration};
 use crate::domain::seed::derive;
 use crate::domain::weighing::{MeasuredMass, OnOverdose, Outcome, WeighingState};
@@ -13,6 +13,7 @@ use crate::sim::{balance, dispense};
 use crate::store::audit::About;
 use crate::store::weighings::{Ending, Weighing};
 use crate::store::{self, Store, Tx, now};
+use crate::weigh::forecast::{Fall, Forecast};
 use crate::weigh::{Accuracy, Event, Order, Phase};
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -24,6 +25,8 @@ use tokio::runtime::Handle;
 
 /// The lane also looks for work on its own this often.
 const LOOK: Duration = Duration::from_secs(1);
+/// Earlier doses of a powder that the forecast knows at most: its lot and the air of long ago are others.
+const REMEMBERED: u32 = 20;
 /// Index of the seeds of doses that are made again.
 const RETRY: u64 = 7;
 
@@ -118,7 +121,12 @@ impl LaneThread {
             let extensions = extensions.map_err(|error| store::Error::Corrupt(error.to_string()))?;
             let policy = policy::decode(&policy).map_err(|error| store::Error::Corrupt(error.to_string()))?;
             let readability_mg = (self.apparatus.readability_mg)().unwrap_or(balance.readability_mg);
+            let earlier = if self.apparatus.remembers { self.earlier(&weighing.powder).await? } else { Vec::new() };
+            if !earlier.is_empty() {
+                self.record_earlier(&weighing.id, earlier.len()).await?;
+            }
             Ok(Pouring {
+                forecast: Forecast::GENERIC.informed(&earlier, readability_mg),
                 order: Order {
                     target_mg: weighing.target_mg,
                     tolerance_lower_mg: weighing.tolerance_lower_mg,
@@ -138,6 +146,25 @@ impl LaneThread {
                 seed: weighing.seed,
             })
         })
+    }
+
+    /// What earlier doses of this powder on such a bench did, those that ran their course.
+    async fn earlier(&self, powder: &str) -> store::Result<Vec<Vec<Fall>>> {
+        let traces = self.store.traces_of(powder, self.apparatus.kind, REMEMBERED).await?;
+        let falls = |trace: &String| {
+            let ticks: Vec<Tick> = serde_json::from_slice(&self.store.artifacts().get(trace)?)
+                .map_err(|error| store::Error::Corrupt(format!("a trace: {error}")))?;
+            Ok(Fall::of(&ticks))
+        };
+        traces.iter().map(falls).collect()
+    }
+
+    /// Say in the record that a dose was forecast from earlier ones.
+    async fn record_earlier(&self, weighing: &str, doses: usize) -> store::Result<()> {
+        let mut tx = self.store.write().await?;
+        let said = serde_json::json!({ "action": "forecast from earlier doses of the powder", "doses": doses });
+        tx.audit(About { weighing: Some(weighing), kind: "decision" }, &said, now()).await?;
+        tx.commit().await
     }
 
     /// Pour; while it is an overdose that may be thrown away, exchange the vial and pour again.
