@@ -43,7 +43,7 @@ pub struct TrainingRequest {
     pub surrogate_episodes: Option<u32>,
     /// Powders whose calibrated sets are the levels; default `sand`, `sugar`, `salt`. Not with the `paper` preset.
     pub powders: Option<Vec<String>>,
-    /// Learnt policy of the same preset that it goes on from, e.g. to suit a version of the simulator; default one that cannot do anything. Then 240
+    /// Learnt policy of the same preset that it goes on from, e.g. to suit a version of the simulator; default one that cannot do anything. Then 720
     /// episodes are the default, none of them on the surrogate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<String>,

@@ -36,7 +36,7 @@ pub(super) struct Arguments {
     /// Powders whose calibrated sets are the levels [default: sand,sugar,salt]; not with the paper preset.
     #[arg(long, value_name = "ID,…", value_delimiter = ',')]
     powders: Option<Vec<String>>,
-    /// Learnt policy that it goes on from, e.g. to suit a version of the simulator; then 240 episodes are the default, all of them in the simulator.
+    /// Learnt policy that it goes on from, e.g. to suit a version of the simulator; then 720 episodes are the default, all of them in the simulator.
     #[arg(long, value_name = "P")]
     from: Option<String>,
     /// Seeds of several trainings that differ in nothing else, made side by side; their documents come as a list [default: --seed alone].
