@@ -16,6 +16,7 @@ use flip::jobs::bench::{Pour, Poured, Pouring, simulated};
 use flip::policy::{self, Controller, Dispenser, Fuzzy, Paced, Response, Rules, ScheduledStep};
 use flip::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
 use flip::train::{Event, Level, Preset, Settings, Start, TrainError, train};
+use flip::weigh::forecast::Forecast;
 use flip::weigh::{Accuracy, Order};
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -209,8 +210,12 @@ fn main() -> anyhow::Result<()> {
             readability_mg: settings.balance.readability_mg,
         };
         let (controller, balance) = (controller.clone(), settings.balance);
-        let (spoon, accuracy, shakes) = (settings.spoon, Accuracy::default(), None);
-        weigh(&pour, &Pouring { order, accuracy, controller, rules, balance, spoon, set: *set, shakes, seed }, trace)
+        let (spoon, accuracy, shakes, forecast) = (settings.spoon, Accuracy::default(), None, Forecast::GENERIC);
+        weigh(
+            &pour,
+            &Pouring { order, accuracy, controller, rules, balance, spoon, set: *set, shakes, forecast, seed },
+            trace,
+        )
     };
     let evaluation = evaluate(&plan, once)?;
     tell(&evaluation);
