@@ -15,7 +15,7 @@ const ARROWS: [(&str, &[&str]); 17] = [
     ("calibrate", &["domain", "stats"]),
     ("discover", &["domain", "stats"]),
     ("train", &["domain", "sim", "policy", "stats"]),
-    ("weigh", &["domain", "hardware", "policy"]),
+    ("weigh", &["domain", "stats", "hardware", "policy"]),
     ("store", &["domain"]),
     (
         "jobs",
