@@ -152,11 +152,15 @@ impl LaneThread {
     async fn earlier(&self, powder: &str) -> store::Result<Vec<Vec<Fall>>> {
         let traces = self.store.traces_of(powder, self.apparatus.kind, REMEMBERED).await?;
         let falls = |trace: &String| {
-            let ticks: Vec<Tick> = serde_json::from_slice(&self.store.artifacts().get(trace)?)
-                .map_err(|error| store::Error::Corrupt(format!("a trace: {error}")))?;
-            Ok(Fall::of(&ticks))
+            let bytes = self.store.artifacts().get(trace).map_err(|error| error.to_string())?;
+            let ticks: Vec<Tick> = serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
+            Ok::<_, String>(Fall::of(&ticks))
         };
-        traces.iter().map(falls).collect()
+        // A dose whose trace is lost is one that is not known; no other need wait for it.
+        let known = |trace: &String| {
+            falls(trace).inspect_err(|error| tracing::warn!(trace, error, "an earlier dose cannot be read")).ok()
+        };
+        Ok(traces.iter().filter_map(known).collect())
     }
 
     /// Say in the record that a dose was forecast from earlier ones.
