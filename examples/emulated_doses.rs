@@ -43,13 +43,13 @@ async fn main() -> anyhow::Result<()> {
         );
         let mut all = Vec::new();
         let mut within_cells = Vec::new();
-        for powder in PUBLISHED {
+        for (number, powder) in (0..).zip(PUBLISHED) {
             for target_mg in TARGETS_MG {
                 let mut doses = Vec::new();
                 for repeat in 0..repeats {
-                    // What is remembered must not be the same spoonful.
-                    let other: &[u64] = if remembers { &[target_mg as u64] } else { &[] };
-                    let seed = flip::domain::seed::derive(seed, &[&[repeat], other].concat()) >> 11;
+                    // Each dose has its own spoonful, and a balance that wanders in its own way; what is remembered is not the same spoonful.
+                    let path = [repeat, number, target_mg as u64, remembers.into()];
+                    let seed = flip::domain::seed::derive(seed, &path) >> 11;
                     doses.push(dose(&app, powder.id, target_mg, seed).await?);
                 }
                 tell(powder.id, target_mg, &doses);

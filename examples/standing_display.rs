@@ -2,8 +2,9 @@
 //! `cargo run --release --example standing_display [doses] [seed] [first powder]`.
 //!
 //! The shipped rules dose 5, 10, 15 and 20 mg from spoons that follow a formula, and a tenth as many from simulated ones, in thirty steps with a tolerance
-//! of 1 mg, each dose twice: on a sound display, and on one that stands from a step of the sound dose, drawn at random, to the end. `Limits::deaf_shakes`
-//! and `Limits::stands_still` are told by this table (`docs/reliability.md`); what is printed depends on the code and the seed alone.
+//! of 1 mg, each dose twice: on a sound display, and on one that stands from a step of the sound dose, drawn at random, to the end. Three rules are tried: the
+//! display is believed; what a spoon should have given counts (`Limits::deaf_shakes` and `Limits::stands_still`, for displays that stand for minutes when all
+//! is well); and a sign of life is waited for (`Halt::Unproven`), which a sound display gives. What is printed depends on the code and the seed alone.
 
 use flip::domain::bench::{Action, PitchLimits, Reading};
 use flip::domain::parameters::ParameterSet;
@@ -20,9 +21,12 @@ use rayon::prelude::*;
 const RULES: Rules = Rules { steps_max: 30, ending: Ending::OnTarget, pitch: PitchLimits::WIDE };
 const TARGETS_MG: [f64; 4] = [5.0, 10.0, 15.0, 20.0];
 const TOLERANCE_MG: f64 = 1.0;
-/// Of the silent shakes and of the chance that a display stands still.
-const RULES_TRIED: [(f64, f64); 5] =
-    [(f64::INFINITY, 0.0), (8.0, 0.0), (f64::INFINITY, 0.003), (8.0, 0.003), (8.0, 0.03)];
+/// Name, what silent shakes may be worth, chance that a display stands still, whether signs of life are waited for.
+const TRIED: [(&str, f64, f64, bool); 3] = [
+    ("believed", f64::INFINITY, 0.0, false),
+    ("what should have fallen", 8.0, 0.003, false),
+    ("a sign of life", f64::INFINITY, 0.0, true),
+];
 const POWDERS: [&str; 4] = ["salt", "a quarter to four times as much", "comes late", "simulated grains"];
 
 const GRAINS: usize = 3;
@@ -53,16 +57,28 @@ fn filled(powder: usize, seed: u64) -> Box<dyn Spoon> {
     Box::new(spoon)
 }
 
-/// What lies in the vial, mg, the steps it took, and the step that first moved the display, on a display that stands from a step on.
-fn dose(mut spoon: Box<dyn Spoon>, target_mg: f64, limits: &Limits, stands_from: Option<u32>) -> (f64, u32, u32) {
+/// How a dose went.
+struct Dosed {
+    /// What lies in the vial, mg.
+    vial_mg: f64,
+    steps: u32,
+    /// The step that first moved the display.
+    moved: u32,
+    /// Signs of life that were waited for.
+    waits: u32,
+}
+
+/// A dose on a display that stands from a step on, where signs of life are waited for if it `asks` for them.
+fn dose(mut spoon: Box<dyn Spoon>, target_mg: f64, limits: &Limits, asks: bool, stands_from: Option<u32>) -> Dosed {
     let readability_mg = limits.readability_mg;
     let controller = Controller::Paced(Paced::CHOSEN);
     let mut dosing = controller.begin(&RULES, readability_mg);
     let (mut vial_mg, mut shown_mg, mut before_mg, mut last) = (0.0, 0.0, 0.0, Action::default());
     let mut falls: Vec<Fall> = Vec::new();
-    let mut moved = u32::MAX;
+    let (mut moved, mut waits, mut unproven) = (u32::MAX, 0, 0);
     for steps in 0.. {
-        if stands_from.is_none_or(|from| steps < from) {
+        let lives = stands_from.is_none_or(|from| steps < from);
+        if lives {
             shown_mg = f64::round(vial_mg / readability_mg) * readability_mg;
         }
         if shown_mg > 0.0 {
@@ -72,6 +88,7 @@ fn dose(mut spoon: Box<dyn Spoon>, target_mg: f64, limits: &Limits, stands_from:
         let pitch_deg = spoon.pitch_deg();
         if shaken {
             falls.push(Fall { pitch_deg, shake_mm: last.shake_mm, mass_mg: shown_mg - before_mg });
+            unproven = if shown_mg == before_mg { unproven + 1 } else { 0 };
         }
         let seen = Observation { reading_mg: shown_mg, target_mg, pitch_deg };
         let stable = |mass_mg: f64| Reading { mass_mg, stable: true };
@@ -87,15 +104,23 @@ fn dose(mut spoon: Box<dyn Spoon>, target_mg: f64, limits: &Limits, stands_from:
             now: stable(shown_mg),
             shaken,
             falls: &falls,
+            unproven: asks.then_some(unproven),
+            is_felt: true,
         };
-        let allowed = guard(limits, &situation, dosing.propose(&seen));
+        let proposed = dosing.propose(&seen);
+        let mut allowed = guard(limits, &situation, proposed);
+        let dosed = Dosed { vial_mg, steps, moved, waits };
         if RULES.after(steps, &seen, readability_mg) == Episode::Terminated {
-            return (vial_mg, steps, moved);
+            return dosed;
+        }
+        if lives && matches!(allowed, Err(Halt::Unproven)) {
+            (unproven, waits) = (0, waits + 1);
+            allowed = guard(limits, &Situation { unproven: Some(0), ..situation }, proposed);
         }
         let action = match allowed {
             Ok(allowed) => allowed.action,
             Err(Halt::NotANumber | Halt::NotAnAction | Halt::Stale) => unreachable!("nothing is wrong with it"),
-            Err(_) => return (vial_mg, steps, moved),
+            Err(_) => return dosed,
         };
         vial_mg += spoon.step(action).mass_mg;
         (before_mg, last) = (shown_mg, action);
@@ -127,7 +152,7 @@ fn main() {
         "{doses} doses a row; over and short by more than {TOLERANCE_MG} mg; excess: mean over doses of what lies beyond the tolerance\n"
     );
     println!(
-        "| powder | display mg | silent shakes, worth | stands still | sound: over | short | mean absolute error mg | stands after it moved: doses | over | excess mg | before: over | excess mg |"
+        "| powder | display mg | rule | sound: over | short | mean absolute error mg | waits a dose | stands after it moved: doses | over | excess mg | before: over | excess mg |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
     let first = numbers.get(2).copied().unwrap_or(1) as usize;
@@ -135,7 +160,7 @@ fn main() {
         // Grains cost seconds a dose.
         let doses = if powder == GRAINS { doses.div_ceil(10) } else { doses };
         for readability_mg in [1.0, 0.1] {
-            for (deaf_shakes, stands_still) in RULES_TRIED {
+            for (rule, deaf_shakes, stands_still, asks) in TRIED {
                 let forecast = Some(Forecast::GENERIC);
                 let limits = Limits {
                     readability_mg,
@@ -147,18 +172,21 @@ fn main() {
                 let both = (0..doses).into_par_iter().map(|k| {
                     let seed = derive(seed, &[powder as u64, k]);
                     let target_mg = TARGETS_MG[k as usize % TARGETS_MG.len()];
-                    let (vial_mg, steps, moved) = dose(filled(powder, seed), target_mg, &limits, None);
-                    let from = derive(seed, &[2]) % u64::from(steps.max(1));
-                    let standing_mg = dose(filled(powder, seed), target_mg, &limits, Some(from as u32)).0;
-                    (vial_mg - target_mg, from as u32 > moved, standing_mg - target_mg)
+                    let sound = dose(filled(powder, seed), target_mg, &limits, asks, None);
+                    let from = (derive(seed, &[2]) % u64::from(sound.steps.max(1))) as u32;
+                    let standing = dose(filled(powder, seed), target_mg, &limits, asks, Some(from));
+                    let has_moved = from > sound.moved;
+                    (sound.vial_mg - target_mg, sound.waits, has_moved, standing.vial_mg - target_mg)
                 });
-                let all: Vec<(f64, bool, f64)> = both.collect();
+                let all: Vec<(f64, u32, bool, f64)> = both.collect();
                 let sound = Errors(all.iter().map(|dose| dose.0).collect());
-                let [late, early] = [true, false]
-                    .map(|moved| Errors(all.iter().filter(|dose| dose.1 == moved).map(|dose| dose.2).collect()));
+                let waits = f64::from(all.iter().map(|dose| dose.1).sum::<u32>()) / doses as f64;
+                let [late, early] = [true, false].map(|has_moved| {
+                    Errors(all.iter().filter(|dose| dose.2 == has_moved).map(|dose| dose.3).collect())
+                });
                 let absolute_mg = sound.0.iter().map(|error| error.abs()).sum::<f64>() / doses as f64;
                 println!(
-                    "| {name} | {readability_mg} | {deaf_shakes} | {stands_still} | {:.1} % | {:.1} % | {absolute_mg:.2} | {} | {:.0} % | {:.1} | {:.0} % | {:.1} |",
+                    "| {name} | {readability_mg} | {rule} | {:.1} % | {:.1} % | {absolute_mg:.2} | {waits:.1} | {} | {:.0} % | {:.1} | {:.0} % | {:.1} |",
                     sound.over_pct(),
                     sound.share_pct(|error| error < -TOLERANCE_MG),
                     late.0.len(),

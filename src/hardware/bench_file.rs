@@ -65,11 +65,15 @@ pub struct Readings {
     pub settle_max_s: f64,
     /// Longest wait for the balance to stand still before and after a dose, s. Default 20.
     pub stand_max_s: f64,
+    /// Longest wait for the display to show another number where a shake changed nothing, s: a balance that weighs wanders, one that is stuck does not.
+    /// Default 60; an enclosed analytical balance stood for 10 s at most, for 18 s rounded to 1 mg (`docs/reliability.md`). 0: nobody waits, for the display
+    /// of this balance stands for minutes when all is well, as with zero tracking.
+    pub life_s: f64,
 }
 
 impl Default for Readings {
     fn default() -> Self {
-        Self { noise_mg: 0.1, fixed_wait_s: None, settle_max_s: 6.0, stand_max_s: 20.0 }
+        Self { noise_mg: 0.1, fixed_wait_s: None, settle_max_s: 6.0, stand_max_s: 20.0, life_s: 60.0 }
     }
 }
 
@@ -99,6 +103,7 @@ impl BenchFile {
         bounded("readings.fixed_wait_s", self.readings.fixed_wait_s.unwrap_or(1.0), 0.1, 60.0, "s")?;
         bounded("readings.settle_max_s", self.readings.settle_max_s, 0.5, 60.0, "s")?;
         bounded("readings.stand_max_s", self.readings.stand_max_s, 0.5, 120.0, "s")?;
+        bounded("readings.life_s", self.readings.life_s, 0.0, 600.0, "s")?;
         Ok(self)
     }
 }
@@ -126,6 +131,7 @@ mod tests {
             (LEAST.replace("[arm]\nurl", "[arm]\nurll"), "urll"),
             (format!("{LEAST}[gripper]\nport = \"\"\n"), "gripper.port"),
             (format!("{LEAST}[readings]\nsettle_max_s = 0.0\n"), "readings.settle_max_s"),
+            (format!("{LEAST}[readings]\nlife_s = -1.0\n"), "readings.life_s"),
             (format!("{LEAST}[kettle]\n"), "kettle"),
         ] {
             let refused = BenchFile::parse(&text).unwrap_err().to_string();

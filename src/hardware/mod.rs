@@ -49,6 +49,15 @@ pub trait Bench {
     /// A device failed.
     fn stand(&mut self, seconds: f64) -> Result<Standing, DeviceError>;
 
+    /// When the display last showed another number than just before, bench time, s: it lived then. Infinity: it always lives.
+    fn lived_s(&self) -> f64;
+
+    /// Watch the display with nothing moving until it shows another number, for at most this long, s; whether it did.
+    ///
+    /// # Errors
+    /// A device failed.
+    fn watch_for_life(&mut self, seconds: f64) -> Result<bool, DeviceError>;
+
     /// Carry out one action: incline, then shake.
     ///
     /// # Errors

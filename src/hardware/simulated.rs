@@ -79,6 +79,14 @@ impl Bench for SimulatedBench {
         Ok(Standing { reading, still, drift_mg_min: 0.0, scatter_mg: self.balance.noise_mg, seconds })
     }
 
+    fn lived_s(&self) -> f64 {
+        f64::INFINITY
+    }
+
+    fn watch_for_life(&mut self, _seconds: f64) -> Result<bool, DeviceError> {
+        Ok(true)
+    }
+
     fn act(&mut self, action: Action) -> Result<(), DeviceError> {
         let poured = self.spoon.step(action);
         self.after(poured)

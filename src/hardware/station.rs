@@ -33,6 +33,10 @@ pub struct Station {
     pitch_deg: f64,
     /// End of the last motion, bench time, s.
     moved_at_s: f64,
+    /// What the display shows, mg.
+    shown_mg: Option<f64>,
+    /// When it last showed another number than just before, bench time, s.
+    lived_at_s: f64,
     began_s: f64,
 }
 
@@ -82,6 +86,8 @@ impl Station {
             shakes,
             pitch_deg: 0.0,
             moved_at_s: began_s,
+            shown_mg: None,
+            lived_at_s: f64::NEG_INFINITY,
             began_s,
         })
     }
@@ -117,13 +123,23 @@ impl Station {
         self.moved_at_s = self.clock.now_s();
     }
 
+    /// What the display shows now, and whether that is news.
+    fn look(&mut self) -> Result<Sample, DeviceError> {
+        let sample = self.balance.immediate()?;
+        self.arm.attend();
+        if self.shown_mg.is_some_and(|shown_mg| shown_mg != sample.mass_mg) {
+            self.lived_at_s = sample.t_s;
+        }
+        self.shown_mg = Some(sample.mass_mg);
+        Ok(sample)
+    }
+
     /// Readings until the display is final or the time is up, since the last motion.
     fn watch(&mut self, limit_s: f64, is_final: impl Fn(&[Shown]) -> bool) -> Result<Vec<Shown>, DeviceError> {
         let from_s = self.clock.now_s();
         let mut shown = Vec::new();
         loop {
-            let Sample { t_s, mass_mg, stable, .. } = self.balance.immediate()?;
-            self.arm.attend();
+            let Sample { t_s, mass_mg, stable, .. } = self.look()?;
             shown.push(Shown { t_s: t_s - self.moved_at_s, mass_mg, flag: stable });
             if is_final(&shown) || t_s - from_s >= limit_s {
                 return Ok(shown);
@@ -167,6 +183,8 @@ impl Bench for Station {
             return Err(DeviceError::Forbidden { device: "the balance", cause });
         }
         self.balance.tare()?;
+        // Zero is no news: it was asked for.
+        self.shown_mg = None;
         self.moved();
         Ok(Tare { tare_mg: Some(vial.mass_mg) })
     }
@@ -175,8 +193,7 @@ impl Bench for Station {
         let settling = self.settling;
         if let Some(wait_s) = self.readings.fixed_wait_s {
             self.clock.wait_s(wait_s - (self.clock.now_s() - self.moved_at_s));
-            let Sample { mass_mg, stable, .. } = self.balance.immediate()?;
-            self.arm.attend();
+            let Sample { mass_mg, stable, .. } = self.look()?;
             return Ok(Reading { mass_mg, stable });
         }
         let shown = self.watch(self.readings.settle_max_s, |shown| settled(&settling, shown).is_some())?;
@@ -201,6 +218,24 @@ impl Bench for Station {
         let from_s = shown.last().map_or(0.0, |last| last.t_s - seconds.max(1.0));
         let recent: Vec<Shown> = shown.iter().copied().filter(|one| one.t_s >= from_s).collect();
         standing(&settling, &recent).ok_or(DeviceError::Silent { device: "the balance" })
+    }
+
+    fn lived_s(&self) -> f64 {
+        self.lived_at_s - self.began_s
+    }
+
+    fn watch_for_life(&mut self, seconds: f64) -> Result<bool, DeviceError> {
+        let from_s = self.clock.now_s();
+        loop {
+            let t_s = self.look()?.t_s;
+            if self.lived_at_s >= from_s {
+                return Ok(true);
+            }
+            if t_s - from_s >= seconds {
+                return Ok(false);
+            }
+            self.clock.wait_s(ASK_EVERY_S);
+        }
     }
 
     fn act(&mut self, action: Action) -> Result<(), DeviceError> {

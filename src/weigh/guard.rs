@@ -102,6 +102,11 @@ pub struct Situation<'a> {
     pub shaken: bool,
     /// Every shake of this dose and what it gave.
     pub falls: &'a [Fall],
+    /// So many of the last ones were made since the display last showed another number; none: displays of this balance stand when all is well, and nobody
+    /// can wait for one to move.
+    pub unproven: Option<usize>,
+    /// The display has shown another number since the load cell has felt all that the last shake let fall.
+    pub is_felt: bool,
 }
 
 /// What may be carried out, and what was changed about the proposal.
@@ -165,6 +170,12 @@ pub enum Halt {
         /// How many.
         shakes: usize,
     },
+    /// The display has shown one number through a shake and since: before it shows another no shake may follow, for it may stand still.
+    #[error(
+        "the balance has shown the same number through the last shake and since, so nothing says that it still weighs: look at it, and at what is in the vial; \
+         where the display of a sound balance stands for minutes, write life_s = 0 under [readings] in the bench file"
+    )]
+    Unproven,
     /// The reading is not stable.
     #[error("the balance gives no stable reading: keep draughts and vibration away and tare again")]
     NotStable,
@@ -196,6 +207,11 @@ impl Halt {
     pub fn is_expected(&self) -> bool {
         matches!(self, Self::TargetReached | Self::StepsSpent | Self::TimeSpent | Self::NoRoom { .. })
     }
+
+    /// It says what the spoon would do or does not do: no matter to a dose that is done.
+    pub(super) fn is_of_the_spoon(&self) -> bool {
+        matches!(self, Self::NoRoom { .. } | Self::Blocked { .. } | Self::Deaf { .. } | Self::Unproven)
+    }
 }
 
 /// The action that may be carried out: the proposal within its bounds and the spoon's, and so gentle that the dose stays within its tolerance but for a
@@ -206,14 +222,17 @@ impl Halt {
 ///
 /// # Errors
 /// [`Halt`] when nothing may be carried out; the first rule that applies: unusable reading, moved vial, mass without a shake, target reached, steps or time
-/// spent, blocked, unusable proposal, no room; where the display rather stands still, [`Halt::Deaf`] in place of spent steps, and where there was room but for
-/// what it may hide in place of no room.
+/// spent, blocked, unusable proposal, no room, and [`Halt::Unproven`] where a sign of life from the display is wanted first. Where none can be waited for and the
+/// display rather stands still, [`Halt::Deaf`] in place of spent steps, and where there was room but for what it may hide in place of no room.
 pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<Allowed, Halt> {
     is_usable(limits, seen)?;
     if seen.now.mass_mg >= seen.target_mg {
         return Err(Halt::TargetReached);
     }
-    let silence = limits.forecast.and_then(|_| Silence::after(seen.falls, limits.readability_mg, limits.stands_still));
+    let silence = match (limits.forecast, seen.unproven) {
+        (Some(_), None) => Silence::after(seen.falls, limits.readability_mg, limits.stands_still),
+        _ => None,
+    };
     if seen.steps >= limits.steps_max {
         let still = silence.filter(Silence::is_still);
         return Err(still.map_or(Halt::StepsSpent, |it| Halt::Deaf { shakes: it.shakes }));
@@ -224,17 +243,32 @@ pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<
     if is_blocked(limits, seen.falls) {
         return Err(Halt::Blocked { shakes: limits.blocked_shakes });
     }
-    if let Some(shakes) = deaf(limits, seen.falls) {
+    if let Some(shakes) = deaf(limits, seen.falls).filter(|_| seen.unproven.is_none()) {
         return Err(Halt::Deaf { shakes });
     }
     if !proposed.incline_change_deg.is_finite() || !proposed.shake_mm.is_finite() {
         return Err(Halt::NotAnAction);
     }
     let action = bounded(limits, seen.pitch_deg, proposed);
-    match &limits.forecast {
-        Some(forecast) => gentle(limits, forecast, silence.as_ref(), seen, action, proposed),
-        None => Ok(Allowed { action, cut: (action != proposed).then_some(Cut::Bounds) }),
-    }
+    let allowed = match &limits.forecast {
+        Some(forecast) => gentle(limits, forecast, silence.as_ref(), seen, action, proposed)?,
+        None => Allowed { action, cut: (action != proposed).then_some(Cut::Bounds) },
+    };
+    if is_in_doubt(limits, seen, allowed.action) { Err(Halt::Unproven) } else { Ok(allowed) }
+}
+
+/// The display may stand still, and this shake would be one that nothing it shows speaks for.
+///
+/// Either the last shake changed nothing on it, or it moved as a load cell does while it comes to rest, and stood still before it had: as much again may then
+/// have fallen as it shows.
+fn is_in_doubt(limits: &Limits, seen: &Situation<'_>, action: Action) -> bool {
+    let (pitch_deg, shake_mm) = (seen.pitch_deg + action.incline_change_deg, action.executed_shake_mm());
+    let Some(unproven) = seen.unproven.filter(|_| shake_mm > 0.0) else { return false };
+    let fell_mg = seen.falls.last().map_or(0.0, |fall| fall.mass_mg.max(0.0));
+    let room_mg = seen.target_mg + seen.tolerance_upper_mg - seen.now.mass_mg - fell_mg;
+    let chance =
+        |forecast: &Forecast| forecast.chance_above(seen.falls, limits.readability_mg, pitch_deg, shake_mm, room_mg);
+    unproven > 0 || (!seen.is_felt && limits.forecast.is_some_and(|forecast| chance(&forecast) > forecast.risk))
 }
 
 /// Whether the reading may be built on.

@@ -26,6 +26,8 @@ fn seen(falls: &[Fall]) -> Situation<'_> {
         now: reading(6.0),
         shaken: true,
         falls,
+        unproven: None,
+        is_felt: true,
     }
 }
 
@@ -171,6 +173,51 @@ fn what_a_standing_display_may_hide_is_no_room_for_more_and_its_dose_does_not_en
     assert_eq!(at(&doubting, &silent(0), 10), Err(Halt::StepsSpent));
     let believing = Limits { stands_still: 0.0, ..doubting };
     assert_eq!(at(&believing, &silent(ends), 4), as_proposed);
+}
+
+#[test]
+fn no_shake_follows_one_that_a_display_was_silent_through_before_it_shows_another_number() {
+    let quiet = [fall(4.0, 1.0, 0.0)];
+    let at = |unproven, proposed| {
+        let situation =
+            Situation { steps: 1, before: reading(0.0), now: reading(0.0), pitch_deg: 4.0, unproven, ..seen(&quiet) };
+        guard(&careful(), &situation, proposed).map(|allowed| allowed.action)
+    };
+    let gentle = action(2.0, 1.0);
+    assert_eq!(at(Some(0), gentle), Ok(gentle));
+    assert_eq!(at(Some(1), gentle), Err(Halt::Unproven), "however little it may give");
+    assert_eq!(at(Some(1), action(2.0, 0.0)), Ok(action(2.0, 0.0)), "an incline pours nothing");
+    assert_eq!(at(None, gentle), Ok(gentle), "who has nothing to wait for does not wait");
+}
+
+#[test]
+fn a_display_that_was_not_seen_to_come_to_rest_may_hide_as_much_again() {
+    let gave = [fall(20.0, 2.0, 3.0), fall(20.0, 2.0, 3.0)];
+    let at = |now_mg: f64, is_felt| {
+        let situation = Situation {
+            before: reading(now_mg - 3.0),
+            now: reading(now_mg),
+            pitch_deg: 20.0,
+            unproven: Some(0),
+            is_felt,
+            ..seen(&gave)
+        };
+        let upper_mg = Forecast::GENERIC.upper_mg(&gave, 1.0, 20.0, 2.0);
+        (guard(&careful(), &situation, action(0.0, 2.0)).map(|allowed| allowed.action), 16.0 - now_mg - upper_mg)
+    };
+    // There is room for the shake and 3 mg more, then for the shake alone.
+    let ((far, spare_mg), (near, left_mg)) = (at(3.0, false), at(6.0, false));
+    assert!(spare_mg > 3.0 && (0.0..3.0).contains(&left_mg), "{spare_mg} {left_mg}");
+    assert_eq!((far, near, at(6.0, true).0), (Ok(action(0.0, 2.0)), Err(Halt::Unproven), Ok(action(0.0, 2.0))));
+}
+
+#[test]
+fn where_signs_of_life_are_waited_for_a_silent_spoon_is_believed() {
+    let falls = [vec![fall(20.0, 4.0, 2.0)], vec![fall(20.0, 4.0, 0.0); 8]].concat();
+    let limits = Limits { steps_max: 30, ..careful() };
+    let at = |unproven| guard(&limits, &Situation { steps: 20, unproven, ..seen(&falls) }, action(0.0, 4.0));
+    assert_eq!(at(None), Err(Halt::Deaf { shakes: 8 }));
+    assert!(at(Some(0)).is_ok());
 }
 
 #[test]

@@ -55,6 +55,8 @@ pub struct Settings {
     pub stand_s: f64,
     /// Longest time from the tare to the last motion, s.
     pub seconds_max: f64,
+    /// How long the display is watched for another number where too much may have fallen if it stands still, s; 0: not at all.
+    pub life_s: f64,
     /// A spoon that gives nothing, and mass that comes without a shake, end the weighing.
     pub strict: bool,
     /// What is believed of the powder; none: the guard does not ask for what may fall.
@@ -64,19 +66,24 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// On a bench: watched for three seconds, ten minutes at most, a powder of which nothing is known.
+    /// On a bench: watched for three seconds, ten minutes at most, a display that moves within a minute, a powder of which nothing is known.
     pub const BENCH: Self = Self {
         stand_s: 3.0,
         seconds_max: 600.0,
+        life_s: 60.0,
         strict: true,
         forecast: Some(Forecast::GENERIC),
         accuracy: Accuracy { repeatability_mg: None, class_pct: 0.1 },
     };
     /// As an episode of a training goes: nothing is watched, and nothing is forecast.
     pub const EPISODE: Self =
-        Self { stand_s: 0.0, seconds_max: f64::INFINITY, strict: false, forecast: None, ..Self::BENCH };
+        Self { stand_s: 0.0, seconds_max: f64::INFINITY, life_s: 0.0, strict: false, forecast: None, ..Self::BENCH };
 }
 
+/// From a shake until a load cell has felt what fell but for a fortieth, s: 0.05 s of falling and 3.5 time constants of 0.16 s.
+const FELT_S: f64 = 0.6;
+/// For so long at most nobody asks whether to stop, s.
+const ASK_EVERY_S: f64 = 1.0;
 /// From watching the balance to taring it a vial may change by this much, mg.
 const VIAL_MG_MAX: f64 = 30.0;
 
@@ -128,7 +135,8 @@ struct Loop<'a, B, F> {
     before: Option<Standing>,
     after: Option<Standing>,
     ticks: Vec<Tick>,
-    falls: Vec<Fall>,
+    /// When each shake was made, bench time, s.
+    shaken_s: Vec<f64>,
     must_look: bool,
 }
 
@@ -158,7 +166,7 @@ pub fn weigh(
         before: None,
         after: None,
         ticks: Vec::new(),
-        falls: Vec::new(),
+        shaken_s: Vec::new(),
         must_look: false,
     };
     let dosed = weighing.careful(|it| it.begin().and_then(|()| it.dose(controller, rules)));
@@ -254,6 +262,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         // The tare stands for the reading before the first: a vial that was lifted since shows at once.
         let mut before = Reading { mass_mg: 0.0, stable: true };
         let mut dosing = controller.begin(rules, readability_mg);
+        let mut falls: Vec<Fall> = Vec::new();
         for steps in 0.. {
             self.go_on()?;
             let read_s = self.bench.elapsed_s();
@@ -273,21 +282,33 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
                 before,
                 now,
                 shaken,
-                falls: &self.falls,
+                falls: &[],
+                unproven: self.unproven(),
+                is_felt: self.is_felt(),
             };
             let proposed = dosing.propose(&seen);
-            let allowed = guard(&limits, &situation, proposed);
+            let mut allowed = guard(&limits, &Situation { falls: &falls, ..situation }, proposed);
             let is_done = rules.after(steps, &seen, readability_mg) == Episode::Terminated;
-            if is_done
-                && (allowed.is_ok()
-                    || matches!(allowed, Err(Halt::NoRoom { .. } | Halt::Blocked { .. } | Halt::Deaf { .. })))
-            {
+            if is_done && allowed.as_ref().map_or_else(Halt::is_of_the_spoon, |_| true) {
                 return Ok(End::Course(None));
+            }
+            if matches!(allowed, Err(Halt::Unproven)) && self.shows_life()? {
+                // What the display shows now is true, and no shake is in doubt any more.
+                now = self.bench.read()?;
+                if let Some(last) = falls.last_mut() {
+                    last.mass_mg = now.mass_mg - before.mass_mg;
+                }
+                let read_s = self.bench.elapsed_s();
+                let situation = Situation { now, read_s, unproven: Some(0), is_felt: true, falls: &falls, ..situation };
+                allowed = guard(&limits, &situation, proposed);
             }
             self.tell(&Event::Decision(&Decision::new(steps + 1, proposed, &allowed)))?;
             let action = match allowed {
                 Ok(allowed) => allowed.action,
-                Err(halt) => return Ok(End::of(halt)),
+                Err(halt) => {
+                    self.must_look |= halt == Halt::Unproven;
+                    return Ok(End::of(halt));
+                }
             };
             // Telling may have taken its time.
             self.go_on()?;
@@ -298,11 +319,40 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             shaken = action.executed_shake_mm() > 0.0;
             if shaken {
                 let mass_mg = now.mass_mg - before.mass_mg;
-                self.falls.push(Fall { pitch_deg: self.bench.pitch_deg(), shake_mm: action.shake_mm, mass_mg });
+                falls.push(Fall { pitch_deg: self.bench.pitch_deg(), shake_mm: action.shake_mm, mass_mg });
+                self.shaken_s.push(moved_s);
             }
             self.record(steps + 1, tared_s, action, now)?;
         }
         Ok(End::of(Halt::StepsSpent))
+    }
+
+    /// Shakes since the display last showed another number; none where nobody waits for one.
+    fn unproven(&self) -> Option<usize> {
+        let lived_s = self.bench.lived_s();
+        let since = self.shaken_s.iter().rev().take_while(|shaken_s| **shaken_s >= lived_s).count();
+        (self.settings.life_s > 0.0).then_some(since)
+    }
+
+    /// The display lived when the load cell had felt all that the last shake let fall.
+    fn is_felt(&self) -> bool {
+        let lived_s = self.bench.lived_s();
+        self.settings.life_s <= 0.0 || self.shaken_s.last().is_none_or(|shaken_s| shaken_s + FELT_S <= lived_s)
+    }
+
+    /// Wait with nothing moving until the display shows another number; `false`: it does not.
+    fn shows_life(&mut self) -> Result<bool, Halted> {
+        let until_s = self.bench.elapsed_s() + self.settings.life_s;
+        loop {
+            self.go_on()?;
+            let left_s = until_s - self.bench.elapsed_s();
+            if left_s <= 0.0 {
+                return Ok(false);
+            }
+            if self.bench.watch_for_life(left_s.min(ASK_EVERY_S))? {
+                return Ok(true);
+            }
+        }
     }
 
     fn record(&mut self, step: u32, tared_s: f64, action: Action, reading: Reading) -> Result<(), Halted> {
@@ -341,9 +391,19 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             return ended;
         }
         let last_mg = result::last_reading_mg(&self.ticks);
+        let ran_its_course = matches!(ended, End::Course(_) | End::Blocked(_));
         let looked = self.careful(|it| {
-            let after = it.bench.stand(it.settings.stand_s)?;
+            let mut after = it.bench.stand(it.settings.stand_s)?;
             it.after = Some(after);
+            // A weight that is told must be one that the balance feels.
+            if ran_its_course && it.unproven().is_some_and(|shakes| shakes > 0) {
+                if !it.shows_life()? {
+                    it.must_look = true;
+                    return Ok(End::of(Halt::Unproven));
+                }
+                after.reading = it.bench.read()?;
+                it.after = Some(after);
+            }
             let fell_mg = last_mg - after.reading.mass_mg;
             Ok(match after.reading.mass_mg {
                 mass_mg if !mass_mg.is_finite() => End::of(Halt::NotANumber),

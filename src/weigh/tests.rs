@@ -14,6 +14,7 @@ enum Call {
     Approach,
     Tare,
     Read,
+    Life,
     Act,
     Level,
     Retract,
@@ -32,8 +33,27 @@ enum Fault {
     Draught,
 }
 
+/// A display that shows another number only when the mass is another, or when it is watched.
+#[derive(Debug, Clone, Copy)]
+struct Display {
+    shown_mg: f64,
+    lived_s: f64,
+    /// It stands still from this act on.
+    dies_at: u32,
+}
+
+impl Display {
+    fn dying_at(dies_at: u32) -> Option<Self> {
+        Some(Self { shown_mg: 0.0, lived_s: 0.0, dies_at })
+    }
+}
+
 /// Each shake gives the next of these masses, the last one again and again, unless something is wrong.
 struct Scripted {
+    /// None: it always shows the mass, and always lives.
+    display: Option<Display>,
+    /// Pressed while a sign of life is waited for.
+    stops_in_life: Option<&'static AtomicBool>,
     fault: Option<(Call, u32, Fault)>,
     gives_mg: Vec<f64>,
     /// Falls while the spoon is levelled.
@@ -47,6 +67,8 @@ struct Scripted {
 impl Scripted {
     fn giving(gives_mg: &[f64]) -> Self {
         Self {
+            display: None,
+            stops_in_life: None,
             fault: None,
             gives_mg: gives_mg.to_vec(),
             late_mg: 0.0,
@@ -79,12 +101,20 @@ impl Scripted {
         self.calls.iter().filter(|it| **it == call).count() as u32
     }
 
-    fn shown(&self, fault: Option<Fault>) -> Reading {
+    fn is_dead(&self) -> bool {
+        self.display.is_some_and(|display| self.count(Call::Act) > display.dies_at)
+    }
+
+    fn shown(&mut self, fault: Option<Fault>) -> Reading {
+        let (is_dead, now_s, mass_mg) = (self.is_dead(), self.elapsed_s(), self.mass_mg.round());
+        if let Some(display) = self.display.as_mut().filter(|display| !is_dead && display.shown_mg != mass_mg) {
+            (display.shown_mg, display.lived_s) = (mass_mg, now_s);
+        }
         let mass_mg = match fault {
             Some(Fault::NotANumber) => f64::NAN,
             Some(Fault::VialLifted) => -20_000.0,
             Some(Fault::Draught) => self.mass_mg + 5.0,
-            _ => self.mass_mg.round(),
+            _ => self.display.map_or(mass_mg, |display| display.shown_mg),
         };
         Reading { mass_mg, stable: fault != Some(Fault::Unstable) }
     }
@@ -114,6 +144,20 @@ impl Bench for Scripted {
             reading.mass_mg += VIAL_MG;
         }
         Ok(Standing { reading, still, drift_mg_min: 1.0, scatter_mg: 0.1, seconds })
+    }
+    fn lived_s(&self) -> f64 {
+        self.display.map_or(f64::INFINITY, |display| display.lived_s)
+    }
+    fn watch_for_life(&mut self, _seconds: f64) -> Result<bool, DeviceError> {
+        self.called(Call::Life)?;
+        if let Some(stop) = self.stops_in_life {
+            stop.store(true, Ordering::SeqCst);
+        }
+        let (lives, now_s) = (!self.is_dead(), self.elapsed_s());
+        if let Some(display) = self.display.as_mut().filter(|_| lives) {
+            display.lived_s = now_s;
+        }
+        Ok(lives)
     }
     fn act(&mut self, action: Action) -> Result<(), DeviceError> {
         // A fault may come after the motion has begun.
@@ -228,6 +272,43 @@ fn a_blocked_spoon_is_said_so() {
     let weighed = weigh(&mut bench, &shaker(50.0, 16.0), &rules, &ORDER, &BLIND, |_| ControlFlow::Continue(()), &go);
     assert_eq!((weighed.outcome, weighed.shakes), (Outcome::Blocked, 3));
     assert!(bench.is_safe() && weighed.cause.unwrap().contains("blocked"));
+}
+
+#[test]
+fn a_display_that_dies_hides_one_shake_and_a_person_is_called() {
+    for dies_at in 0..5 {
+        let mut bench = Scripted { display: Display::dying_at(dies_at), ..Scripted::giving(&[2.0]) };
+        let weighed = weigh_on(&mut bench, &Rules::PAPER);
+        assert_eq!((weighed.outcome, weighed.must_look), (Outcome::Aborted, true), "{dies_at}");
+        assert!(bench.is_safe() && weighed.cause.unwrap().contains("the same number"), "{dies_at}");
+        // The fifth shake would have been the last: its dose is not called within because nothing showed that it is not.
+        assert_eq!((weighed.reading_mg, bench.mass_mg), (2.0 * f64::from(dies_at), 2.0 * f64::from(dies_at + 1)));
+        assert!((60..63).contains(&bench.count(Call::Life)) && bench.count(Call::Discard) == 0, "{dies_at}");
+    }
+}
+
+#[test]
+fn a_sound_display_is_waited_for_where_a_shake_changed_nothing_on_it_and_only_there() {
+    for (gives_mg, waits) in [(&[2.0][..], 0), (&[0.1, 0.1, 3.0, 0.1, 7.0][..], 3), (&[0.0][..], 10)] {
+        let mut bench = Scripted { display: Display::dying_at(99), ..Scripted::giving(gives_mg) };
+        let weighed = weigh_on(&mut bench, &Rules::FLIP);
+        assert_eq!((bench.count(Call::Life), weighed.must_look), (waits, false), "{gives_mg:?}");
+        assert!(matches!(weighed.outcome, Outcome::Within | Outcome::Under), "{:?}", weighed.outcome);
+    }
+    // Nobody waits where a display stands for minutes when all is well.
+    let mut bench = Scripted { display: Display::dying_at(2), ..Scripted::giving(&[2.0]) };
+    let settings = Settings { life_s: 0.0, ..BLIND };
+    hear(&mut bench, &Rules::FLIP, &settings, |_| ControlFlow::Continue(()), &AtomicBool::new(false));
+    assert_eq!((bench.count(Call::Life), bench.count(Call::Act)), (0, 10));
+}
+
+#[test]
+fn a_stop_is_heard_while_a_sign_of_life_is_waited_for() {
+    static STOP: AtomicBool = AtomicBool::new(false);
+    let display = Display::dying_at(0);
+    let mut bench = Scripted { display, stops_in_life: Some(&STOP), ..Scripted::giving(&[2.0]) };
+    let weighed = hear(&mut bench, &Rules::FLIP, &BLIND, |_| ControlFlow::Continue(()), &STOP);
+    assert_eq!((weighed.outcome, bench.count(Call::Life), bench.is_safe()), (Outcome::Stopped, 1, true));
 }
 
 /// A fault at a call: the spoon is level and away or a person is called, and nothing acts after it.

@@ -146,7 +146,6 @@ impl Fault {
     ///
     /// | fault | why nobody can see it | what bounds the harm |
     /// |---|---|---|
-    /// | stuck | the display stands, as it does over a blocked spoon | [`Self::STUCK_MG`]: silent shakes that should have given something; the spoon's filling |
     /// | drift | it creeps slower than powder falls, upwards: the dose is short | what crept until the tare and ended after it |
     /// | keypad-tare | below 3 mg it looks like a reading that is restless | the guard's 3 mg for a reading that falls |
     /// | shake-too-large | it is known when it has been made | one shake; then the forecast knows |
@@ -155,7 +154,6 @@ impl Fault {
     pub fn unseen_mg(self) -> Option<f64> {
         use {balance::Fault as B, gripper::Fault as G};
         match self {
-            Self::Balance(B::Stuck) => Some(Self::STUCK_MG),
             Self::Balance(B::Drift) => Some(1.0),
             Self::Balance(B::KeypadTare | B::WrongDigit) => Some(3.0),
             Self::Arm(arm::Fault::ShakeTooLarge(_)) => Some(10.0),
@@ -163,9 +161,6 @@ impl Fault {
             _ => None,
         }
     }
-
-    /// What a dose may let fall onto a display that stands: all that is in the spoon. `examples/standing_display.rs` tells how often.
-    pub const STUCK_MG: f64 = 35.0;
 }
 
 impl Case {

@@ -25,6 +25,14 @@ pub(super) enum Display {
     Adjusting,
 }
 
+/// How far the reading has wandered: to where, when, and in how many moves.
+#[derive(Debug, Default)]
+struct Wander {
+    mass_mg: f64,
+    at_s: Option<f64>,
+    moves: u64,
+}
+
 #[derive(Debug)]
 pub(super) struct Cell {
     settings: Settings,
@@ -33,13 +41,24 @@ pub(super) struct Cell {
     frames: u64,
     zero_mg: f64,
     tare_mg: f64,
+    wander: Wander,
     drifting_since_s: Option<f64>,
     frozen_steps: Option<f64>,
 }
 
 impl Cell {
     pub(super) fn new(settings: Settings, pan: Pan) -> Self {
-        Self { settings, pan, frames: 0, zero_mg: 0.0, tare_mg: 0.0, drifting_since_s: None, frozen_steps: None }
+        let wander = Wander::default();
+        Self {
+            settings,
+            pan,
+            frames: 0,
+            zero_mg: 0.0,
+            tare_mg: 0.0,
+            wander,
+            drifting_since_s: None,
+            frozen_steps: None,
+        }
     }
 
     pub(super) fn tare_mg(&self) -> f64 {
@@ -61,7 +80,10 @@ impl Cell {
     pub(super) fn begin(&mut self, fault: Fault) {
         match fault {
             Fault::Drift => self.drifting_since_s = Some(self.pan.clock().now_s()),
-            Fault::Stuck => self.frozen_steps = Some(self.steps(false)),
+            Fault::Stuck => {
+                self.go_astray();
+                self.frozen_steps = Some(self.steps(false));
+            }
             _ => {}
         }
     }
@@ -74,6 +96,7 @@ impl Cell {
     /// Measure the next frame and show it.
     pub(super) fn show(&mut self, faults: &Faults) -> Display {
         self.frames += 1;
+        self.go_astray();
         self.drifting_since_s = self.drifting_since_s.filter(|_| faults.has(Fault::Drift));
         self.frozen_steps = self.frozen_steps.filter(|_| faults.has(Fault::Stuck));
         if let Some(display) = self.condition(faults) {
@@ -116,6 +139,7 @@ impl Cell {
 
     /// Take the load for nothing; what was taken, as the display writes it.
     pub(super) fn tare(&mut self) -> (String, &'static str) {
+        self.go_astray();
         self.tare_mg = self.gross_mg();
         self.number((self.tare_mg / self.settings.readability_mg).round() * self.settings.readability_mg, false)
     }
@@ -130,6 +154,7 @@ impl Cell {
 
     /// Set the zero point; `false` if the load is too large for it.
     pub(super) fn zero(&mut self) -> bool {
+        self.go_astray();
         let felt_mg = self.gross_mg() + self.zero_mg;
         if felt_mg.abs() > ZERO_RANGE * self.settings.capacity_mg {
             return false;
@@ -138,10 +163,22 @@ impl Cell {
         true
     }
 
+    /// Wander on to now; from anywhere at first.
+    fn go_astray(&mut self) {
+        let &Settings { wander_mg, wander_s, seed, .. } = &self.settings;
+        let now_s = self.pan.clock().now_s();
+        let kept = self.wander.at_s.map_or(0.0, |at_s| libm::exp(-(now_s - at_s) / wander_s));
+        if kept < 1.0 {
+            let new_mg = wander_mg * (1.0 - kept * kept).sqrt() * normal(derive(seed, &[2, self.wander.moves]));
+            let mass_mg = kept * self.wander.mass_mg + new_mg;
+            self.wander = Wander { mass_mg, at_s: Some(now_s), moves: self.wander.moves + 1 };
+        }
+    }
+
     fn gross_mg(&self) -> f64 {
         let drift_mg =
             self.drifting_since_s.map_or(0.0, |since_s| DRIFT_MG_PER_S * (self.pan.clock().now_s() - since_s));
-        self.pan.felt_mg(self.settings.settling_tau_s) + drift_mg - self.zero_mg
+        self.pan.felt_mg(self.settings.settling_tau_s) + self.wander.mass_mg + drift_mg - self.zero_mg
     }
 
     /// Net mass in steps of the display.

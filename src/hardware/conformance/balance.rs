@@ -11,6 +11,8 @@ use crate::hardware::wire::Tap;
 
 /// How long the display is watched, s of bench time.
 const WATCH_S: f64 = 6.0;
+/// From one question to the next while waiting, s of bench time.
+const ASK_EVERY_S: f64 = 0.05;
 /// More readings than that say nothing more.
 const READINGS_MAX: usize = 600;
 /// Readings in a second below which dosing is slow, and below which it is not to be done.
@@ -35,7 +37,7 @@ pub(super) fn check(file: &BenchFile, clock: &Clock, tap: &Tap) -> Vec<Check> {
     let first = balance.immediate();
     found.add("reading", "what the display shows now", reading(settings, &first));
     let Ok(first) = first else {
-        found.skip(&["step", "stable", "rate", "noise", "drift", "tare"], "it gives no reading");
+        found.skip(&["step", "stable", "rate", "noise", "drift", "life", "tare"], "it gives no reading");
         return found.checks;
     };
     found.add("step", "the last place of the display, in mg", step(settings, &first));
@@ -117,6 +119,40 @@ fn stands(file: &BenchFile, balance: &mut Balance, clock: &Clock, found: &mut Fi
             found.add("drift", asked, drift(step_mg, stood.drift_mg_min, stood.seconds));
         }
         None => found.skip(&["noise", "drift"], "there were too few readings"),
+    }
+    let life_s = file.readings.life_s;
+    found.add(
+        "life",
+        format!("another number within {life_s} s, nothing moving"),
+        life(life_s, &shown, balance, clock),
+    );
+}
+
+/// Does a display at rest ever show another number? One that does can prove that it is not stuck.
+fn life(life_s: f64, shown: &[Shown], balance: &mut Balance, clock: &Clock) -> Found {
+    if life_s <= 0.0 {
+        return Found::warning(
+            "readings.life_s = 0: nobody waits for it".to_owned(),
+            "a display that is stuck is then known by what a spoon should have given, too late for some doses",
+        );
+    }
+    let Some(first) = shown.first() else { return Found::skipped("no reading came") };
+    let began_s = clock.now_s();
+    let mut changes = shown.windows(2).filter(|pair| pair[0].mass_mg != pair[1].mass_mg).count();
+    while changes == 0 && clock.now_s() - began_s < life_s {
+        match balance.immediate() {
+            Ok(sample) => changes += usize::from(sample.mass_mg != first.mass_mg),
+            Err(error) => return error.into(),
+        }
+        clock.wait_s(ASK_EVERY_S);
+    }
+    match changes {
+        0 => Found::failed(
+            format!("{} mg for {life_s} s and longer", first.mass_mg),
+            "is the display stuck? Else switch zero tracking off, which hides slow powder too, or weigh with a finer display; where neither can be had write \
+             readings.life_s = 0, or doses end for want of a sign of life",
+        ),
+        changes => Found::ok(format!("it changed {changes} times")),
     }
 }
 

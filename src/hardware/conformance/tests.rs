@@ -24,7 +24,7 @@ fn laboratory(balance: balances::Settings, speed: f64) -> (Laboratory, Clock) {
 }
 
 fn fine() -> balances::Settings {
-    balances::Settings { readability_mg: 0.1, noise_mg: 0.05, ..balances::Settings::default() }
+    balances::Settings { readability_mg: 0.1, noise_mg: 0.05, wander_mg: 0.02, ..balances::Settings::default() }
 }
 
 /// The checks that failed, by device and name.
@@ -57,6 +57,7 @@ fn what_is_wrong_with_a_balance_is_named() {
     for (fault, named) in [
         (balances::Fault::Drift, "drift"),
         (balances::Fault::Draught, "stable"),
+        (balances::Fault::Stuck, "life"),
         (balances::Fault::UnitSwitched, "reading"),
         (balances::Fault::Overload, "reading"),
         (balances::Fault::Unplug, "opens"),

@@ -270,7 +270,8 @@ fn on_devices(
         Ok(station) => station,
         Err(error) => return refused(error),
     };
-    let settings = Settings { accuracy: pouring.accuracy, forecast: Some(pouring.forecast), ..Settings::BENCH };
+    let (accuracy, forecast, life_s) = (pouring.accuracy, Some(pouring.forecast), file.readings.life_s);
+    let settings = Settings { accuracy, forecast, life_s, ..Settings::BENCH };
     let weighed = weigh(&mut station, &pouring.controller, &pouring.rules, &pouring.order, &settings, on_event, stop);
     wires.closed();
     poured(weighed, None)

@@ -1,6 +1,6 @@
 //! Every fault of the emulator, and what the driver makes of it.
 
-use super::{Lab, VIAL_MG, is_near, lab, lab_with, tcp, words};
+use super::{Lab, VIAL_MG, calm, is_near, lab, lab_with, tcp, words};
 use crate::emulate::balance::{Fault, Settings, Socket};
 use crate::hardware::DeviceError;
 use crate::hardware::balance::{self as driver, Dialect};
@@ -50,7 +50,7 @@ fn in_a_draught_waiting_ends_with_a_reading_that_says_it_is_not_stable() {
 #[test]
 fn damaged_answers_give_no_number_and_one_alone_is_asked_for_again() {
     for dialect in Dialect::ALL {
-        let settings = Settings { dialect, ..Settings::default() };
+        let settings = Settings { dialect, ..calm() };
         let mut lab = lab_with(settings, Socket::Pty, |settings| settings.timeout_s = 0.4);
         lab.driver.tare().unwrap();
         for fault in [Fault::PartialLine, Fault::GarbledLine, Fault::NotANumber] {
@@ -74,7 +74,7 @@ fn damaged_answers_give_no_number_and_one_alone_is_asked_for_again() {
 #[test]
 fn silence_ends_in_time_and_a_pulled_plug_is_a_lost_connection() {
     for socket in [Socket::Pty, tcp()] {
-        let settings = Settings::default();
+        let settings = calm();
         let mut lab = lab_with(settings, socket, |settings| settings.timeout_s = 0.3);
         lab.driver.immediate().unwrap();
         lab.balance.inject(Fault::Silence);
@@ -95,7 +95,7 @@ fn silence_ends_in_time_and_a_pulled_plug_is_a_lost_connection() {
 #[test]
 fn an_answer_that_comes_too_late_is_never_taken_for_a_later_one() {
     for dialect in Dialect::ALL {
-        let settings = Settings { dialect, slow_reply_ms: 450, ..Settings::default() };
+        let settings = Settings { dialect, slow_reply_ms: 450, ..calm() };
         let mut lab = lab_with(settings, Socket::Pty, |settings| settings.timeout_s = 0.4);
         lab.driver.tare().unwrap();
         for (round, slow) in [(1.0, 1), (2.0, 3)] {

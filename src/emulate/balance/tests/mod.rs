@@ -24,7 +24,12 @@ struct Lab {
 }
 
 fn lab(dialect: Dialect, socket: Socket) -> Lab {
-    lab_with(Settings { dialect, ..Settings::default() }, socket, |_| {})
+    lab_with(Settings { dialect, ..calm() }, socket, |_| {})
+}
+
+/// What the wire says is asked here, not what air does.
+fn calm() -> Settings {
+    Settings { wander_mg: 0.0, ..Settings::default() }
 }
 
 fn lab_with(settings: Settings, socket: Socket, change: impl FnOnce(&mut driver::Settings)) -> Lab {
@@ -91,7 +96,7 @@ fn displays_of_tenths_and_in_mg_and_kg_are_read_without_loss() {
     use crate::hardware::balance::value::Unit;
     for dialect in Dialect::ALL {
         for (unit, readability_mg) in [(Unit::Milligram, 0.1), (Unit::Gram, 0.1), (Unit::Kilogram, 1.0)] {
-            let settings = Settings { dialect, unit, readability_mg, noise_mg: 0.0, ..Settings::default() };
+            let settings = Settings { dialect, unit, readability_mg, noise_mg: 0.0, ..calm() };
             let mut lab = lab_with(settings, Socket::Pty, |settings| settings.readability_mg = Some(readability_mg));
             let shown = lab.driver.stable(5.0).unwrap().mass_mg;
             assert_eq!(shown, if readability_mg < 1.0 { 12_345.6 } else { 12_346.0 }, "{dialect:?} {unit:?}");
@@ -136,7 +141,7 @@ fn too_much_and_nothing_at_all_on_the_pan_are_over_and_underload() {
 #[test]
 fn the_balances_own_stable_command_answers_or_gives_up_in_its_way() {
     for dialect in [Dialect::MtSics, Dialect::Ohaus, Dialect::Aandd] {
-        let settings = Settings { dialect, ..Settings::default() };
+        let settings = Settings { dialect, ..calm() };
         let mut lab = lab_with(settings, tcp(), |settings| settings.stable_by = StableBy::Command);
         lab.driver.tare().unwrap();
         lab.pour(15.0);
@@ -150,7 +155,7 @@ fn the_balances_own_stable_command_answers_or_gives_up_in_its_way() {
 #[test]
 fn a_vial_is_too_heavy_for_the_zero_point_and_that_is_said() {
     for dialect in Dialect::ALL {
-        let settings = Settings { dialect, ..Settings::default() };
+        let settings = Settings { dialect, ..calm() };
         let mut lab = lab_with(settings, Socket::Pty, |settings| settings.stable_timeout_s = 3.0);
         let refused = lab.driver.zero().unwrap_err();
         let cause = if dialect == Dialect::MtSics { "refused to zero" } else { "did not zero" };
@@ -162,7 +167,7 @@ fn a_vial_is_too_heavy_for_the_zero_point_and_that_is_said() {
 fn the_flag_comes_when_the_load_has_been_at_rest_as_long_as_measured() {
     let mut flagged_s = Vec::new();
     for seed in 0..8 {
-        let mut lab = lab_with(Settings { seed, ..Settings::default() }, tcp(), |_| {});
+        let mut lab = lab_with(Settings { seed, ..calm() }, tcp(), |_| {});
         lab.driver.tare().unwrap();
         let began_s = lab.balance.pan().clock().now_s();
         lab.pour(15.0);
