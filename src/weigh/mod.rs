@@ -55,7 +55,7 @@ pub struct Settings {
     pub stand_s: f64,
     /// Longest time from the tare to the last motion, s.
     pub seconds_max: f64,
-    /// How long the display is watched for another number where too much may have fallen if it stands still, s; 0: not at all.
+    /// How long the display is watched for another number before a shake follows one that it was silent through, s; 0: not at all.
     pub life_s: f64,
     /// A spoon that gives nothing, and mass that comes without a shake, end the weighing.
     pub strict: bool,

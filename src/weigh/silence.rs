@@ -1,4 +1,5 @@
-//! What a display that has not moved may hide: a spoon that gives nothing and a balance that stands still look alike.
+//! What a display that has not moved may hide, on balances that give no sign of life for minutes when all is well (`Readings::life_s` 0): a spoon that gives
+//! nothing and a balance that stands still look alike.
 //!
 //! Spoons are the dispenser's ([`Response`]): what is loose depends on the pitch and on what has fallen, so that a spoon which has just let go of a large
 //! piece is expected to keep silent until it is raised. [`GUESSES`] spoonfuls g are weighted with what the display showed up to its last movement; for the z
