@@ -21,6 +21,12 @@ const PATIENCE: Duration = Duration::from_secs(120);
 /// Bench seconds in a second of the room.
 const SPEED: &str = "20";
 const TARGET_MG: f64 = 12.0;
+const TOLERANCE_MG: f64 = 1.0;
+/// What a dose's own display may be off by without anything being wrong, mg: four standard deviations of the difference of two readings of a balance that
+/// wanders by 0.5 mg, as the emulated one does, and half a step. A dose that is poured twice has the target too much.
+const DISPLAY_MG: f64 = 4.0 * std::f64::consts::SQRT_2 * 0.5 + 0.5;
+/// Shakes that may be written down after a kill: one that was under way, and one that had just ended.
+const LAST_SHAKES: usize = 2;
 
 /// A process that is killed when it is dropped.
 struct Process(Child);
@@ -51,6 +57,7 @@ struct Motions {
     file: BufReader<File>,
     unfinished: String,
     count: usize,
+    shakes: usize,
     /// The newest motion; null before the first.
     last: Value,
 }
@@ -58,13 +65,14 @@ struct Motions {
 impl Motions {
     fn open(path: &Path) -> Self {
         let file = File::options().create(true).append(true).read(true).open(path).unwrap();
-        Self { file: BufReader::new(file), unfinished: String::new(), count: 0, last: Value::Null }
+        Self { file: BufReader::new(file), unfinished: String::new(), count: 0, shakes: 0, last: Value::Null }
     }
 
     fn read_on(&mut self) {
         while self.file.read_line(&mut self.unfinished).unwrap() > 0 && self.unfinished.ends_with('\n') {
             self.last = serde_json::from_str(&self.unfinished).unwrap();
             self.count += 1;
+            self.shakes += usize::from(self.last["motion"].as_str().expect("motion").starts_with("Shake"));
             self.unfinished.clear();
         }
     }
@@ -157,7 +165,7 @@ impl Service {
 
     async fn weigh(&self, key: &str) -> (u16, Value) {
         let mg = |value: f64| json!({"value": value, "unit": "mg"});
-        let tolerance = json!({"lower": 1.0, "upper": 1.0, "unit": "mg"});
+        let tolerance = json!({"lower": TOLERANCE_MG, "upper": TOLERANCE_MG, "unit": "mg"});
         self.post(
             "/v1/weighings",
             Some(key),
@@ -241,7 +249,10 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
         };
         tokio::time::sleep(Duration::from_millis(later_ms)).await;
         let token = service.kill();
+        let shakes = laboratory.motions().shakes;
         laboratory.wait_until_still();
+        let shakes = laboratory.motions().shakes - shakes;
+        assert!(shakes <= LAST_SHAKES, "kill {kill}: {shakes} shakes after it");
         let after_kill_mg = laboratory.vial_mg();
         assert_eq!(laboratory.newest("pitch_deg"), 0.0, "kill {kill}: the spoon is not level");
 
@@ -297,6 +308,7 @@ fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_waits_fo
     println!(
         "{kills} kills: {unknown} doses unknown and latched, {ended} had ended; in the vials (quartiles) {quartiles} mg of {TARGET_MG}"
     );
-    assert!(poured_mg[poured_mg.len() - 1] <= TARGET_MG + 1.0, "an overdose: {quartiles}");
+    let most_mg = TARGET_MG + TOLERANCE_MG + DISPLAY_MG;
+    assert!(poured_mg[poured_mg.len() - 1] <= most_mg, "an overdose: {quartiles}, and at most {most_mg:.1} were expected");
     assert!(unknown * 2 >= kills, "most kills hit a dose: {unknown} of {kills}");
 }
