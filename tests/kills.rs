@@ -309,6 +309,9 @@ fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_waits_fo
         "{kills} kills: {unknown} doses unknown and latched, {ended} had ended; in the vials (quartiles) {quartiles} mg of {TARGET_MG}"
     );
     let most_mg = TARGET_MG + TOLERANCE_MG + DISPLAY_MG;
-    assert!(poured_mg[poured_mg.len() - 1] <= most_mg, "an overdose: {quartiles}, and at most {most_mg:.1} were expected");
+    assert!(
+        poured_mg[poured_mg.len() - 1] <= most_mg,
+        "an overdose: {quartiles}, and at most {most_mg:.1} were expected"
+    );
     assert!(unknown * 2 >= kills, "most kills hit a dose: {unknown} of {kills}");
 }

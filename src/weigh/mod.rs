@@ -28,7 +28,7 @@ pub use result::{Accuracy, Weighed, minimum_weight_mg, repeatability_mg, uncerta
 use crate::domain::bench::{Action, Reading, Standing, Tare, Tick};
 use crate::domain::weighing::Outcome;
 use crate::hardware::{Bench, DeviceError};
-use crate::policy::{Controller, Episode, Observation, Rules, is_on_target};
+use crate::policy::{Controller, Episode, Observation, Rules};
 use forecast::{Fall, Forecast};
 use guard::{Halt, Limits, Situation, guard};
 use std::ops::ControlFlow;
@@ -57,9 +57,6 @@ pub struct Settings {
     pub seconds_max: f64,
     /// How long the display is watched for another number before a shake follows one that it was silent through, s; 0: not at all.
     pub life_s: f64,
-    /// For how long the balance is watched where its reading would end the dose, s; 0: not at all. A display wanders, and the first moment at which it
-    /// touches the target is mostly its wandering.
-    pub sure_s: f64,
     /// A spoon that gives nothing, and mass that comes without a shake, end the weighing.
     pub strict: bool,
     /// What is believed of the powder; none: the guard does not ask for what may fall.
@@ -74,22 +71,13 @@ impl Settings {
         stand_s: 3.0,
         seconds_max: 600.0,
         life_s: 60.0,
-        sure_s: 6.0,
         strict: true,
         forecast: Some(Forecast::GENERIC),
         accuracy: Accuracy { repeatability_mg: None, class_pct: 0.1 },
     };
     /// As an episode of a training goes: nothing is watched, and nothing is forecast.
     pub const EPISODE: Self =
-        Self {
-            stand_s: 0.0,
-            seconds_max: f64::INFINITY,
-            life_s: 0.0,
-            sure_s: 0.0,
-            strict: false,
-            forecast: None,
-            ..Self::BENCH
-        };
+        Self { stand_s: 0.0, seconds_max: f64::INFINITY, life_s: 0.0, strict: false, forecast: None, ..Self::BENCH };
 }
 
 /// From a shake until a load cell has felt what fell but for a fortieth, s: 0.05 s of falling and 3.5 time constants of 0.16 s.
@@ -269,7 +257,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         let usual = if strict { usual } else { usual.lenient() };
         let limits = Limits { seconds_max, readability_mg, forecast, ..usual };
         self.tell(&Event::Phase(Phase::Dosing))?;
-        let (mut now, mut moved_s, mut shaken) = (self.read()?, tared_s, false);
+        let (mut now, mut moved_s, mut shaken) = (self.bench.read()?, tared_s, false);
         self.record(0, tared_s, Action::default(), now)?;
         // The tare stands for the reading before the first: a vial that was lifted since shows at once.
         let mut before = Reading { mass_mg: 0.0, stable: true };
@@ -304,22 +292,14 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             if is_done && allowed.as_ref().map_or_else(Halt::is_of_the_spoon, |_| true) {
                 return Ok(End::Course(None));
             }
-            let mut is_sure = self.settings.sure_s <= 0.0;
-            loop {
-                let again = match allowed {
-                    Err(Halt::NoRoom { .. }) if !is_sure => self.watched()?,
-                    Err(Halt::Unproven) if self.shows_life()? => self.read()?,
-                    _ => break,
-                };
-                is_sure = true;
-                // An incline may lie between the last shake and this.
+            if matches!(allowed, Err(Halt::Unproven)) && self.shows_life()? {
+                // What the display shows now is true, and no shake is in doubt any more.
+                now = self.bench.read()?;
                 if let Some(last) = falls.last_mut() {
-                    last.mass_mg += again.mass_mg - now.mass_mg;
+                    last.mass_mg = now.mass_mg - before.mass_mg;
                 }
-                now = again;
                 let read_s = self.bench.elapsed_s();
-                let (unproven, is_felt) = (self.unproven(), self.is_felt());
-                let situation = Situation { now, read_s, unproven, is_felt, falls: &falls, ..situation };
+                let situation = Situation { now, read_s, unproven: Some(0), is_felt: true, falls: &falls, ..situation };
                 allowed = guard(&limits, &situation, proposed);
             }
             self.tell(&Event::Decision(&Decision::new(steps + 1, proposed, &allowed)))?;
@@ -335,7 +315,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             self.bench.act(action)?;
             moved_s = self.bench.elapsed_s();
             before = now;
-            now = self.read()?;
+            now = self.bench.read()?;
             shaken = action.executed_shake_mm() > 0.0;
             if shaken {
                 let mass_mg = now.mass_mg - before.mass_mg;
@@ -345,21 +325,6 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             self.record(steps + 1, tared_s, action, now)?;
         }
         Ok(End::of(Halt::StepsSpent))
-    }
-
-    /// A fresh reading; where it would end the dose, what the display shows after a while.
-    fn read(&mut self) -> Result<Reading, Halted> {
-        let now = self.bench.read()?;
-        let missing_mg = self.order.target_mg - now.mass_mg;
-        let ends = now.stable && is_on_target(missing_mg, self.order.readability_mg);
-        if ends && self.settings.sure_s > 0.0 { self.watched() } else { Ok(now) }
-    }
-
-    /// What the display shows when it was watched for a while: an end is decided on nothing else.
-    fn watched(&mut self) -> Result<Reading, Halted> {
-        self.go_on()?;
-        let Standing { reading, still, .. } = self.bench.stand(self.settings.sure_s)?;
-        Ok(Reading { stable: still, ..reading })
     }
 
     /// Shakes since the display last showed another number; none where nobody waits for one.
