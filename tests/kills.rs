@@ -3,6 +3,8 @@
 //! The laboratory is a process of its own, so that its arm, vial and balance see what a real bench would see: the driver's renewals end, its
 //! dead-man levels and retracts the spoon. `FLIP_KILLS` says how often (`make reliability`: 300).
 
+use flip::domain::bench::Action;
+use serde::Deserialize;
 use serde_json::{Value, json};
 use std::cell::{RefCell, RefMut};
 use std::fs::File;
@@ -22,11 +24,12 @@ const PATIENCE: Duration = Duration::from_secs(120);
 const SPEED: &str = "20";
 const TARGET_MG: f64 = 12.0;
 const TOLERANCE_MG: f64 = 1.0;
-/// What a dose's own display may be off by without anything being wrong, mg: four standard deviations of the difference of two readings of a balance that
-/// wanders by 0.5 mg, as the emulated one does, and half a step. A dose that is poured twice has the target too much.
-const DISPLAY_MG: f64 = 4.0 * std::f64::consts::SQRT_2 * 0.5 + 0.5;
-/// Shakes that may be written down after a kill: one that was under way, and one that had just ended.
-const LAST_SHAKES: usize = 2;
+/// Masses are the same but for rounding, mg.
+const SAME_MG: f64 = 1e-6;
+/// Amplitudes are the same but for rounding, mm.
+const SAME_MM: f64 = 1e-6;
+/// Most that a dose is to leave in its vial, mg.
+const LIMIT_MG: f64 = TARGET_MG + TOLERANCE_MG;
 
 /// A process that is killed when it is dropped.
 struct Process(Child);
@@ -52,27 +55,41 @@ fn started(arguments: &[&str]) -> (Process, Value) {
     (Process(process), said.expect("it says where it is").unwrap())
 }
 
+/// One motion that the arm made, complete or not.
+#[derive(Debug, Clone, Deserialize)]
+struct Motion {
+    motion: String,
+    /// Pitch at its end, deg.
+    pitch_deg: f64,
+    /// What fell in it, mg.
+    poured_mg: f64,
+    /// Powder in the vial when it was written down, mg.
+    vial_mg: f64,
+}
+
+impl Motion {
+    /// The amplitude that was asked for, if it is a shake, mm.
+    fn shake_mm(&self) -> Option<f64> {
+        Some(self.motion.strip_prefix("Shake(")?.strip_suffix(')')?.parse().expect("an amplitude"))
+    }
+}
+
 /// What the arm did, read on from where the last look ended: the file grows by every motion of every dose.
 struct Motions {
     file: BufReader<File>,
     unfinished: String,
-    count: usize,
-    shakes: usize,
-    /// The newest motion; null before the first.
-    last: Value,
+    made: Vec<Motion>,
 }
 
 impl Motions {
     fn open(path: &Path) -> Self {
         let file = File::options().create(true).append(true).read(true).open(path).unwrap();
-        Self { file: BufReader::new(file), unfinished: String::new(), count: 0, shakes: 0, last: Value::Null }
+        Self { file: BufReader::new(file), unfinished: String::new(), made: Vec::new() }
     }
 
     fn read_on(&mut self) {
         while self.file.read_line(&mut self.unfinished).unwrap() > 0 && self.unfinished.ends_with('\n') {
-            self.last = serde_json::from_str(&self.unfinished).unwrap();
-            self.count += 1;
-            self.shakes += usize::from(self.last["motion"].as_str().expect("motion").starts_with("Shake"));
+            self.made.push(serde_json::from_str(&self.unfinished).unwrap());
             self.unfinished.clear();
         }
     }
@@ -101,28 +118,23 @@ impl Laboratory {
         motions
     }
 
-    /// A number of the newest motion; 0 before the first.
-    fn newest(&self, key: &str) -> f64 {
-        let motions = self.motions();
-        if motions.last.is_null() { 0.0 } else { motions.last[key].as_f64().expect(key) }
-    }
-
     /// Powder in the vial, mg.
     fn vial_mg(&self) -> f64 {
-        self.newest("vial_mg")
+        self.motions().made.last().map_or(0.0, |motion| motion.vial_mg)
     }
 
-    /// Nothing has moved for as long as the dead-man and the way back take.
-    fn wait_until_still(&self) {
-        let mut count = self.motions().count;
+    /// Wait until nothing has moved for as long as the dead-man and the way back take; how many motions were made by then.
+    fn wait_until_still(&self) -> usize {
+        let mut count = self.motions().made.len();
         let mut since = Instant::now();
         while since.elapsed() < Duration::from_millis(1200) {
             std::thread::sleep(Duration::from_millis(20));
-            let now = self.motions().count;
+            let now = self.motions().made.len();
             if now != count {
                 (count, since) = (now, Instant::now());
             }
         }
+        count
     }
 }
 
@@ -182,6 +194,14 @@ impl Service {
         ["done", "aborted", "unknown"].contains(&self.state(id).await.as_str())
     }
 
+    /// The shakes that the guard let through, as the audit trail has them, mm.
+    async fn decided_mm(&self, id: &str) -> Vec<f64> {
+        let records = self.get(&format!("/v1/audit.json?weighing={id}")).await;
+        let decisions = records.as_array().unwrap().iter().filter(|record| record["kind"] == "decision");
+        let allowed = decisions.filter_map(|record| Option::<Action>::deserialize(&record["body"]["allowed"]).unwrap());
+        allowed.map(|action| action.executed_shake_mm()).filter(|shake_mm| *shake_mm > 0.0).collect()
+    }
+
     async fn clear(&self) {
         let said = json!({"by": "the test", "note": "vial looked at", "looked": true, "vial_ready": true});
         let (status, body) = self.post("/v1/bench/clear", None, &said).await;
@@ -212,13 +232,36 @@ async fn calibrate(service: &Service) {
     }
 }
 
+/// What a dose left in its vial, mg, if each of its shakes was decided on record, in this order, and none began above the limit.
+///
+/// So what lies above the limit began to fall with the last shake, which the guard had decided before the kill: the chance that it takes with each shake
+/// (`Forecast::risk`), and nothing that a restart did.
+fn accounted_mg(made: &[Motion], decided_mm: &[f64]) -> Result<f64, String> {
+    let (mut fallen_mg, mut decided) = (0.0, decided_mm.iter());
+    for motion in made {
+        if let Some(shake_mm) = motion.shake_mm() {
+            if decided.next().is_none_or(|decided_mm| (shake_mm - decided_mm).abs() > SAME_MM) {
+                return Err(format!("a shake of {shake_mm} mm, and on record are {decided_mm:?}"));
+            }
+            if fallen_mg > LIMIT_MG {
+                return Err(format!("a shake of {shake_mm} mm began with {fallen_mg:.2} mg in the vial"));
+            }
+        }
+        fallen_mg += motion.poured_mg;
+    }
+    Ok(fallen_mg)
+}
+
 /// What became of the doses that were killed.
 #[derive(Default)]
 struct Tally {
     unknown: u64,
-    ended: u64,
+    /// How each dose that had ended did so, and what it left in its vial.
+    ended: Vec<String>,
     /// What each kill left in its vial, mg.
     poured_mg: Vec<f64>,
+    /// Which left more than the limit.
+    over: Vec<String>,
 }
 
 /// The service of one laboratory, killed in each of these doses.
@@ -229,6 +272,7 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
     calibrate(&service).await;
     let mut tally = Tally::default();
     for kill in kills {
+        let first = laboratory.motions().made.len();
         let before_mg = laboratory.vial_mg();
         let key = format!("vial-{kill}");
         let (status, weighing) = service.weigh(&key).await;
@@ -249,12 +293,10 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
         };
         tokio::time::sleep(Duration::from_millis(later_ms)).await;
         let token = service.kill();
-        let shakes = laboratory.motions().shakes;
-        laboratory.wait_until_still();
-        let shakes = laboratory.motions().shakes - shakes;
-        assert!(shakes <= LAST_SHAKES, "kill {kill}: {shakes} shakes after it");
-        let after_kill_mg = laboratory.vial_mg();
-        assert_eq!(laboratory.newest("pitch_deg"), 0.0, "kill {kill}: the spoon is not level");
+        let last = laboratory.wait_until_still();
+        let poured_mg = laboratory.vial_mg() - before_mg;
+        let is_level = laboratory.motions().made.last().is_none_or(|motion| motion.pitch_deg == 0.0);
+        assert!(is_level, "kill {kill}: the spoon is not level");
 
         service = Service::start(folder.path(), &laboratory, Some(token));
         let state = service.state(&id).await;
@@ -267,15 +309,28 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
                 let latched = (409, Some("urn:flip:problem:bench-latched"));
                 assert_eq!((status, refused["type"].as_str()), latched, "{refused}");
             }
-            "done" | "aborted" => tally.ended += 1,
+            "done" | "aborted" => {
+                let weighing = service.get(&format!("/v1/weighings/{id}")).await["weighing"].take();
+                let (outcome, shown_mg) = (&weighing["outcome"], &weighing["reading_mg"]);
+                tally.ended.push(format!("kill {kill}: {outcome}, {shown_mg} mg shown, {poured_mg:.2} mg"));
+            }
             other => panic!("kill {kill}: {other}"),
         }
         // The same request again finds the same weighing, and pours nothing.
         let (_, again) = service.weigh(&key).await;
         assert_eq!(again["id"].as_str(), Some(id.as_str()), "{again}");
         tokio::time::sleep(Duration::from_millis(150)).await;
-        assert_eq!(laboratory.vial_mg(), after_kill_mg, "kill {kill}: something was poured after the restart");
-        tally.poured_mg.push(after_kill_mg - before_mg);
+        let decided_mm = service.decided_mm(&id).await;
+        let made = laboratory.motions().made.clone();
+        assert_eq!(made.len(), last, "kill {kill}: {:?} after the restart", &made[last..]);
+        let accounted_mg =
+            accounted_mg(&made[first..], &decided_mm).unwrap_or_else(|what| panic!("kill {kill}: {what}"));
+        let missing_mg = poured_mg - accounted_mg;
+        assert!(missing_mg.abs() < SAME_MG, "kill {kill}: {missing_mg} mg that fell in no motion");
+        tally.poured_mg.push(poured_mg);
+        if poured_mg > LIMIT_MG {
+            tally.over.push(format!("kill {kill}: {state}, {poured_mg:.2} mg, shakes of {decided_mm:.1?} mm"));
+        }
         if latched {
             service.clear().await;
         }
@@ -288,7 +343,7 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
 #[test]
 fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_waits_for_a_person() {
     let kills = std::env::var("FLIP_KILLS").map_or(KILLS, |text| text.parse().unwrap());
-    let (mut unknown, mut ended, mut poured_mg) = (0, 0, Vec::new());
+    let (mut unknown, mut ended, mut poured_mg, mut over) = (0, Vec::new(), Vec::new(), Vec::new());
     let in_laboratory = |first: u64| {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
         runtime.block_on(kill_all((first..kills).step_by(LABORATORIES as usize)))
@@ -298,20 +353,38 @@ fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_waits_fo
         for laboratory in all {
             let tally = laboratory.join().expect("a laboratory has failed");
             unknown += tally.unknown;
-            ended += tally.ended;
+            ended.extend(tally.ended);
             poured_mg.extend(tally.poured_mg);
+            over.extend(tally.over);
         }
     });
     poured_mg.sort_by(f64::total_cmp);
     let quartiles: Vec<String> = (0..=4).map(|q| format!("{:.1}", poured_mg[q * (poured_mg.len() - 1) / 4])).collect();
     let quartiles = quartiles.join(", ");
     println!(
-        "{kills} kills: {unknown} doses unknown and latched, {ended} had ended; in the vials (quartiles) {quartiles} mg of {TARGET_MG}"
+        "{kills} kills: {unknown} doses unknown and latched, {} had ended; in the vials (quartiles) {quartiles} mg of {TARGET_MG}",
+        ended.len()
     );
-    let most_mg = TARGET_MG + TOLERANCE_MG + DISPLAY_MG;
-    assert!(
-        poured_mg[poured_mg.len() - 1] <= most_mg,
-        "an overdose: {quartiles}, and at most {most_mg:.1} were expected"
-    );
+    println!("ended before they were killed:\n  {}", ended.join("\n  "));
+    println!("above {LIMIT_MG} mg by the last shake, decided before the kill:\n  {}", over.join("\n  "));
     assert!(unknown * 2 >= kills, "most kills hit a dose: {unknown} of {kills}");
+}
+
+#[test]
+fn a_shake_that_nobody_decided_or_that_begins_above_the_limit_is_found() {
+    let shake =
+        |mm: f64, poured_mg: f64| Motion { motion: format!("Shake({mm:?})"), pitch_deg: 24.0, poured_mg, vial_mg: 0.0 };
+    let pitch = Motion { motion: "Pitch(24.0)".to_owned(), pitch_deg: 24.0, poured_mg: 0.5, vial_mg: 0.0 };
+    let dose = [pitch, shake(4.0, 8.0), shake(2.5, 6.0)];
+    assert_eq!(accounted_mg(&dose, &[4.0, 2.5]), Ok(14.5));
+    // The kill came between the decision and its shake.
+    assert_eq!(accounted_mg(&dose[..2], &[4.0, 2.5]), Ok(8.5));
+    let wrong =
+        [(&dose[..], vec![4.0]), (&dose[..], vec![4.0, 2.0]), (&dose[..], vec![2.5, 4.0]), (&dose[1..], vec![])];
+    for (made, decided_mm) in wrong {
+        assert!(accounted_mg(made, &decided_mm).unwrap_err().contains("on record"), "{decided_mm:?}");
+    }
+    let [pitch, first, second] = dose;
+    let above = [pitch, first, second, shake(1.0, 0.0)];
+    assert!(accounted_mg(&above, &[4.0, 2.5, 1.0]).unwrap_err().contains("began with 14.50 mg"));
 }

@@ -294,10 +294,12 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             }
             if matches!(allowed, Err(Halt::Unproven)) && self.shows_life()? {
                 // What the display shows now is true, and no shake is in doubt any more.
-                now = self.bench.read()?;
+                let shown = self.bench.read()?;
+                // The step since the last shake may have been an incline.
                 if let Some(last) = falls.last_mut() {
-                    last.mass_mg = now.mass_mg - before.mass_mg;
+                    last.mass_mg += shown.mass_mg - now.mass_mg;
                 }
+                now = shown;
                 let read_s = self.bench.elapsed_s();
                 let situation = Situation { now, read_s, unproven: Some(0), is_felt: true, falls: &falls, ..situation };
                 allowed = guard(&limits, &situation, proposed);

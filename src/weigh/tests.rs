@@ -40,11 +40,13 @@ struct Display {
     lived_s: f64,
     /// It stands still from this act on.
     dies_at: u32,
+    /// It shows what a shake gave while that is still falling, and nothing more of it later.
+    is_early: bool,
 }
 
 impl Display {
     fn dying_at(dies_at: u32) -> Option<Self> {
-        Some(Self { shown_mg: 0.0, lived_s: 0.0, dies_at })
+        Some(Self { shown_mg: 0.0, lived_s: 0.0, dies_at, is_early: false })
     }
 }
 
@@ -166,6 +168,9 @@ impl Bench for Scripted {
         self.called(Call::Act)?;
         if action.executed_shake_mm() > 0.0 {
             self.mass_mg += self.gives_mg[shakes.min(self.gives_mg.len() - 1)];
+        }
+        if self.display.is_some_and(|display| display.is_early) {
+            self.shown(None);
         }
         Ok(())
     }
@@ -300,6 +305,34 @@ fn a_sound_display_is_waited_for_where_a_shake_changed_nothing_on_it_and_only_th
     let settings = Settings { life_s: 0.0, ..BLIND };
     hear(&mut bench, &Rules::FLIP, &settings, |_| ControlFlow::Continue(()), &AtomicBool::new(false));
     assert_eq!((bench.count(Call::Life), bench.count(Call::Act)), (0, 10));
+}
+
+#[test]
+fn what_a_shake_gave_is_not_forgotten_where_an_incline_came_before_the_sign_of_life() {
+    // 6 mg from the first shake, then an incline, and the display is waited for before the second shake.
+    let early = Display { is_early: true, ..Display::dying_at(99).unwrap() };
+    let mut bench = Scripted { display: Some(early), ..Scripted::giving(&[6.0, 0.0, 0.0]) };
+    let order = Order { target_mg: 20.0, ..ORDER };
+    let steps = [8.0, 24.0].map(|pitch_deg| ScheduledStep { pitch_deg, shake_mm: 16.0 });
+    let controller = Controller::Schedule(Schedule { steps: steps.to_vec() });
+    let settings = Settings { forecast: Some(Forecast { first_chance: 0.0, ..Forecast::GENERIC }), ..Settings::BENCH };
+    let (mut second, mut pitch_deg) = (None, 0.0);
+    let watch = |event: &Event<'_>| {
+        match event {
+            Event::Decision(Decision { step: 3, allowed: Some(action), .. }) => second = Some(*action),
+            Event::Tick(tick) if tick.step == 2 => pitch_deg = tick.pitch_deg,
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    };
+    weigh(&mut bench, &controller, &Rules::FLIP, &order, &settings, watch, &AtomicBool::new(false));
+    let (second, first) = (second.unwrap(), Fall { pitch_deg: 8.0, shake_mm: 16.0, mass_mg: 6.0 });
+    assert!(bench.count(Call::Life) > 0 && pitch_deg == 16.0, "{:?}", bench.calls);
+    let upper_mg = |falls: &[Fall]| {
+        let pitch_deg = pitch_deg + second.incline_change_deg;
+        settings.forecast.unwrap().upper_mg(falls, 1.0, pitch_deg, second.executed_shake_mm())
+    };
+    assert!(upper_mg(&[first]) <= 15.0, "{second:?} may give {} mg", upper_mg(&[first]));
 }
 
 #[test]
