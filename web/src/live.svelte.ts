@@ -1,10 +1,11 @@
-/** One stream of server-sent events for the whole page, resumed after a break at the last event seen. */
+/** Server-sent events, one stream for all tabs of this browser. A hidden tab hears none and asks for everything anew when it is shown. */
 import type { Event } from './api/types'
+import { BEAT_MS, type Told } from './events/hub'
+import { link } from './events/link'
 import { settings } from './settings.svelte'
 
 type Listener = (event: Event) => void
 
-const RETRY_MS = 2000
 /** Bursts of events ask for a view's data at most this often. */
 const SETTLE_MS = 400
 /** A growing series of thousands of trials or episodes is asked for at most this often. */
@@ -14,13 +15,19 @@ class Live {
   /** Whether events arrive. */
   open = $state(false)
   #listeners = new Set<Listener>()
-  #reopened = new Set<() => void>()
+  #again = new Set<() => void>()
   #broken = false
-  #last = ''
-  #abort = new AbortController()
+  #say = link((told) => this.#hear(told))
 
   constructor() {
-    void this.#run()
+    this.restart()
+    setInterval(() => document.visibilityState === 'visible' && this.restart(), BEAT_MS)
+    document.addEventListener('visibilitychange', () => {
+      this.restart()
+      if (document.visibilityState === 'visible') this.#ask()
+    })
+    addEventListener('pagehide', () => this.#say({ kind: 'gone' }))
+    addEventListener('pageshow', () => this.restart())
   }
 
   /** Calls `listener` for every event until the returned function is called. */
@@ -35,71 +42,37 @@ class Live {
     const soon = () => {
       timer ??= setTimeout(() => {
         timer = undefined
-        void reload()
+        // What a hidden tab misses it asks for when it is shown.
+        if (document.visibilityState === 'visible') void reload()
       }, settle)
     }
     const off = this.on((event) => {
       if (concerns(event)) soon()
     })
-    this.#reopened.add(soon)
+    this.#again.add(soon)
     return () => {
       off()
-      this.#reopened.delete(soon)
+      this.#again.delete(soon)
       clearTimeout(timer)
     }
   }
 
-  /** Connects anew, for instance with another token. */
+  /** Says who this tab is, for instance with another token. */
   restart() {
-    this.#abort.abort()
-    this.#abort = new AbortController()
+    this.#say({ kind: 'here', token: settings.token, visible: document.visibilityState === 'visible' })
   }
 
-  async #run(): Promise<never> {
-    for (;;) {
-      const { signal } = this.#abort
-      try {
-        await this.#read(signal)
-      } catch {
-        // The stream broke or the service is away: the loop tries again, and `open` says so.
-      }
-      this.open = false
-      this.#broken = true
-      if (!signal.aborted) await new Promise((resolve) => setTimeout(resolve, RETRY_MS))
-    }
+  #ask() {
+    this.#again.forEach((soon) => soon())
   }
 
-  // EventSource cannot send an Authorization header, hence fetch.
-  async #read(signal: AbortSignal): Promise<void> {
-    const headers: Record<string, string> = { accept: 'text/event-stream' }
-    if (this.#last) headers['last-event-id'] = this.#last
-    if (settings.token) headers.authorization = `Bearer ${settings.token}`
-    const response = await fetch('/v1/events', { headers, signal })
-    if (!response.ok || !response.body) return
-    this.open = true
-    // What failed while the service was away is asked for again.
-    if (this.#broken) this.#reopened.forEach((soon) => soon())
-    const reader = response.body.pipeThrough(new TextDecoderStream()).getReader()
-    let text = ''
-    for (;;) {
-      const { done, value } = await reader.read()
-      if (done) return
-      text += value
-      const messages = text.split(/\r?\n\r?\n/)
-      text = messages.pop() ?? ''
-      messages.forEach((message) => this.#take(message))
-    }
-  }
-
-  #take(message: string) {
-    let data = ''
-    for (const line of message.split(/\r?\n/)) {
-      if (line.startsWith('data:')) data += line.slice(5).trimStart()
-      else if (line.startsWith('id:')) this.#last = line.slice(3).trim()
-    }
-    if (!data) return
-    const event = JSON.parse(data) as Event
-    this.#listeners.forEach((listener) => listener(event))
+  #hear(told: Told) {
+    if (told.kind === 'event') return this.#listeners.forEach((listener) => listener(told.event))
+    if (told.kind === 'again') return this.#ask()
+    this.open = told.open
+    // What failed while the service was away is asked for again; that it is away is seen by asking, too.
+    if (this.#broken || !told.open) this.#ask()
+    this.#broken = !told.open
   }
 }
 

@@ -1,12 +1,30 @@
 /** What belongs to this reader: the token (this tab only) and the theme (this browser). */
 
 const TOKEN = 'flip-token'
+const HOLDER = 'flip-holder'
 const THEME = 'flip-theme'
 
 export type Theme = 'system' | 'light' | 'dark'
 
+/** Whose token it is, as the service said. */
+export interface Holder {
+  name: string
+  role: string
+  /** Whether it may clear a latched bench. */
+  may_clear?: boolean
+}
+
+function kept(): Holder | undefined {
+  try {
+    return (JSON.parse(sessionStorage.getItem(HOLDER) ?? 'null') as Holder | null) ?? undefined
+  } catch {
+    return undefined
+  }
+}
+
 class Settings {
   #token = $state(sessionStorage.getItem(TOKEN) ?? '')
+  #holder = $state.raw(kept())
   #theme = $state<Theme>((localStorage.getItem(THEME) as Theme | null) ?? 'system')
   /** True while the token dialog is open. */
   asksForToken = $state(false)
@@ -19,10 +37,17 @@ class Settings {
   get token() {
     return this.#token
   }
-  set token(value: string) {
-    this.#token = value
-    if (value) sessionStorage.setItem(TOKEN, value)
+  /** Whose it is. */
+  get holder() {
+    return this.#holder
+  }
+  /** Keeps a token that the service knows; an empty one forgets it. */
+  keep(token: string, holder?: Holder) {
+    this.#token = token
+    this.#holder = holder
+    if (token) sessionStorage.setItem(TOKEN, token)
     else sessionStorage.removeItem(TOKEN)
+    sessionStorage.setItem(HOLDER, JSON.stringify(holder ?? null))
   }
   get theme() {
     return this.#theme

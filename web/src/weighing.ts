@@ -2,9 +2,30 @@
 import type { Weighing } from './api/types'
 import { decimalsFor } from './format'
 
-/** The outcome once there is one, the state before. */
+/** The outcome once there is one, the state before; `unproven` where it is within, but by less than its uncertainty. */
 export function verdict(w: Weighing): string {
-  return w.outcome ?? w.state
+  return w.outcome === 'within' && w.measured?.proven === false ? 'unproven' : (w.outcome ?? w.state)
+}
+
+/** The final reading, mg: the one number that verdict, error, gauge and means use. A dose that was broken off has none. */
+export function readingOf(w: Weighing): number | null {
+  return ['aborted', 'unknown'].includes(w.outcome ?? w.state) ? null : (w.reading_mg ?? null)
+}
+
+/** How far the reading is from the target, mg. */
+export function errorOf(w: Weighing): number | null {
+  const reading = ended(w) ? readingOf(w) : null
+  return reading === null ? null : reading - w.target_mg
+}
+
+/** Expanded uncertainty of the reading, mg. */
+export function uncertaintyOf(w: Weighing): number | null {
+  return w.measured?.uncertainty_mg ?? null
+}
+
+/** How a dose stands before anything of it moves. */
+export function waits(w: Weighing): boolean {
+  return ['planned', 'awaiting_vial'].includes(w.state)
 }
 
 /** Nothing more will happen. */

@@ -14,9 +14,13 @@ export async function openBrowser(base) {
   const browser = await chromium.launch({ executablePath: CHROMIUM, args: ARGS })
   const complaints = []
 
-  /** A tab that reports what the console and the network complain about. */
+  /** A tab of a browser of its own. */
   async function tab(options = {}) {
-    const context = await browser.newContext({ viewport: { width: 1400, height: 900 }, acceptDownloads: true, ...options })
+    return beside(await browser.newContext({ viewport: { width: 1400, height: 900 }, acceptDownloads: true, ...options }))
+  }
+
+  /** One more tab of a browser: the same connections, the same workers. It reports what the console and the network complain about. */
+  async function beside(context) {
     const page = await context.newPage()
     page.on('console', (message) => {
       // The browser logs every answer of 4xx; refusals that tests provoke are no fault of the page.
@@ -37,7 +41,7 @@ export async function openBrowser(base) {
     await page.locator('main h1').waitFor()
   }
 
-  return { browser, tab, open, complaints }
+  return { browser, tab, beside, open, complaints }
 }
 
 /** Keeps the token as the dialog would. */
@@ -45,7 +49,7 @@ export async function unlock(page, token) {
   await page.getByRole('button', { name: /Read only|Token set/ }).click()
   await page.getByRole('dialog').getByLabel('Token').fill(token)
   await page.getByRole('button', { name: 'Use this token' }).click()
-  await page.getByRole('button', { name: 'Token set' }).waitFor()
+  await page.getByRole('button', { name: /Token set/ }).waitFor()
 }
 
 /** What axe finds wrong, by rule and place. */

@@ -254,7 +254,7 @@ describe('a weighing', () => {
     for (const key of ['goes-first', 'goes-second', 'goes-third']) await ask(key)
     const { id } = await ask('to-be-stopped')
     await chromium.open(page, `weighings/${id}`)
-    await page.getByRole('button', { name: 'Stop at the next step' }).click()
+    await page.getByRole('button', { name: 'Stop before it begins' }).click()
     await page.locator('.verdict').getByText('Stopped').waitFor({ timeout: 120_000 })
     assert.equal((await service.get(`/v1/weighings/${id}`)).weighing.outcome, 'stopped')
   })

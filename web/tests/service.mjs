@@ -2,8 +2,9 @@
 import { spawn } from 'node:child_process'
 import { mkdtempSync, rmSync, existsSync } from 'node:fs'
 import { tmpdir } from 'node:os'
-import { join } from 'node:path'
+import { join, resolve } from 'node:path'
 import { fileURLToPath } from 'node:url'
+import { startFront } from './front.mjs'
 
 const BINARY = process.env.FLIP_BIN ?? fileURLToPath(new URL('../../target/release/flip', import.meta.url))
 
@@ -17,7 +18,9 @@ export async function startService(...more) {
   let said = ''
   child.stdout.on('data', (text) => (said += text))
   const exited = new Promise((resolve) => child.once('exit', resolve))
+  let front
   const stop = async () => {
+    await front?.stop()
     child.kill('SIGTERM')
     const hard = setTimeout(() => child.kill('SIGKILL'), 20_000)
     await exited
@@ -33,7 +36,10 @@ export async function startService(...more) {
     }
     await new Promise((resolve) => setTimeout(resolve, 100))
   }
-  const { url, token } = JSON.parse(said)
+  const { url: own, token } = JSON.parse(said)
+  // FLIP_PAGE: a page built since, without building the binary again.
+  front = process.env.FLIP_PAGE && (await startFront(own, { folder: resolve(process.env.FLIP_PAGE) }))
+  const url = front ? front.url : own
 
   /** One call; refuses anything but 2xx. */
   async function ask(method, path, body, headers = {}) {
@@ -60,5 +66,5 @@ export async function startService(...more) {
     throw new Error(`job ${id} is not done after ${seconds} s\n${log}`)
   }
 
-  return { url, token, get, post, finished, stop }
+  return { url, token, get, post, finished, stop, kill: () => child.kill('SIGKILL') }
 }

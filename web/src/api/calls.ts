@@ -1,16 +1,17 @@
 /** Every call the page makes, through the client generated from openapi.json. A refusal is thrown as a {@link Problem}. */
 import createClient, { type Middleware } from 'openapi-fetch'
 import type { Query } from '../resource.svelte'
-import { settings } from '../settings.svelte'
+import { settings, type Holder } from '../settings.svelte'
+import { gated } from './gate'
 import { Problem } from './problem'
 import type { paths } from './schema'
 import type * as T from './types'
 
-const client = createClient<paths>()
+const client = createClient<paths>({ fetch: gated })
 
 const authorize: Middleware = {
   onRequest({ request }) {
-    if (settings.token) request.headers.set('authorization', `Bearer ${settings.token}`)
+    if (settings.token && !request.headers.has('authorization')) request.headers.set('authorization', `Bearer ${settings.token}`)
     return request
   },
 }
@@ -19,9 +20,16 @@ client.use(authorize)
 /** The body of an answer, or the problem it names. */
 async function body<D>(answer: Promise<{ data?: D; error?: unknown; response: Response }>): Promise<D> {
   const { data, error, response } = await answer
-  if (!response.ok || data === undefined) throw Problem.from(error, response.status)
+  if (!response.ok || data === undefined) throw Problem.from(error, response)
   return data
 }
+
+/** Whose token this is; one that the service does not know is refused. */
+export async function whoHolds(token: string): Promise<Holder | undefined> {
+  await body(client.GET('/v1/bench', { headers: { authorization: `Bearer ${token}` } }))
+  return undefined
+}
+
 const at = (id: string) => ({ path: { id } })
 
 export const powders = (query: Query = {}) => body(client.GET('/v1/powders', { params: { query } }))
@@ -79,16 +87,19 @@ export const currentSimulator = () => body(client.GET('/v1/simulators/current'))
 export const chooseSimulator = (simulator: string) => body(client.PUT('/v1/simulators/current', { body: { simulator } }))
 
 export const weighings = (query: Query = {}) => body(client.GET('/v1/weighings', { params: { query } }))
-export const weighing = (id: string) => body(client.GET('/v1/weighings/{id}', { params: at(id) }))
-/** The same key with the same request never pours twice. */
+export const weighing = (id: string): Promise<{ weighing: T.Weighing; ticks: T.Tick[] }> => body(client.GET('/v1/weighings/{id}', { params: at(id) }))
+/** The same key with the same request never pours twice. No answer within this time leaves it unknown whether it was taken on. */
+const WEIGHING_MS = 20_000
 export const startWeighing = (request: T.WeighingRequest, key: string) =>
-  body(client.POST('/v1/weighings', { params: { header: { 'Idempotency-Key': key } }, body: request }))
-export const stopWeighing = (id: string) => body(client.POST('/v1/weighings/{id}/stop', { params: at(id) }))
+  body(client.POST('/v1/weighings', { params: { header: { 'Idempotency-Key': key } }, body: request, signal: AbortSignal.timeout(WEIGHING_MS) }))
 
-export const bench = () => body(client.GET('/v1/bench'))
-/** The arm is told at once. Not an emergency stop: that one is wired. */
-export const stopBench = () => body(client.POST('/v1/bench/stop'))
-export const clearBench = (said: T.ClearRequest) => body(client.POST('/v1/bench/clear', { body: said }))
+/** A service that does not answer this within a few seconds does not answer. */
+const BENCH_MS = 4000
+export const bench = (): Promise<T.BenchStatus> => body(client.GET('/v1/bench', { signal: AbortSignal.timeout(BENCH_MS) }))
+/** After a stop or a cleared latch: the doses that wait may begin. */
+export const resumeBench = (said: { by: string; note?: string }) => body<T.BenchStatus>((client as any).POST('/v1/bench/resume', { body: said }))
+export const vialReady = (id: string, said: { by?: string; vial?: string }) => body<T.Weighing>((client as any).POST('/v1/weighings/{id}/vial-ready', { params: at(id), body: said }))
+export const clearBench = (said: T.ClearRequest & { resume?: boolean }) => body(client.POST('/v1/bench/clear', { body: said }))
 export const checkRepeatability = (weighed: T.RepeatabilityRequest) => body(client.POST('/v1/bench/repeatability', { body: weighed }))
 
 /** Newest first. */

@@ -5,7 +5,14 @@ type Schemas = components['schemas']
 
 export type AuditRecord = Schemas['AuditRecord']
 export type AuditVerification = Schemas['AuditVerification']
-export type BenchStatus = Schemas['BenchStatus']
+export type BenchStatus = Schemas['BenchStatus'] & {
+  held?: { at: string; reason: string; by?: string | null } | null
+  waiting?: Waiting[]
+  vial?: { name?: string | null; weighing?: string | null; holds_mg?: number | null; since: string } | null
+  reservation?: { owner: string; until: string } | null
+  exchanges_vials?: boolean
+}
+export type Waiting = { id: string; powder: string; target_mg: number; vial?: string | null; state: string }
 export type Calibration = Schemas['Calibration']
 export type CalibrationMethod = Schemas['CalibrationMethod']
 export type CalibrationRequest = Schemas['CalibrationRequest']
@@ -34,7 +41,7 @@ export type JobState = Schemas['JobState']
 export type Latch = Schemas['Latch']
 export type Marginal = Schemas['Marginal']
 export type Measurement = Schemas['Measurement']
-export type MeasuredMass = Schemas['MeasuredMass']
+export type MeasuredMass = Schemas['MeasuredMass'] & { proven?: boolean | null }
 export type NewMeasurement = Schemas['NewMeasurement']
 export type NewPowder = Schemas['NewPowder']
 export type Observation = Schemas['Observation']
@@ -59,5 +66,5 @@ export type Training = Schemas['Training']
 export type TrainingLevel = Schemas['TrainingLevel']
 export type TrainingRequest = Schemas['TrainingRequest']
 export type Trial = Schemas['Trial']
-export type Weighing = Schemas['Weighing']
-export type WeighingRequest = Schemas['WeighingRequest']
+export type Weighing = Omit<Schemas['Weighing'], 'state' | 'measured'> & { state: Schemas['Weighing']['state'] | 'awaiting_vial'; measured?: MeasuredMass | null }
+export type WeighingRequest = Schemas['WeighingRequest'] & { vial_check?: 'confirm' | 'skip' }

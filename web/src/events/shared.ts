@@ -1,0 +1,12 @@
+/** The one worker of all tabs of this browser: it holds the event stream for them. */
+import { Hub, type Said } from './hub'
+
+const hub = new Hub()
+
+// The DOM's types know no SharedWorkerGlobalScope.
+const scope = self as unknown as { onconnect: (event: MessageEvent) => void }
+scope.onconnect = ({ ports: [port] }) => {
+  if (!port) return
+  const tab = { tell: (told: unknown) => port.postMessage(told) }
+  port.onmessage = ({ data }: MessageEvent<Said>) => hub.hear(tab, data)
+}

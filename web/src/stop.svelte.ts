@@ -1,0 +1,69 @@
+/** The stop of the bench or of one weighing: sent at once, once, and never by itself again. */
+import { giveWay } from './api/gate'
+import { Problem } from './api/problem'
+import { settings } from './settings.svelte'
+
+/** No answer within this time counts as not sent. */
+const ANSWER_MS = 2000
+
+type Phase = 'idle' | 'sending' | 'stopped' | 'not sent'
+
+export class Stop {
+  phase = $state<Phase>('idle')
+  /** From the press to the answer. */
+  ms = $state(0)
+  /** Why it was not sent. */
+  why = $state('')
+
+  constructor(private readonly address: string) {}
+
+  press = async (): Promise<void> => {
+    if (this.phase === 'sending') return
+    if (!settings.token) return void (settings.asksForToken = true)
+    this.phase = 'sending'
+    const pressed = performance.now()
+    const late = new AbortController()
+    const timer = setTimeout(() => late.abort(), ANSWER_MS)
+    const sent = giveWay()
+    try {
+      const response = await fetch(this.address, {
+        method: 'POST',
+        headers: { authorization: `Bearer ${settings.token}` },
+        cache: 'no-store',
+        priority: 'high',
+        keepalive: true,
+        signal: late.signal,
+      })
+      if (!response.ok) this.#failed(await reason(response))
+      else {
+        this.ms = performance.now() - pressed
+        this.phase = 'stopped'
+      }
+    } catch {
+      this.#failed(late.signal.aborted ? `No answer within ${ANSWER_MS / 1000} s.` : 'The service does not answer.')
+    }
+    clearTimeout(timer)
+    sent()
+  }
+
+  /** What was said of the last press is read, or past. */
+  forget = () => {
+    if (this.phase !== 'sending') this.phase = 'idle'
+  }
+
+  #failed(why: string) {
+    this.why = why
+    this.phase = 'not sent'
+  }
+}
+
+/** Why the service, or a machine before it, refused. */
+async function reason(response: Response): Promise<string> {
+  const { title, detail } = Problem.from(await response.json().catch(() => undefined), response)
+  return detail ? `${title}: ${detail}` : `${title}.`
+}
+
+/** The stop of whatever moves. */
+export const benchStop = new Stop('/v1/bench/stop')
+
+export const weighingStop = (id: string) => new Stop(`/v1/weighings/${encodeURIComponent(id)}/stop`)

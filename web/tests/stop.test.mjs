@@ -1,0 +1,137 @@
+/** What the page says of a stop, and of what it shows when nobody answers. */
+import assert from 'node:assert/strict'
+import { after, afterEach, before, describe, it } from 'node:test'
+import { accessibilityFaults, openBrowser, picture, unlock } from './browser.mjs'
+import { startFront } from './front.mjs'
+import { startService } from './service.mjs'
+
+const STOP = '/v1/bench/stop'
+let service, front, chromium, page, bench
+
+before(async () => {
+  service = await startService()
+  front = await startFront(service.url)
+  bench = await service.get('/v1/bench')
+  chromium = await openBrowser(front.url)
+  page = await chromium.tab()
+  await chromium.open(page)
+  await unlock(page, service.token)
+}, { timeout: 60_000 })
+
+after(async () => {
+  await chromium?.browser.close()
+  await front?.stop()
+  await service?.stop()
+})
+
+afterEach(() => {
+  front.does = () => undefined
+  front.seen.length = 0
+})
+
+/** A simulated bench does not move for long: the front says that it does, and does `more` to a stop. */
+const moving = (more) => {
+  front.does = ({ method, path }) => {
+    if (path === '/v1/bench') return { status: 200, body: { ...bench, moving: 'a-weighing' } }
+    return method === 'POST' && path === STOP ? more : undefined
+  }
+}
+const stop = () => page.getByRole('button', { name: 'Stop', exact: true })
+const notSent = () => page.getByRole('alert').filter({ hasText: 'NOT sent: use the wired stop.' })
+
+describe('a stop', () => {
+  it('can be pressed on every view while something moves', async () => {
+    moving()
+    for (const view of ['', 'powders', 'weighings', 'bench', 'jobs']) {
+      await chromium.open(page, view)
+      await page.evaluate(() => scrollTo(0, document.body.scrollHeight))
+      await stop().waitFor()
+      const { y } = await stop().boundingBox()
+      assert.ok(y >= 0 && y < 900, `on ${view} the button is at ${y}`)
+    }
+    assert.deepEqual(await accessibilityFaults(page), [])
+  })
+
+  it('says at once that it is being sent, and after how long it was answered', async () => {
+    moving('hang')
+    await chromium.open(page, 'bench')
+    await stop().click()
+    const sending = page.getByRole('button', { name: 'Sending…' })
+    await sending.waitFor()
+    assert.ok(await sending.isDisabled())
+    await notSent().getByText('No answer within 2 s.').waitFor()
+    moving()
+    await stop().click()
+    await page.getByText(/^Stopped after \d+ ms$/).waitFor()
+    assert.equal(await notSent().count(), 0)
+    await picture(page, 'stop-stopped')
+  })
+
+  for (const [what, answer, why] of [
+    ['refused by the service', { status: 403, kind: 'application/problem+json', body: { type: 'urn:flip:problem:forbidden', title: 'Not allowed', status: 403, detail: 'this needs the role operator; the token has viewer', errors: [] } }, 'the token has viewer'],
+    ['answered with a fault', { status: 500, body: 'no' }, 'The service answered 500'],
+    ['answered by a machine between', { status: 502 }, 'The service answered 502'],
+    ['cut off', 'cut', 'The service does not answer.'],
+  ]) {
+    it(`that is ${what} is not sent, and says why`, async () => {
+      moving(answer)
+      await chromium.open(page, 'bench')
+      await stop().click()
+      await notSent().getByText(why).waitFor()
+      assert.ok(await stop().isEnabled())
+      await picture(page, 'stop-not-sent')
+      assert.deepEqual(await accessibilityFaults(page), [])
+    })
+  }
+
+  it('that failed is never sent again by itself, only by another press', async () => {
+    moving({ status: 503 })
+    await chromium.open(page, 'bench')
+    await stop().click()
+    await notSent().waitFor()
+    moving()
+    const asked = front.count('GET', '/v1/bench')
+    while (front.count('GET', '/v1/bench') < asked + 2) await page.waitForResponse('**/v1/bench')
+    assert.equal(front.count('POST', STOP), 1)
+    await notSent().waitFor()
+    await stop().click()
+    await page.getByText(/^Stopped after \d+ ms$/).waitFor()
+    assert.equal(front.count('POST', STOP), 2)
+  })
+
+  it('pressed twice in a row is sent once', async () => {
+    moving('hang')
+    await chromium.open(page, 'bench')
+    await stop().waitFor()
+    await stop().evaluate((button) => (button.click(), button.click(), button.click()))
+    await notSent().waitFor()
+    assert.equal(front.count('POST', STOP), 1)
+  })
+
+  it('is at hand where a narrow window is scrolled', async () => {
+    const phone = await chromium.tab({ viewport: { width: 390, height: 844 } })
+    moving()
+    await chromium.open(phone, 'bench')
+    await phone.evaluate(() => scrollTo(0, document.body.scrollHeight))
+    const box = await phone.getByRole('button', { name: 'Stop', exact: true }).boundingBox()
+    assert.ok(box.y >= 0 && box.y < 300 && box.height >= 38, JSON.stringify(box))
+    await picture(phone, 'stop-phone')
+    await phone.context().close()
+  })
+})
+
+describe('a service that does not answer', () => {
+  it('leaves nothing on the page that looks like now', async () => {
+    moving()
+    await chromium.open(page, 'bench')
+    await stop().waitFor()
+    await front.stop()
+    const lost = page.getByRole('alert').filter({ hasText: 'The service does not answer since' })
+    await lost.getByText('what moved may still move: use the wired stop').waitFor()
+    await page.getByText('From before: the service does not answer.').waitFor()
+    await picture(page, 'service-lost')
+    await stop().click()
+    await notSent().getByText('The service does not answer.').waitFor()
+    assert.deepEqual(await accessibilityFaults(page), [])
+  })
+})
