@@ -41,7 +41,8 @@ const fill = async () => {
 const weigh = () => page.getByRole('button', { name: 'Weigh', exact: true }).click()
 const lost = () => page.getByRole('status').filter({ hasText: 'It is not known whether' })
 const answers = (wanted) => (front.does = ({ method, path }) => (method === 'POST' && path === WEIGHINGS ? wanted : undefined))
-const taken = () => page.waitForURL(/#\/weighings\/[0-9a-f-]{36}$/)
+const taken = () => page.waitForURL(/#\/weighings\/[0-9a-f-]{36}/)
+const saysBefore = () => page.getByRole('status').getByText('This dose had been taken on before').waitFor()
 
 describe('a dose whose answer was lost', () => {
   for (const [what, wanted] of [
@@ -62,6 +63,7 @@ describe('a dose whose answer was lost', () => {
       answers()
       await weigh()
       await taken()
+      await saysBefore()
       // The browser itself sends again what it sent over a connection that was cut.
       assert.ok(posts().length >= 2)
       assert.deepEqual([keys().size, await stored()], [1, before + 1])
@@ -82,6 +84,7 @@ describe('a dose whose answer was lost', () => {
     assert.equal(await page.getByLabel('Target').inputValue(), String(target))
     await weigh()
     await taken()
+    await saysBefore()
     assert.deepEqual([posts().length, keys().size, await stored()], [2, 1, before + 1])
   })
 
@@ -112,7 +115,7 @@ describe('a dose that was answered', () => {
       await weigh()
       await taken()
     }
-    assert.deepEqual([keys().size, await stored()], [2, before + 2])
+    assert.deepEqual([keys().size, await stored(), await page.getByText('had been taken on before').count()], [2, before + 2, 0])
   })
 
   it('with a refusal has another key when it is asked for again', async () => {

@@ -88,10 +88,13 @@ export const chooseSimulator = (simulator: string) => body(client.PUT('/v1/simul
 
 export const weighings = (query: Query = {}) => body(client.GET('/v1/weighings', { params: { query } }))
 export const weighing = (id: string): Promise<{ weighing: T.Weighing; ticks: T.Tick[] }> => body(client.GET('/v1/weighings/{id}', { params: at(id) }))
-/** The same key with the same request never pours twice. No answer within this time leaves it unknown whether it was taken on. */
+/** No answer within this time leaves it unknown whether a dose was taken on. */
 const WEIGHING_MS = 20_000
-export const startWeighing = (request: T.WeighingRequest, key: string) =>
-  body(client.POST('/v1/weighings', { params: { header: { 'Idempotency-Key': key } }, body: request, signal: AbortSignal.timeout(WEIGHING_MS) }))
+/** The same key with the same request never pours twice; `before`: it had been taken on already. */
+export async function startWeighing(request: T.WeighingRequest, key: string) {
+  const answer = await client.POST('/v1/weighings', { params: { header: { 'Idempotency-Key': key } }, body: request, signal: AbortSignal.timeout(WEIGHING_MS) })
+  return { id: (await body(Promise.resolve(answer))).id, before: answer.response.headers.get('idempotency-replayed') === 'true' }
+}
 
 /** A service that does not answer this within a few seconds does not answer. */
 const BENCH_MS = 4000
