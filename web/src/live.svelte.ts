@@ -69,6 +69,7 @@ class Live {
   #hear(told: Told) {
     if (told.kind === 'event') return this.#listeners.forEach((listener) => listener(told.event))
     if (told.kind === 'again') return this.#ask()
+    if (told.kind === 'heard') return
     this.open = told.open
     // What failed while the service was away is asked for again; that it is away is seen by asking, too.
     if (this.#broken || !told.open) this.#ask()

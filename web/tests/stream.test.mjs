@@ -160,3 +160,12 @@ for (const [what, script, streams] of [
     })
   })
 }
+
+describe('a browser whose shared worker cannot be loaded', () => {
+  it('has its events by another way', async () => {
+    front.does = ({ path }) => (path.startsWith('/assets/shared') ? { status: 404 } : undefined)
+    await tabs(3)
+    assert.ok(front.seen.some(({ path }) => path.startsWith('/assets/shared')))
+    assert.equal(front.open(EVENTS), 1)
+  })
+})

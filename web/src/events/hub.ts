@@ -4,8 +4,8 @@ import { Stream, type Follower } from './stream'
 
 /** What a tab says. Said again at least every {@link BEAT_MS} while the tab can be seen. */
 export type Said = { kind: 'here'; token: string; visible: boolean } | { kind: 'gone' }
-/** What a tab is told; `again`: ask for everything anew, there is no stream that would say what changed. */
-export type Told = { kind: 'open'; open: boolean } | { kind: 'event'; event: Event } | { kind: 'again' }
+/** What a tab is told; `again`: ask for everything anew, there is no stream that would say what changed; `heard`: the worker lives. */
+export type Told = { kind: 'heard' } | { kind: 'again' } | { kind: 'open'; open: boolean } | { kind: 'event'; event: Event }
 
 export interface Tab {
   tell(told: Told): void

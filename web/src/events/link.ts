@@ -4,6 +4,9 @@ import { Hub, type Said, type Told } from './hub'
 type Say = (said: Said) => void
 type Hear = (told: Told) => void
 
+/** A worker answers within this time. */
+const WORKER_MS = 4000
+
 /** The way to speak; what is told comes to `hear`. */
 export function link(hear: Hear): Say {
   if (typeof SharedWorker !== 'undefined') return shared(hear)
@@ -16,19 +19,28 @@ function without(hear: Hear): Say {
 }
 
 function shared(hear: Hear): Say {
-  let last: Said | undefined
-  const worker = new SharedWorker(new URL('./shared.ts', import.meta.url), { type: 'module', name: 'flip-events' })
-  let say: Say = (said) => worker.port.postMessage(said)
-  worker.port.onmessage = ({ data }: MessageEvent<Told>) => hear(data)
-  // A worker that cannot be loaded leaves the tab to help itself.
-  worker.onerror = () => {
-    worker.port.close()
-    say = without(hear)
-    if (last) say(last)
+  const { port } = new SharedWorker(new URL('./shared.ts', import.meta.url), { type: 'module', name: 'flip-events' })
+  let last: Said = { kind: 'gone' }
+  let instead: Say | undefined
+  let timer: ReturnType<typeof setTimeout> | undefined
+  // A worker that cannot be loaded, or has died, is not always told of: it is one that does not answer.
+  const help = () => {
+    port.onmessage = null
+    port.postMessage({ kind: 'gone' } satisfies Said)
+    port.close()
+    instead = without(hear)
+    instead(last)
+  }
+  port.onmessage = ({ data }: MessageEvent<Told>) => {
+    clearTimeout(timer)
+    timer = undefined
+    hear(data)
   }
   return (said) => {
     last = said
-    say(said)
+    if (instead) return instead(said)
+    port.postMessage(said)
+    if (said.kind === 'here') timer ??= setTimeout(help, WORKER_MS)
   }
 }
 
