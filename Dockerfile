@@ -23,6 +23,7 @@ COPY Cargo.toml Cargo.lock ./
 COPY proto proto
 COPY migrations migrations
 COPY benches benches
+COPY examples examples
 COPY src src
 COPY --from=page /flip/web/dist web/dist
 RUN cargo build --release --locked --bin flip

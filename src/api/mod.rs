@@ -6,6 +6,7 @@
 mod auth;
 mod edge;
 pub mod grpc;
+mod journal;
 mod limits;
 mod listen;
 mod page;
@@ -82,6 +83,7 @@ impl Server {
             }
         });
         let router = router(&self.app, &self.config, closing.clone());
+        tokio::spawn(journal::keep(self.app.clone(), closing.clone()));
         let tls = self.config.tls().await?;
         let mut answer = std::pin::pin!(answer(self.listener, tls, handle.clone(), router));
         tokio::select! {

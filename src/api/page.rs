@@ -1,4 +1,7 @@
 //! The page: the files of `web/dist`, embedded when the program was built.
+//!
+//! The page answers browsers, which say that they take HTML. To a program a path that nobody knows is an error, or it would believe that it
+//! had found an interface.
 
 use super::grpc;
 use super::problem::Problem;
@@ -22,15 +25,28 @@ pub async fn fallback(method: Method, uri: Uri, headers: HeaderMap) -> Response 
     if path.starts_with("v1/") || path == "v1" || !matches!(method, Method::GET | Method::HEAD) {
         return Problem::not_found("no such path; /openapi.json lists all").into_response();
     }
-    answer(path, Files::get)
+    answer(path, takes_html(&headers), Files::get)
 }
 
-fn answer(path: &str, find: impl Fn(&str) -> Option<EmbeddedFile>) -> Response {
+/// Whether the caller names HTML among what it takes; `*/*` alone is what programs send.
+fn takes_html(headers: &HeaderMap) -> bool {
+    let accepted = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
+    let kinds =
+        accepted.flat_map(|value| value.split(',')).map(|kind| kind.split(';').next().unwrap_or_default().trim());
+    kinds
+        .into_iter()
+        .any(|kind| kind.eq_ignore_ascii_case("text/html") || kind.eq_ignore_ascii_case("application/xhtml+xml"))
+}
+
+fn answer(path: &str, takes_html: bool, find: impl Fn(&str) -> Option<EmbeddedFile>) -> Response {
     let is_page = path.is_empty() || path == "index.html";
     if let Some(file) = find(path).filter(|_| !is_page) {
         // Vite puts a hash of the content in the name of everything below assets/.
         let hashed = path.starts_with("assets/");
         return serve(file, if hashed { "public, max-age=31536000, immutable" } else { "no-cache" });
+    }
+    if !is_page && !takes_html {
+        return Problem::not_found("no such path; /openapi.json lists all").into_response();
     }
     let looks_like_a_file = path.rsplit('/').next().is_some_and(|name| name.contains('.'));
     if looks_like_a_file && !is_page {
@@ -69,9 +85,9 @@ mod tests {
 
     #[test]
     fn hashed_files_are_kept_for_ever_and_the_page_is_asked_for_again() {
-        assert!(cache(&answer("assets/app-1a2b.js", built)).contains("immutable"));
+        assert!(cache(&answer("assets/app-1a2b.js", false, built)).contains("immutable"));
         for path in ["", "index.html", "weighings/01890000"] {
-            let response = answer(path, built);
+            let response = answer(path, true, built);
             assert_eq!((response.status(), cache(&response)), (StatusCode::OK, "no-cache"), "{path}");
         }
     }
@@ -79,13 +95,29 @@ mod tests {
     #[test]
     fn a_missing_file_is_not_answered_with_the_page() {
         for path in ["assets/old-0000.js", "favicon.png", "../Cargo.toml"] {
-            assert_eq!(answer(path, built).status(), StatusCode::NOT_FOUND, "{path}");
+            assert_eq!(answer(path, true, built).status(), StatusCode::NOT_FOUND, "{path}");
         }
     }
 
     #[test]
+    fn a_program_that_asks_for_a_path_that_nobody_knows_is_not_answered_with_the_page() {
+        let accept = |kinds: &'static str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::ACCEPT, HeaderValue::from_static(kinds));
+            takes_html(&headers)
+        };
+        assert!(accept("text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8") && accept("Text/HTML;q=0.5"));
+        assert!(!accept("*/*") && !accept("application/json, text/plain, */*") && !takes_html(&HeaderMap::new()));
+        for path in ["status", "info", "docs", ".well-known/openid-configuration", "weighings/01890000"] {
+            let response = answer(path, false, built);
+            assert_eq!(response.status(), StatusCode::NOT_FOUND, "{path}");
+        }
+        assert_eq!(answer("", false, built).status(), StatusCode::OK);
+    }
+
+    #[test]
     fn without_a_built_page_the_root_says_how_to_build_it() {
-        let response = answer("", |_| None);
+        let response = answer("", false, |_| None);
         assert_eq!(response.status(), StatusCode::OK);
         assert!(response.headers()[header::CONTENT_TYPE].to_str().unwrap().starts_with("text/plain"));
     }

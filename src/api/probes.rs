@@ -1,21 +1,27 @@
 //! For those who watch over the service: `/healthz`, `/readyz`, `/metrics`.
 
 use super::auth::Viewer;
+use super::journal::word;
 use super::problem::Problem;
 use crate::app::App;
-use crate::app::Counts;
+use crate::app::{BenchStatus, Counts};
 use axum::Router;
 use axum::extract::State;
 use axum::http::header;
 use axum::response::IntoResponse;
 use axum::routing::get;
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
-use serde::Serialize;
 use std::sync::OnceLock;
 use tokio_util::sync::CancellationToken;
 
-/// Upper bounds of the latency histogram, seconds.
-const BUCKETS_S: [f64; 8] = [0.001, 0.005, 0.02, 0.1, 0.5, 2.0, 10.0, 60.0];
+/// Upper bounds of the histograms: seconds to an answer or a stop, mg of error, seconds and shakes of a dose.
+const BUCKETS: [(&str, &[f64]); 5] = [
+    ("flip_request_seconds", &[0.001, 0.005, 0.02, 0.1, 0.5, 2.0, 10.0, 60.0]),
+    ("flip_stop_seconds", &[0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.5, 2.0]),
+    ("flip_dose_error_mg", &[0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0]),
+    ("flip_dose_seconds", &[15.0, 30.0, 60.0, 90.0, 120.0, 180.0, 300.0, 600.0]),
+    ("flip_dose_shakes", &[1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0]),
+];
 
 /// The three routes; `closing` is cancelled once the service shuts down.
 pub fn router(app: App, closing: CancellationToken) -> Router {
@@ -37,21 +43,28 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
 async fn exposition(_: Viewer, State(app): State<App>) -> Result<impl IntoResponse, Problem> {
     let recorder = recorder().ok_or_else(|| Problem::unavailable("another recorder holds this process's metrics"))?;
     recorder.run_upkeep();
-    let text = recorder.render() + &gauges(&app.counts().await?);
+    let text = recorder.render() + &gauges(&app.counts().await?) + &of_the_bench(&app.bench().await?);
     Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text))
 }
 
 /// What the database holds, written out here: a recorder would go on telling of states that nothing is in any more.
 fn gauges(counts: &Counts) -> String {
     let jobs = counts.jobs.iter().map(|((kind, state), n)| {
-        let (kind, state) = (name(kind), name(state));
+        let (kind, state) = (word(kind), word(state));
         format!("flip_jobs{{kind=\"{kind}\",state=\"{state}\"}} {n}\n")
     });
     let weighings = counts.weighings.iter().map(|((state, outcome), n)| {
-        let (state, outcome) = (name(state), outcome.map_or("none".to_owned(), |outcome| name(&outcome)));
+        let (state, outcome) = (word(state), outcome.map_or("none".to_owned(), |outcome| word(&outcome)));
         format!("flip_weighings{{state=\"{state}\",outcome=\"{outcome}\"}} {n}\n")
     });
+    let waits = counts
+        .waits_s
+        .iter()
+        .map(|(queue, seconds)| format!("flip_queue_age_seconds{{queue=\"{queue}\"}} {seconds}\n"));
     [
+        format!("# HELP flip_build_info What runs.\n# TYPE flip_build_info gauge\nflip_build_info{{version=\"{}\"}} 1\n", env!("CARGO_PKG_VERSION")),
+        "# HELP flip_queue_age_seconds For how long the oldest that waits has waited, s; 0 where nothing does.\n# TYPE flip_queue_age_seconds gauge\n".to_owned(),
+        waits.collect(),
         "# HELP flip_jobs Jobs in the database, by kind and state.\n# TYPE flip_jobs gauge\n".to_owned(),
         jobs.collect(),
         "# HELP flip_weighings Weighings in the database, by state and outcome.\n# TYPE flip_weighings gauge\n"
@@ -61,20 +74,44 @@ fn gauges(counts: &Counts) -> String {
     .concat()
 }
 
-/// An enum's variant as the rest of the API writes it.
-fn name(variant: &impl Serialize) -> String {
-    serde_json::to_value(variant).ok().and_then(|json| json.as_str().map(str::to_owned)).unwrap_or_default()
+/// Whether the bench may be used and whether it moves.
+fn of_the_bench(bench: &BenchStatus) -> String {
+    let gauge = |name: &str, help: &str, holds: bool| {
+        format!("# HELP {name} {help}\n# TYPE {name} gauge\n{name} {}\n", u8::from(holds))
+    };
+    [
+        gauge(
+            "flip_bench_latched",
+            "1 while nobody may use the bench until a person has looked.",
+            bench.latch.is_some(),
+        ),
+        gauge("flip_bench_moving", "1 while a weighing moves.", bench.moving.is_some()),
+    ]
+    .concat()
 }
 
 /// The process's one recorder, started at the first call; tests run several services beside each other.
 fn recorder() -> Option<&'static PrometheusHandle> {
     static RECORDER: OnceLock<Option<PrometheusHandle>> = OnceLock::new();
     let start = || {
-        let latency = Matcher::Full("flip_request_seconds".to_owned());
-        let builder = PrometheusBuilder::new().set_buckets_for_metric(latency, &BUCKETS_S).ok()?;
-        let handle = builder.install_recorder().ok()?;
+        let bounded = BUCKETS.iter().try_fold(PrometheusBuilder::new(), |builder, (name, bounds)| {
+            builder.set_buckets_for_metric(Matcher::Full((*name).to_owned()), bounds)
+        });
+        let handle = bounded.ok()?.install_recorder().ok()?;
         metrics::describe_counter!("flip_requests_total", "Requests answered, by method, route and status.");
         metrics::describe_histogram!("flip_request_seconds", "Seconds to the head of the answer.");
+        metrics::describe_histogram!("flip_stop_seconds", "Seconds from a stop's head until the arm was told.");
+        metrics::describe_counter!(
+            "flip_doses_total",
+            "Weighings that ended, by bench and outcome, since the service started."
+        );
+        metrics::describe_counter!(
+            "flip_bench_latches_total",
+            "Times that the bench was latched since the service started."
+        );
+        metrics::describe_histogram!("flip_dose_error_mg", "Absolute error of doses that ran their course, mg.");
+        metrics::describe_histogram!("flip_dose_seconds", "Bench time of doses that ran their course, s.");
+        metrics::describe_histogram!("flip_dose_shakes", "Shakes of doses that ran their course.");
         Some(handle)
     };
     RECORDER.get_or_init(start).as_ref()

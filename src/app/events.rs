@@ -31,6 +31,9 @@ pub enum Topic {
 impl App {
     /// Events of a topic after `after_seq` (0 is from the beginning), then new ones as they happen, in order and
     /// each once. The stream of a job or weighing ends after the event that ends it; every stream ends at shutdown.
+    ///
+    /// An `after_seq` that no event has yet is of another data folder, or of one that was put back: it is taken for the beginning, or with
+    /// [`Topic::All`] for now.
     pub async fn events(&self, topic: Topic, after_seq: i64) -> Result<BoxStream<'static, Result<Event>>> {
         match &topic {
             Topic::Job(id) => drop(self.job(id).await?),
@@ -39,10 +42,16 @@ impl App {
             }
             Topic::All => {}
         }
+        let newest = self.store().newest_event().await?;
+        let after = match &topic {
+            _ if after_seq <= newest => after_seq,
+            Topic::All => newest,
+            Topic::Job(_) | Topic::Weighing(_) => 0,
+        };
         let follower = Follower {
             store: self.store().clone(),
             topic,
-            after: after_seq,
+            after,
             ready: VecDeque::new(),
             newest: self.store().watch_events(),
             closing: self.inner.jobs.as_ref().map(|jobs| jobs.closing()).unwrap_or_default(),

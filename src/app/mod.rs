@@ -47,11 +47,11 @@ pub use crate::jobs::evaluate::EvaluationResult;
 pub use crate::jobs::observe::{Observed, Simulated};
 pub use crate::jobs::repose::ReposeResult;
 pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
-pub use crate::jobs::{Conditions, Functions};
+pub use crate::jobs::{Conditions, Functions, Workers};
 pub use crate::pile::{Compared, Limits as PileLimits, Rig};
 pub use crate::policy::{Done, Observation};
 pub use crate::store::audit::{AuditRecord, AuditVerification};
-pub use crate::store::bench::Latch;
+pub use crate::store::bench::{BENCH_TOPIC, Latch};
 pub use crate::store::counts::Counts;
 pub use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
 pub use crate::store::events::Event;
@@ -91,22 +91,22 @@ use std::sync::Arc;
 /// What an [`App`] is opened for.
 #[derive(Clone)]
 pub struct Options {
-    /// Run queued jobs and weighings in this process.
-    pub workers: bool,
+    /// Who carries out jobs and weighings.
+    pub workers: Workers,
     /// What jobs and weighings compute with; tests put formulas here.
     pub functions: Functions,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { workers: true, functions: Functions::default() }
+        Self { workers: Workers::Equal, functions: Functions::default() }
     }
 }
 
 impl Options {
     /// To ask and to change things, while somebody else computes and weighs.
     pub fn without_workers() -> Self {
-        Self { workers: false, ..Self::default() }
+        Self { workers: Workers::None, ..Self::default() }
     }
 }
 

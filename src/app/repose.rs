@@ -20,9 +20,12 @@ use crate::store::jobs::{Job, JobRow};
 use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use crate::store::piles::Pile;
 use serde::{Deserialize, Serialize};
+use tokio::sync::Semaphore;
 
 /// Most measurements by camera of one powder.
 const RUNS_MAX: u32 = 1_000_000;
+/// Frames decoded at once: one of a few kB may unfold to 28 MB.
+static DECODERS: Semaphore = Semaphore::const_new(2);
 
 /// A measurement by camera to carry out. Everything but the powder has a default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -141,23 +144,29 @@ impl App {
         self.jobs_as(JobKind::Repose, page, repose).await
     }
 
+    /// The pile of this measurement that waits for frames and has not all of them: asked before a frame is read, which costs a hundred times its bytes.
+    ///
+    /// # Errors
+    /// `NotFound`; `Conflict` (`no_pile_waits`).
+    pub async fn frames_awaited(&self, id: &str) -> Result<Awaited> {
+        let awaited = self.repose(id).await?.awaits.filter(|it| it.have < it.wanted);
+        awaited.ok_or_else(no_pile_waits)
+    }
+
     /// A frame of the pile that waits for frames; how many it has now.
     ///
     /// # Errors
     /// `Invalid`: the frame cannot be read; `Conflict` (`no_pile_waits`).
     pub async fn add_frame(&self, id: &str, frame: Upload) -> Result<Awaited> {
         let jobs = self.jobs_or_refuse()?;
-        self.repose(id).await?;
+        self.frames_awaited(id).await?;
+        let _decoder = DECODERS.acquire().await.map_err(|error| Error::Internal(error.into()))?;
         // Told to whoever took it, while the pile still lies there.
         let decoding = frame.clone();
         let decoded = tokio::task::spawn_blocking(move || decoding.decode().map(drop)).await;
         decoded.map_err(|error| Error::Internal(error.into()))??;
         let inbox = jobs.bench().stand().and_then(|stand| stand.inbox.clone());
-        let taken = inbox.and_then(|inbox| inbox.add(id, frame));
-        taken.ok_or_else(|| {
-            let advice = "no pile of this measurement waits for frames: its `awaits` says when one does";
-            Error::conflict("no_pile_waits", advice)
-        })
+        inbox.and_then(|inbox| inbox.add(id, frame)).ok_or_else(no_pile_waits)
     }
 
     /// A part of a raw frame as it came: `depth`, `colour` or `description`; piles count from 1, frames from 1.
@@ -187,6 +196,11 @@ impl App {
             .collect();
         Ok(compare(&stored.map_err(|error| Error::Internal(error.into()))?))
     }
+}
+
+fn no_pile_waits() -> Error {
+    let advice = "no pile of this measurement waits for frames: its `awaits` says when one does";
+    Error::conflict("no_pile_waits", advice)
 }
 
 fn repose(row: JobRow) -> Result<ReposeMeasurement> {

@@ -6,7 +6,7 @@ use super::failure::Failure;
 use super::session::{StopSignals, runtime};
 use super::token;
 use crate::api::{self, ServeConfig, ServeError, Server, Tls};
-use crate::app::App;
+use crate::app::{App, Options, Workers};
 use crate::domain::FieldError;
 use crate::telemetry;
 use clap::ValueEnum;
@@ -62,7 +62,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     telemetry::start(arguments.log_format.into(), telemetry::SERVICE);
     runtime()?.block_on(async {
         let signals = StopSignals::catch()?;
-        let app = App::open(&common.data_dir, arguments.bench.options()?).await?;
+        let options = Options { workers: Workers::GiveWay, ..arguments.bench.options()? };
+        let app = App::open(&common.data_dir, options).await?;
         let server = match bind(&app, &arguments.address) {
             Ok(server) => server,
             Err(failure) => {

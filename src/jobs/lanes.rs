@@ -30,12 +30,20 @@ impl Lanes {
 
     /// A place for a job of this kind; `None` when all are taken.
     pub fn take(&self, kind: JobKind) -> Option<Place> {
-        let lane = match kind {
+        self.of(kind).clone().try_acquire_owned().ok()
+    }
+
+    /// Whether jobs of these kinds wait for the same places.
+    pub fn share(&self, a: JobKind, b: JobKind) -> bool {
+        Arc::ptr_eq(self.of(a), self.of(b))
+    }
+
+    fn of(&self, kind: JobKind) -> &Arc<Semaphore> {
+        match kind {
             JobKind::Training => &self.trainings,
             JobKind::Repose => &self.bench,
             JobKind::Calibration | JobKind::Evaluation | JobKind::Investigation => &self.turns,
-        };
-        lane.clone().try_acquire_owned().ok()
+        }
     }
 
     /// Wait until nobody computes.

@@ -23,6 +23,7 @@ mod investigate;
 mod lanes;
 mod lease;
 pub mod observe;
+mod priority;
 mod queue;
 mod reconcile;
 pub mod repose;
@@ -86,6 +87,18 @@ impl Default for Functions {
     }
 }
 
+/// Who carries out jobs and weighings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Workers {
+    /// Nobody in this process.
+    None,
+    /// Threads of the process's own priority: a command that computes and ends.
+    #[default]
+    Equal,
+    /// Threads that give way to those that answer: a service.
+    GiveWay,
+}
+
 /// The machinery behind jobs and weighings. Dropping it without [`Jobs::shutdown`] ends it too, only unwaited for.
 pub struct Jobs {
     shared: Arc<Shared>,
@@ -93,25 +106,33 @@ pub struct Jobs {
     bench: Bench,
 }
 
+/// A job that is computed: the right to write to its row, and the flag that stops it.
+struct Running {
+    lease: Lease,
+    stop: Arc<StopFlag>,
+}
+
 /// What the parts of the machinery have in common.
 struct Shared {
     store: Store,
     functions: Functions,
-    /// Stop flags of running jobs, by id.
-    running: Mutex<HashMap<String, Arc<StopFlag>>>,
+    /// What is computed now, by job.
+    running: Mutex<HashMap<String, Running>>,
     lanes: Lanes,
     /// Wakes the reconciler.
     reconcile: Notify,
     /// No more work is taken.
     closing: CancellationToken,
+    /// What computes runs at a lower priority than what answers.
+    gives_way: bool,
 }
 
 impl Jobs {
-    /// Prepare the queue's tables; with `workers`, take up what the last process left and begin to work.
+    /// Prepare the queue's tables; unless `workers` is none, take up what the last process left and begin to work.
     ///
     /// # Errors
     /// [`store::Error`]
-    pub async fn start(store: Store, functions: Functions, workers: bool) -> store::Result<Self> {
+    pub async fn start(store: Store, functions: Functions, workers: Workers) -> store::Result<Self> {
         queue::migrate(&store).await?;
         let simulated = || bench::Apparatus::without_devices(functions.pour.clone());
         let bench = Bench::new(store.clone(), functions.bench.clone().unwrap_or_else(simulated));
@@ -122,9 +143,13 @@ impl Jobs {
             lanes: Lanes::new(),
             reconcile: Notify::new(),
             closing: CancellationToken::new(),
+            gives_way: workers == Workers::GiveWay,
         });
         let jobs = Self { shared, tasks: Mutex::default(), bench };
-        if workers {
+        if workers == Workers::GiveWay {
+            priority::make_pool_give_way();
+        }
+        if workers != Workers::None {
             jobs.take_up().await?;
         }
         Ok(jobs)
@@ -167,8 +192,8 @@ impl Jobs {
         let mut tx = self.shared.store.write().await?;
         let job = tx.request_cancel(id, now()).await?;
         tx.commit().await?;
-        if let Some(flag) = self.shared.running().get(id) {
-            flag.set(Stop::Cancelled);
+        if let Some(running) = self.shared.running().get(id) {
+            running.stop.set(Stop::Cancelled);
         }
         Ok(job)
     }
@@ -186,8 +211,8 @@ impl Jobs {
     /// Stop the bench, take no more jobs, let running ones save a checkpoint and go back into the queue.
     pub async fn shutdown(&self) {
         self.shared.closing.cancel();
-        for flag in self.shared.running().values() {
-            flag.set(Stop::Shutdown);
+        for running in self.shared.running().values() {
+            running.stop.set(Stop::Shutdown);
         }
         self.bench.shutdown().await;
         let tasks = std::mem::take(&mut *self.tasks.lock().unwrap_or_else(PoisonError::into_inner));
@@ -206,7 +231,7 @@ impl Drop for Jobs {
 }
 
 impl Shared {
-    fn running(&self) -> std::sync::MutexGuard<'_, HashMap<String, Arc<StopFlag>>> {
+    fn running(&self) -> std::sync::MutexGuard<'_, HashMap<String, Running>> {
         self.running.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

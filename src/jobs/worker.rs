@@ -6,8 +6,8 @@ use super::lease::{Renewer, lease_end};
 use super::queue::{self, Delivery};
 use super::spec::JobSpec;
 use super::stop::{Stop, StopFlag};
-use super::{Shared, calibrate, evaluate, investigate, repose, train};
-use crate::domain::job::JobState;
+use super::{Running, Shared, calibrate, evaluate, investigate, priority, repose, train};
+use crate::domain::job::{JobKind, JobState};
 use crate::store::ledger::{Claim, Claimed, Lease};
 use crate::store::{self, now};
 use std::any::Any;
@@ -19,6 +19,9 @@ use tokio::runtime::Handle;
 /// Pause before a worker that failed is started again, and the longest after it failed again and again.
 const RESTART: Duration = Duration::from_millis(500);
 const RESTART_MAX: Duration = Duration::from_secs(30);
+
+/// How long a computation may go on after it was told to stop: one heap on a busy machine takes longer than those who shut a service down wait.
+const GRACE: Duration = Duration::from_secs(5);
 
 /// How often, and with what pause, the end of an attempt is written when the database refuses.
 const SETTLE_TRIES: u32 = 30;
@@ -56,19 +59,51 @@ pub(super) async fn supervise(shared: Arc<Shared>) {
         }
     }
     // Whoever still computes holds a place until the row is settled.
-    shared.lanes.all_free().await;
+    if tokio::time::timeout(GRACE, shared.lanes.all_free()).await.is_err() {
+        leave_behind(&shared).await;
+    }
 }
 
-/// One delivery: begin to compute, or leave it to the reconciler, which delivers again what can be claimed.
+/// Give up computations that do not hear of the shutdown in time: what they saved counts, they write no more, and their jobs wait for the next start.
+async fn leave_behind(shared: &Shared) {
+    let late: Vec<Running> = shared.running().drain().map(|(_, running)| running).collect();
+    for Running { lease, stop } in late {
+        stop.set(Stop::Fenced);
+        tracing::info!(job = lease.job, "does not stop in time; it goes on at the next start from what it has saved");
+        let released = async {
+            let mut tx = shared.store.write().await?;
+            tx.release(&lease).await?;
+            tx.commit().await
+        };
+        match released.await {
+            Ok(()) | Err(store::Error::Fenced) => {}
+            Err(error) => tracing::warn!(job = lease.job, %error, "was not given back; the next start takes it"),
+        }
+    }
+}
+
+/// One delivery: begin to compute what has waited longest for such a place, or leave it to the reconciler, which delivers again what can be
+/// claimed. Which job was delivered does not count: deliveries overtake one another.
 async fn handle(shared: Arc<Shared>, owner: String, delivery: Delivery) {
     // The next who leaves a place wakes the reconciler.
     let Some(place) = shared.lanes.take(delivery.kind) else { return };
-    match claim(&shared, &owner, &delivery.job).await {
+    match claim_oldest(&shared, &owner, delivery.kind).await {
         Ok(Some(claimed)) => compute(shared, claimed, place),
         Ok(None) => {}
         // The row is as it was.
         Err(error) => tracing::error!(job = delivery.job, %error, "could not claim a job"),
     }
+}
+
+/// Claim the oldest job that waits for a place of this kind. `None`: there is none.
+async fn claim_oldest(shared: &Shared, owner: &str, kind: JobKind) -> store::Result<Option<Claimed>> {
+    let waiting = shared.store.claimable(now()).await?;
+    for (_, lease) in waiting.iter().filter(|(waits, _)| shared.lanes.share(*waits, kind)) {
+        if let Some(claimed) = claim(shared, owner, &lease.job).await? {
+            return Ok(Some(claimed));
+        }
+    }
+    Ok(None)
 }
 
 /// Claim a job. `None`: there is nothing to do, or somebody else's lease lasts.
@@ -89,7 +124,7 @@ async fn claim(shared: &Shared, owner: &str, job: &str) -> store::Result<Option<
 /// Compute on a thread of its own. Nobody waits for it: the lease says that it is computed, and its place when it has ended.
 fn compute(shared: Arc<Shared>, claimed: Claimed, place: Place) {
     let stop = Arc::new(StopFlag::default());
-    shared.running().insert(claimed.lease.job.clone(), stop.clone());
+    shared.running().insert(claimed.lease.job.clone(), Running { lease: claimed.lease.clone(), stop: stop.clone() });
     // A shutdown between the claim and the line above has not seen the flag.
     if shared.closing.is_cancelled() {
         stop.set(Stop::Shutdown);
@@ -106,6 +141,10 @@ fn on_compute_thread(shared: &Shared, claimed: Claimed, stop: &Arc<StopFlag>, ru
     let renewer = Renewer::start(shared.store.clone(), lease.clone(), stop.clone(), runtime.clone());
     if let Err(error) = &renewer {
         tracing::error!(job = lease.job, %error, "no thread to renew a lease");
+    }
+    // After the thread that renews: it would inherit the priority.
+    if shared.gives_way {
+        priority::give_way();
     }
     let context =
         JobContext::new(shared.store.clone(), shared.functions.clone(), lease.clone(), stop.clone(), runtime.clone());

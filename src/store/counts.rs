@@ -1,7 +1,7 @@
 //! How much there is of what, for those who watch over the service.
 
 use super::row::Columns;
-use super::{Result, Store};
+use super::{Result, Store, now};
 use crate::domain::job::{JobKind, JobState};
 use crate::domain::weighing::{Outcome, WeighingState};
 use sqlx::sqlite::SqliteRow;
@@ -13,6 +13,8 @@ pub struct Counts {
     pub jobs: Vec<((JobKind, JobState), u32)>,
     /// Weighings by state, and outcome once they have one.
     pub weighings: Vec<((WeighingState, Option<Outcome>), u32)>,
+    /// For how long the oldest that waits has waited, s, of `jobs` and of `weighings`; 0 where nothing does.
+    pub waits_s: [(&'static str, f64); 2],
 }
 
 impl Store {
@@ -22,7 +24,15 @@ impl Store {
         let jobs = sqlx::query(sql).fetch_all(&self.reader).await?;
         let sql = "SELECT state, outcome, count(*) AS n FROM weighing GROUP BY state, outcome ORDER BY state, outcome";
         let weighings = sqlx::query(sql).fetch_all(&self.reader).await?;
+        let sql = "SELECT (SELECT min(created_at) FROM job WHERE state = 'queued') AS job, \
+                   (SELECT min(created_at) FROM weighing WHERE outcome IS NULL AND started_at IS NULL) AS weighing";
+        let oldest = sqlx::query(sql).fetch_one(&self.reader).await?;
+        let waits_s = |column| {
+            let since: Option<i64> = oldest.plain(column)?;
+            Ok::<_, super::Error>(since.map_or(0.0, |ms| (now().unix_ms() - ms).max(0) as f64 / 1000.0))
+        };
         Ok(Counts {
+            waits_s: [("jobs", waits_s("job")?), ("weighings", waits_s("weighing")?)],
             jobs: jobs
                 .iter()
                 .map(|row| Ok(((row.word("kind")?, row.word("state")?), row.count("n")?)))

@@ -36,6 +36,11 @@ impl Store {
         query.fetch_all(&self.reader).await?.iter().map(event).collect()
     }
 
+    /// Number of the newest event, whichever process wrote it; 0 without one.
+    pub(crate) async fn newest_event(&self) -> Result<i64> {
+        Ok(sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM event").fetch_one(&self.reader).await?)
+    }
+
     /// Hears the number of the newest committed event.
     pub(crate) fn watch_events(&self) -> watch::Receiver<i64> {
         self.newest_event.subscribe()

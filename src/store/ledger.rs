@@ -72,10 +72,14 @@ impl Store {
         rows.iter().map(|row| Ok((row.word("kind")?, lease(row)?))).collect()
     }
 
-    /// End every lease. Sound only at start: the lock on the data folder proves that no other worker lives.
+    /// What runs waits again, for nobody computes it. Sound only at start: the lock on the data folder proves that no other worker lives.
     pub(crate) async fn end_leases(&self) -> Result<()> {
         let mut tx = self.write().await?;
-        sqlx::query("UPDATE job SET lease_until = 0 WHERE state = 'running'").execute(&mut *tx.inner).await?;
+        let sql = "UPDATE job SET state = 'queued', message = 'waits to go on: the process ended', deaths = deaths + 1, \
+                   owner = NULL, lease_until = NULL WHERE state = 'running' RETURNING *";
+        for row in &sqlx::query(sql).fetch_all(&mut *tx.inner).await? {
+            tx.announce_job(row).await?;
+        }
         tx.commit().await
     }
 }

@@ -51,7 +51,7 @@ impl Service {
     async fn start_with(config: ServeConfig, apparatus: Option<Apparatus>) -> Self {
         let data = TempDir::new().unwrap();
         let bench = Bench::default();
-        let options = Options { workers: true, functions: Functions { bench: apparatus, ..bench.functions() } };
+        let options = Options { functions: Functions { bench: apparatus, ..bench.functions() }, ..Options::default() };
         let app = App::open(data.path(), options).await.unwrap();
         let server = api::bind(app.clone(), config).unwrap();
         let address = server.address().unwrap();

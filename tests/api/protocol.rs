@@ -37,8 +37,65 @@ async fn the_page_is_served_at_the_root_and_at_addresses_of_its_own() {
     assert_eq!(root.status(), 200);
     let root = root.text().await.unwrap();
     assert!(root.contains("FLIP"), "{root}");
-    assert_eq!(service.get("/weighings/some").await.text().await.unwrap(), root);
+    let browser = service.request("GET", "/weighings/some").header("accept", "text/html,*/*;q=0.8");
+    assert_eq!(browser.send().await.unwrap().text().await.unwrap(), root);
     problem(service.get("/assets/missing.js").await, 404).await;
+}
+
+#[tokio::test]
+async fn a_program_that_probes_for_an_interface_is_told_that_there_is_none() {
+    let service = Service::start().await;
+    for path in ["/status", "/info", "/docs", "/version", "/.well-known/oauth", "/weighings/some"] {
+        for accept in ["application/json", "*/*"] {
+            let answer = service.request("GET", path).header("accept", accept).send().await.unwrap();
+            assert_eq!(answer.headers()["content-type"], "application/problem+json", "{path}");
+            problem(answer, 404).await;
+        }
+    }
+}
+
+#[tokio::test]
+async fn invented_methods_make_no_labels_of_their_own() {
+    let service = Service::start().await;
+    for method in ["M1YYYY", "M2YYYY", "BREW"] {
+        service.request(method, "/healthz").send().await.unwrap();
+    }
+    let metrics = service.get("/metrics").await.text().await.unwrap();
+    assert!(!metrics.contains("YYYY") && !metrics.contains("BREW"), "{metrics}");
+    assert!(metrics.contains("method=\"other\""), "{metrics}");
+}
+
+#[tokio::test]
+async fn metrics_tell_of_the_bench_the_queue_and_each_dose() {
+    let service = Service::ready().await;
+    let metrics = async || service.get("/metrics").await.text().await.unwrap();
+    let before = metrics().await;
+    for line in [
+        "flip_bench_latched 0",
+        "flip_bench_moving 0",
+        "flip_queue_age_seconds{queue=\"weighings\"} 0",
+        "flip_queue_age_seconds{queue=\"jobs\"} 0",
+        concat!("flip_build_info{version=\"", env!("CARGO_PKG_VERSION"), "\"} 1"),
+    ] {
+        assert!(before.contains(&format!("{line}\n")), "{line} in {before}");
+    }
+    let body = serde_json::json!({
+        "powder": "salt",
+        "target": { "value": 15, "unit": "mg" },
+        "tolerance": { "lower": 1, "upper": 1, "unit": "mg" },
+    });
+    let weighing: serde_json::Value = service.weigh("told", &body).await.json().await.unwrap();
+    service.watch(&format!("/v1/weighings/{}/events", weighing["id"].as_str().unwrap()), None).await.unwrap();
+    let told = |text: &str| {
+        ["flip_dose_error_mg_count{", "flip_dose_seconds_count{", "flip_dose_shakes_count{", "flip_doses_total{"]
+            .iter()
+            .all(|name| text.contains(&format!("{name}bench=\"simulated\",outcome=\"within\"}}")))
+    };
+    let deadline = tokio::time::Instant::now() + std::time::Duration::from_secs(20);
+    while !told(&metrics().await) {
+        assert!(tokio::time::Instant::now() < deadline, "{}", metrics().await);
+        tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+    }
 }
 
 #[tokio::test]

@@ -158,6 +158,9 @@ async fn frames_are_uploaded_while_a_pile_waits_and_one_without_an_angle_is_made
     assert_eq!(raw, good[2].colour);
     let late = problem(post(&service, &frames_at, &body(&good[0])).await, 409).await;
     assert!(late["type"].as_str().unwrap().ends_with("no-pile-waits"), "{late}");
+    // Nothing of a frame that nobody waits for is read: this one could not be.
+    let unread = serde_json::json!({ "depth": "no Base64 at all" });
+    problem(post(&service, &frames_at, &unread).await, 409).await;
     service.stop().await;
 }
 

@@ -1,12 +1,12 @@
 //! Calibrations: asked for twice, resumed, cancelled, refused.
 
-use crate::harness::{calibrated, calibration_of, ended, functions, heap, open, open_in, until};
+use crate::harness::{PATIENCE, calibrated, calibration_of, ended, functions, heap, open, open_in, until};
 use flip::app::{App, CalibrationMethod, CalibrationRequest};
 use flip::app::{Error, Functions, JobState, PageQuery, SERIES_LIMIT_MAX, Topic, Trial};
 use flip::domain::observable::{Observable, Observation};
 use futures::StreamExt;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
 async fn all_trials(app: &App, id: &str) -> Vec<Trial> {
@@ -267,5 +267,65 @@ async fn calibrations_share_one_emulator_that_is_built_once_also_when_it_is_inte
     // This formula's steepest heap has 48.7 deg; it does not follow the five numbers of the emulator, which sees its top through a haze.
     assert!((45.0..49.0).contains(&shortfall.nearest_repose_deg), "{shortfall:?}");
     assert!(["friction", "cohesion"].contains(&shortfall.limiting_parameter.unwrap().as_str()));
+    app.shutdown().await.unwrap();
+}
+
+/// A heap that does not end while the gate is shut.
+fn gated(gate: &Arc<AtomicBool>) -> Functions {
+    let gate = gate.clone();
+    Functions {
+        simulate: Arc::new(move |set, settings, seed| {
+            while !gate.load(Ordering::SeqCst) {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            heap(set, settings, seed)
+        }),
+        ..functions()
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn jobs_begin_in_the_order_in_which_they_were_asked_for() {
+    let gate = Arc::new(AtomicBool::new(false));
+    let (_folder, app) = open(gated(&gate)).await;
+    let mut asked = Vec::new();
+    for powder in ["sand", "sugar", "salt", "semolina", "sodium_bicarbonate"] {
+        for seed in [1, 2] {
+            asked.push(app.start_calibration(calibration_of(powder, seed)).await.unwrap().0.id);
+        }
+    }
+    gate.store(true, Ordering::SeqCst);
+    let mut begun = Vec::new();
+    for id in &asked {
+        begun.push(ended(&app, id).await.started_at.unwrap());
+    }
+    assert!(begun.is_sorted(), "{begun:?}");
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_heap_that_does_not_end_does_not_hold_up_the_end_of_the_service() {
+    let gate = Arc::new(AtomicBool::new(false));
+    let (folder, app) = open(gated(&gate)).await;
+    let (job, _) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();
+    until("it runs", async || app.job(&job.id).await.unwrap().state == JobState::Running).await;
+    let ended = tokio::time::timeout(PATIENCE, app.shutdown()).await;
+    gate.store(true, Ordering::SeqCst);
+    ended.expect("nobody waits for the heap").unwrap();
+    let reader = App::open_to_read(folder.path()).await.unwrap();
+    let job = reader.job(&job.id).await.unwrap();
+    assert_eq!((job.state, job.attempts), (JobState::Queued, 0), "a shutdown burns no attempt");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_follower_with_a_number_from_a_former_life_hears_what_happens_now() {
+    let (_folder, app) = open(functions()).await;
+    let mut all = app.events(Topic::All, 1_000_000).await.unwrap();
+    let job = crate::harness::calibrated(&app, "sand").await;
+    let heard = tokio::time::timeout(PATIENCE, all.next()).await.expect("something is heard").unwrap().unwrap();
+    assert_eq!(heard.topic, format!("job:{}", job.id));
+    let of_the_job = app.events(Topic::Job(job.id), 1_000_000).await.unwrap();
+    let first = of_the_job.map(Result::unwrap).collect::<Vec<_>>().await;
+    assert_eq!(first[0].data["state"], "queued");
     app.shutdown().await.unwrap();
 }

@@ -27,9 +27,13 @@ use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use axum::{Json, Router};
+use tower::limit::GlobalConcurrencyLimitLayer;
 use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
+
+/// Bodies of images read at once; others wait their turn.
+const LARGE_AT_ONCE: usize = 4;
 
 fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(document::head())
@@ -92,9 +96,12 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(tokens::create_token))
 }
 
-/// Routes whose bodies are images.
+/// Routes whose bodies are images: so few at once that their bytes fit.
 fn large_routes() -> OpenApiRouter<App> {
-    OpenApiRouter::new().routes(routes!(repose::add_frame)).layer(DefaultBodyLimit::max(extract::LARGE_BYTES_MAX))
+    OpenApiRouter::new()
+        .routes(routes!(repose::add_frame))
+        .layer(DefaultBodyLimit::max(extract::LARGE_BYTES_MAX))
+        .layer(GlobalConcurrencyLimitLayer::new(LARGE_AT_ONCE))
 }
 
 /// The OpenAPI document of everything below `/v1`.

@@ -8,7 +8,7 @@ use crate::api::problem::Problem;
 use crate::app::{App, Awaited, Compared, FrameUpload, Job, Page, ReposeMeasurement, ReposeRequest};
 use crate::domain::FieldError;
 use axum::Json;
-use axum::extract::{OriginalUri, State};
+use axum::extract::{FromRequest, OriginalUri, Request, State};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
@@ -96,8 +96,10 @@ pub async fn add_frame(
     _: Operator,
     State(app): State<App>,
     Path(id): Path<String>,
-    Large(frame): Large<NewFrame>,
+    request: Request,
 ) -> Result<Response, Problem> {
+    app.frames_awaited(&id).await?;
+    let Large(frame) = Large::<NewFrame>::from_request(request, &app).await?;
     let awaited = app.add_frame(&id, frame.upload()?).await?;
     Ok(accepted(format!("/v1/repose-measurements/{id}"), awaited))
 }

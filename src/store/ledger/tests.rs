@@ -171,3 +171,25 @@ async fn leases_of_a_process_that_is_gone_end_at_the_next_start() {
     assert_eq!(ledger.store.claimable(at(1)).await.unwrap().len(), 1);
     assert_eq!(ledger.granted("next", 1).await.lease.fence, 2);
 }
+
+#[tokio::test]
+async fn a_job_that_nobody_computes_after_a_restart_is_not_said_to_run() {
+    let ledger = Ledger::new().await;
+    let lease = ledger.granted("gone", 0).await.lease;
+    let progress = Progress { fraction: 0.9, message: "heap 9 of 10".into() };
+    ledger.write(async |tx| tx.report(&lease, &progress).await).await.unwrap();
+    let before = ledger.store.newest_event().await.unwrap();
+    ledger.store.end_leases().await.unwrap();
+    let job = ledger.job().await;
+    assert_eq!((job.state, job.progress.fraction), (JobState::Queued, 0.9));
+    assert!(job.progress.message.contains("the process ended"), "{}", job.progress.message);
+    let told = ledger.store.events_after(Some("job:job"), before, 10).await.unwrap();
+    assert_eq!(told.iter().map(|event| event.data["state"].as_str().unwrap()).collect::<Vec<_>>(), ["queued"]);
+    // That the process ended still counts against a job that ends it every time.
+    for _ in 1..DEATHS_MAX {
+        ledger.granted("next", 1).await;
+        ledger.store.end_leases().await.unwrap();
+    }
+    assert_eq!(ledger.claim("next", 1).await, Claim::Ended);
+    assert_eq!(ledger.job().await.state, JobState::Failed);
+}

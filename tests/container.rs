@@ -1,0 +1,105 @@
+//! The image's build, without Docker: what the Dockerfile copies must be all that cargo and the program ask for.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+/// What the stand-in for the compiler says when cargo has got past its manifest and begins to compile.
+const REACHED: &str = "cargo began to compile";
+
+/// Sources of the `COPY` lines of the stage that builds the program, other stages' left out.
+fn copied() -> Vec<String> {
+    let dockerfile = fs::read_to_string(Path::new(ROOT).join("Dockerfile")).unwrap();
+    let stage = dockerfile.split("\nFROM ").find(|stage| stage.contains("cargo build")).expect("a stage that builds");
+    let lines = stage.lines().filter_map(|line| line.strip_prefix("COPY ")).filter(|line| !line.starts_with("--from"));
+    lines.flat_map(|line| line.rsplit_once(' ').unwrap().0.split(' ').map(str::to_owned)).collect()
+}
+
+/// Whether `.dockerignore`, which takes back a closed door name by name, lets a path of the top level through.
+fn is_let_through(name: &str) -> bool {
+    let ignore = fs::read_to_string(Path::new(ROOT).join(".dockerignore")).unwrap();
+    ignore.lines().any(|line| line.strip_prefix('!') == Some(name))
+}
+
+fn copy(from: &Path, to: &Path) {
+    if from.is_dir() {
+        fs::create_dir_all(to).unwrap();
+        for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
+            copy(&entry.path(), &to.join(entry.file_name()));
+        }
+    } else {
+        fs::copy(from, to).unwrap();
+    }
+}
+
+/// The folder in which the image builds the program.
+fn context() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for name in copied() {
+        assert!(is_let_through(&name), "the Dockerfile copies `{name}`, which .dockerignore keeps out");
+        copy(&Path::new(ROOT).join(&name), &folder.path().join(&name));
+    }
+    folder
+}
+
+/// A program in the compiler's place that answers what cargo asks before it compiles, and ends at the first unit.
+fn stand_in(folder: &Path) -> PathBuf {
+    use std::os::unix::fs::PermissionsExt;
+    let path = folder.join("rustc-stand-in");
+    let script = format!(
+        "#!/bin/sh\ncase \" $* \" in *\" --crate-name ___ \"*|*\" -vV \"*) exec \"$@\";; esac\necho {REACHED} >&2\nexit 1\n"
+    );
+    fs::write(&path, script).unwrap();
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+    path
+}
+
+#[test]
+fn the_images_build_context_gets_past_cargos_manifest() {
+    let folder = context();
+    let built = Command::new(env!("CARGO"))
+        .args(["build", "--release", "--locked", "--offline", "--bin", "flip"])
+        .current_dir(folder.path())
+        .env("CARGO_TARGET_DIR", folder.path().join("target"))
+        .env("RUSTC_WRAPPER", stand_in(folder.path()))
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&built.stderr);
+    assert!(said.contains(REACHED), "{said}");
+}
+
+/// Files that the program's sources, tests aside, take into themselves.
+fn included() -> Vec<(PathBuf, PathBuf)> {
+    let source = Path::new(ROOT).join("src");
+    let (mut waiting, mut found) = (vec![source.clone()], Vec::new());
+    while let Some(path) = waiting.pop() {
+        if path.is_dir() {
+            waiting.extend(fs::read_dir(&path).unwrap().map(|entry| entry.unwrap().path()));
+        } else if path.extension().is_some_and(|it| it == "rs")
+            && !path.strip_prefix(&source).unwrap().to_str().unwrap().contains("test")
+        {
+            let text = fs::read_to_string(&path).unwrap();
+            let program = text.split("#[cfg(test)]").next().unwrap_or_default();
+            for pattern in ["include_str!(\"", "include_bytes!(\""] {
+                let names = program.split(pattern).skip(1).filter_map(|rest| rest.split_once('"')).map(|it| it.0);
+                found.extend(names.map(|name| (path.clone(), path.parent().unwrap().join(name))));
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn every_file_that_the_program_includes_is_in_the_images_build_context() {
+    let (root, names) = (Path::new(ROOT).canonicalize().unwrap(), copied());
+    let included = included();
+    assert!(!included.is_empty());
+    for (source, file) in included {
+        let file = file.canonicalize().unwrap_or_else(|error| panic!("{}: {error}", file.display()));
+        let inside = file.strip_prefix(&root).unwrap();
+        let top = inside.iter().next().unwrap().to_str().unwrap();
+        let lacks = format!("{} includes {}, which the image's build lacks", source.display(), inside.display());
+        assert!(names.iter().any(|name| name == top), "{lacks}");
+    }
+}
