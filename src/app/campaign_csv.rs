@@ -3,22 +3,29 @@
 //! | columns | what becomes of them |
 //! |---------|----------------------|
 //! | `powder`, `repose_deg` | the run; with `repose_sd_deg` and `n` the row stands for n runs |
-//! | `session` | the day, numbered in order of time: numbers and dates sorted, other text as it appears; a row without has a day of its own |
+//! | `session` | the day, numbered in order of time (`sessions`); a row without has a day of its own |
 //! | the known numbers and names below | covariates, within bounds |
 //! | `flow_time_s` | a measurement beside the angle, judged by itself; of a summary the mean of its runs, which counts once |
-//! | any other | a covariate: of numbers if every filled cell is one, else of names |
+//! | any other | a covariate, of numbers or of names (`column`) |
 //!
-//! An empty cell is a missing value, never zero. A column of names that hardly repeat says nothing and is left out.
+//! An empty cell is a missing value, never zero. What every column was taken as, and what was left out, is told beside the campaign.
+
+mod column;
+mod sessions;
+mod twice;
 
 use super::check::Check;
-use super::csv_file::{Cells, CsvFile, REFUSALS_MAX, Refused, at, number, within, yes_or_no};
-use super::{Error, Result};
-use crate::discover::{Campaign, Covariate, LEVELS_MAX, Run, Values, repeats_of};
+use super::csv_file::date::DateOrder;
+use super::csv_file::words::{self, yes_or_no};
+use super::csv_file::{Cells, Columns, Holds, REFUSALS_MAX, Refused, Table, Told, at, within};
+use super::powder_names::PowderNames;
+use super::{Error, Result, humidity};
+use crate::discover::reading::{ColumnRead, FileRead, TakenAs};
+use crate::discover::{Campaign, Covariate, Run, repeats_of};
 use crate::domain::FieldError;
-use crate::domain::powder::{Flowability, powder_id};
-use std::collections::HashMap;
-use time::Date;
-use time::macros::format_description;
+use crate::domain::powder::{Flowability, Method};
+use column::Column;
+use sessions::sessions;
 
 /// Most runs, the repeats behind summaries counted: an investigation holds some thirty matrices of runs times runs.
 const RUNS_MAX: usize = 2000;
@@ -28,8 +35,6 @@ pub(super) const REPEATS_MAX: u32 = 1000;
 const COLUMNS_MAX: usize = 60;
 /// Longest name that is one; what is longer is prose.
 const NAME_CHARS_MAX: usize = 100;
-/// Largest number in a column without bounds of its own: its square must be one too.
-const NUMBER_MAX: f64 = 1e15;
 
 /// Columns of the run itself.
 const OWN: [&str; 6] = ["powder", "repose_deg", "repose_sd_deg", "n", "session", "flow_time_s"];
@@ -37,68 +42,130 @@ const OWN: [&str; 6] = ["powder", "repose_deg", "repose_sd_deg", "n", "session",
 const NAMES: [&str; 5] = ["method", "operator", "batch", "plate", "ioniser_on"];
 /// Columns of numbers: lowest, highest, unit.
 const NUMBERS: [(&str, f64, f64, &str); 10] = [
-    ("order_in_session", 0.0, 1e6, ""),
-    ("relative_humidity_pct", 0.0, 100.0, "%"),
+    (ORDER, 0.0, 1e6, ""),
+    (humidity::COLUMN, 0.0, 100.0, "%"),
     ("temperature_c", -50.0, 100.0, "deg C"),
     ("rest_min", 0.0, 1e7, "min"),
     ("container_age_d", 0.0, 1e5, "days"),
     ("funnel_height_mm", 0.1, 1e4, "mm"),
     ("base_diameter_mm", 0.1, 1e4, "mm"),
     ("poured_mass_g", 1e-3, 1e6, "g"),
-    ("flow_time_s", 1e-3, 1e6, "s"),
+    (FLOW, 1e-3, 1e6, "s"),
     ("vibration_rms_m_s2", 0.0, 1e3, "m/s2"),
 ];
+const FLOW: &str = "flow_time_s";
+const ORDER: &str = "order_in_session";
+const ANGLE: &str = "repose_deg";
 
-/// What a row says.
-struct Line {
-    row: usize,
-    powder: String,
-    session: String,
-    /// Mean, SD and number of the runs behind it; none where the angle is to be predicted.
-    angle: Option<Flowability>,
-    /// Cells of the covariates' columns, in their order; empty where nothing was recorded.
-    cells: Vec<String>,
-    flow_time_s: Option<f64>,
+/// A campaign, and how its file was read.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct CampaignRead {
+    pub campaign: Campaign,
+    pub read: FileRead,
 }
 
-/// The campaign that a file describes. Every one of the `required` columns is in its header and filled in each row.
+/// What a row says.
+struct Line<'a> {
+    row: usize,
+    powder: String,
+    session: Cell<'a>,
+    /// Mean, SD and number of the runs behind it; none where the angle is to be predicted.
+    angle: Option<Flowability>,
+    /// Cells of the covariates' columns, in their order.
+    cells: Vec<Cell<'a>>,
+    flow_time_s: Option<f64>,
+    /// Whether it says which run of its session it is.
+    has_order: bool,
+    /// The angle as it is written, and every other cell: two rows with the same may be one row twice.
+    angle_text: &'a str,
+    beside: Vec<&'a str>,
+}
+
+/// A cell: its text, empty where nothing was recorded, and what it is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Cell<'a> {
+    text: &'a str,
+    told: Told<'a>,
+}
+
+impl<'a> Cell<'a> {
+    fn of(cells: &Cells<'a>, column: &str) -> Self {
+        Self { text: cells.text(column), told: cells.told(column) }
+    }
+
+    fn is_filled(&self) -> bool {
+        self.told != Told::Missing
+    }
+}
+
+/// The campaign that a file describes. Every one of the `required` columns is in its header and filled in each row; `dates` says what stands first
+/// in dates such as 2/3/2026.
 ///
 /// # Errors
 /// Every wrong cell by row and column, up to 50; a missing or repeated column by name.
-pub(super) fn read(text: &str, required: &[&str]) -> Result<Campaign> {
-    let file = CsvFile::open(text, |names, check| check_header(names, required, check))?;
-    let covariates = file.columns.iter().filter(|name| !OWN.contains(&name.as_str()) && !name.is_empty());
-    let covariates: Vec<String> = covariates.cloned().collect();
-    let mut lines = Vec::new();
-    let mut refusals = file.rows(|cells| {
-        lines.push(line(cells, &covariates, required)?);
+pub(super) fn read(text: &str, required: &[&str], dates: Option<DateOrder>) -> Result<CampaignRead> {
+    let columns = Columns { required, known, most: COLUMNS_MAX };
+    let table = Table::open(text, &columns, check_header)?;
+    let covariates = table.columns.iter().filter(|name| !OWN.contains(&name.as_str()) && !name.is_empty());
+    let covariates: Vec<&str> = covariates.map(String::as_str).collect();
+    let (mut lines, mut powders) = (Vec::new(), PowderNames::default());
+    let refusals = table.each(|cells| {
+        lines.push(line(cells, &covariates, required, &mut powders)?);
         Ok(())
-    })?;
-    refusals.truncate(REFUSALS_MAX);
-    if !refusals.is_empty() {
-        return Err(Error::Invalid(refusals));
-    }
-    let mut runs = 0;
-    for line in &lines {
-        runs += line.runs();
-        if runs > RUNS_MAX {
-            let advice = format!(
-                "brings the runs, those behind summaries counted, above {RUNS_MAX}, the most that are looked at together: leave rows out"
-            );
-            return Err(FieldError::new(format!("row[{}]", line.row), advice).into());
-        }
-    }
-    Ok(campaign(&lines, covariates))
+    });
+    refused(refusals)?;
+    // Rows to be predicted are questions, and a question may be asked twice.
+    let left_out =
+        if required.contains(&"repose_deg") { twice::leave_out(&mut lines) } else { twice::Twice::default() };
+    let rows = lines.len() + left_out.rows.len();
+    bounded(&lines)?;
+    let cells: Vec<Cell<'_>> = lines.iter().map(|line| line.session).collect();
+    let mut refusals = Vec::new();
+    let mut keep = |error: Vec<FieldError>| refusals.extend(error);
+    let session = sessions(&cells, &row_numbers(&lines), dates).map_err(&mut keep).ok();
+    let column = |(k, name): (usize, &&str)| {
+        let cells: Vec<Cell<'_>> = lines.iter().map(|line| line.cells[k]).collect();
+        column::read(name, &cells, &row_numbers(&lines))
+    };
+    let read: Vec<Column> = covariates.iter().enumerate().filter_map(|of| column(of).map_err(&mut keep).ok()).collect();
+    refused(refusals)?;
+    let Some(session) = session else { unreachable!("refused above") };
+    let mut columns = own_columns(&table, &lines);
+    columns.extend(session.column.clone());
+    columns.extend(covariates.iter().zip(&read).map(|(name, column)| column.told(name, lines.len())));
+    columns.sort_by_key(|it| table.columns.iter().position(|name| *name == it.column));
+    let read_as = FileRead {
+        file: "measurements".to_owned(),
+        rows: rows as u32,
+        columns,
+        powders: powders.named(),
+        left_out: left_out.told(),
+        notes: left_out.note.clone().into_iter().collect(),
+    };
+    let campaign = campaign(&lines, &session.places, &covariates, read);
+    Ok(CampaignRead { campaign, read: read_as })
 }
 
-fn check_header(names: &[String], required: &[&str], check: &mut Check) {
-    for column in required.iter().filter(|column| !names.iter().any(|name| name == *column)) {
-        check.refuse(column, "is missing in the header");
+fn refused(mut refusals: Vec<FieldError>) -> Result<()> {
+    refusals.truncate(REFUSALS_MAX);
+    if refusals.is_empty() { Ok(()) } else { Err(Error::Invalid(refusals)) }
+}
+
+fn row_numbers(lines: &[Line<'_>]) -> Vec<usize> {
+    lines.iter().map(|line| line.row).collect()
+}
+
+fn known(name: &str) -> Option<Holds> {
+    let is_number =
+        NUMBERS.iter().any(|(column, ..)| *column == name) || ["repose_deg", "repose_sd_deg", "n"].contains(&name);
+    match is_number {
+        true => Some(Holds::Numbers),
+        false => (OWN.contains(&name) || NAMES.contains(&name)).then_some(Holds::Text),
     }
-    if names.len() > COLUMNS_MAX {
-        check.refuse("header", format!("has {} columns, and at most {COLUMNS_MAX} are read", names.len()));
-    }
-    if !names.iter().all(|name| is_name(&name.as_str())) {
+}
+
+fn check_header(names: &[String], check: &mut Check) {
+    if !names.iter().all(|name| is_name(name)) {
         check.refuse(
             "header",
             format!("holds a name of more than {NAME_CHARS_MAX} characters, or of more than one line"),
@@ -106,47 +173,65 @@ fn check_header(names: &[String], required: &[&str], check: &mut Check) {
     }
 }
 
+fn is_name(name: &str) -> bool {
+    name.chars().count() <= NAME_CHARS_MAX && !name.chars().any(char::is_control)
+}
+
 /// A row, if it is right.
-fn line(cells: &Cells<'_>, covariates: &[String], required: &[&str]) -> Refused<Line> {
+fn line<'a>(cells: &Cells<'a>, covariates: &[&str], required: &[&str], powders: &mut PowderNames) -> Refused<Line<'a>> {
     let row = cells.row;
     let mut check = Check::default();
     for column in required.iter().filter(|column| !cells.holds(column)) {
         check.keep::<()>(Err(at(row, column, "is missing")));
     }
-    if cells.holds("") {
-        check.refuse(&format!("row[{row}]"), format!("holds `{}` in a column without a name", cells.text("")));
-    }
-    let powder = cells.holds("powder").then(|| powder_id(&format!("row[{row}].powder"), cells.text("powder")));
+    let powder = cells.holds("powder").then(|| powders.id_of(row, cells.text("powder")));
     let powder = powder.and_then(|id| check.keep(id));
     let angle = check.keep(angle(cells)).flatten();
     for (column, lower, upper, unit) in NUMBERS.into_iter().filter(|(column, ..)| cells.holds(column)) {
-        check.keep(within(cells, column, lower, upper, unit));
+        // Below or above what could be measured is not measured; of what is judged it would be a choice.
+        if column == FLOW || !matches!(cells.told(column), Told::Limit(_)) {
+            check.keep(within(cells, column, lower, upper, unit));
+        }
     }
     for column in NAMES.into_iter().chain(["session"]).filter(|column| cells.holds(column)) {
         check.text(&format!("row[{row}].{column}"), cells.text(column), NAME_CHARS_MAX);
     }
-    if !["", "camera", "automated", "manual"].contains(&cells.text("method")) {
+    if words::method(cells.text("method")).is_none() {
         check.keep::<()>(Err(at(row, "method", format!("must be camera or manual, got `{}`", cells.text("method")))));
     }
     if cells.holds("ioniser_on") && yes_or_no(cells.text("ioniser_on")).is_none() {
-        let advice = format!("must be one of 1, 0, true, false, yes and no, got `{}`", cells.text("ioniser_on"));
+        let advice =
+            format!("must be yes or no, also 1, 0, true, false, on and off, got `{}`", cells.text("ioniser_on"));
         check.keep::<()>(Err(at(row, "ioniser_on", advice)));
     }
     check.refusals()?;
-    let cell = |column: &String| match column.as_str() {
-        "ioniser_on" => yes_or_no(cells.text(column)).unwrap_or_default().to_owned(),
-        // As `flip measurements export` writes it.
-        "method" if cells.text(column) == "automated" => "camera".to_owned(),
-        _ => cells.text(column).to_owned(),
+    let named = |column: &str, text| {
+        if cells.holds(column) { Cell { text, told: Told::Text(text) } } else { Cell::of(cells, column) }
+    };
+    let cell = |column: &&str| match *column {
+        "ioniser_on" => named(column, yes_or_no(cells.text(column)).unwrap_or_default()),
+        "method" => named(column, by(words::method(cells.text(column)))),
+        _ => Cell::of(cells, column),
     };
     Ok(Line {
         row,
         powder: powder.unwrap_or_default(),
-        session: cells.text("session").to_owned(),
+        session: Cell::of(cells, "session"),
         angle,
         cells: covariates.iter().map(cell).collect(),
-        flow_time_s: number(cells.text("flow_time_s")),
+        flow_time_s: cells.holds(FLOW).then(|| cells.number(FLOW).ok()).flatten(),
+        has_order: cells.holds(ORDER),
+        angle_text: cells.text(ANGLE),
+        beside: cells.all_but(ANGLE),
     })
+}
+
+/// The name that a campaign has for a method.
+fn by(method: Option<Method>) -> &'static str {
+    match method {
+        Some(Method::Manual) => "manual",
+        _ => "camera",
+    }
 }
 
 /// One angle, or the summary of several.
@@ -170,23 +255,56 @@ fn angle(cells: &Cells<'_>) -> std::result::Result<Option<Flowability>, FieldErr
     }
 }
 
-impl Line {
+impl Line<'_> {
     /// Runs behind it; a row to be predicted is one.
     fn runs(&self) -> usize {
         self.angle.map_or(1, |angle| angle.n as usize)
     }
 }
 
-fn campaign(lines: &[Line], columns: Vec<String>) -> Campaign {
+/// Not more runs than are looked at together.
+fn bounded(lines: &[Line<'_>]) -> Result<()> {
+    let mut runs = 0;
+    for line in lines {
+        runs += line.runs();
+        if runs > RUNS_MAX {
+            let advice = format!(
+                "brings the runs, those behind summaries counted, above {RUNS_MAX}, the most that are looked at together: leave rows out"
+            );
+            return Err(FieldError::new(format!("row[{}]", line.row), advice).into());
+        }
+    }
+    Ok(())
+}
+
+/// What became of the columns of the run itself but for its session.
+fn own_columns(table: &Table, lines: &[Line<'_>]) -> Vec<ColumnRead> {
+    let own = table.columns.iter().filter(|name| OWN.contains(&name.as_str()) && *name != "session");
+    own.map(|name| {
+        let is_filled = |line: &&Line<'_>| match name.as_str() {
+            FLOW => line.flow_time_s.is_some(),
+            "powder" => true,
+            ANGLE => line.angle.is_some(),
+            _ => line.angle.is_some_and(|angle| angle.n > 1),
+        };
+        let filled = lines.iter().filter(is_filled).count();
+        let taken_as = if name == "powder" { TakenAs::Subject } else { TakenAs::Measured };
+        let missing = (lines.len() - filled) as u32;
+        ColumnRead { column: name.clone(), taken_as, filled: filled as u32, missing, note: String::new() }
+    })
+    .collect()
+}
+
+fn campaign(lines: &[Line<'_>], sessions: &[usize], names: &[&str], columns: Vec<Column>) -> Campaign {
     let mut powders: Vec<String> = Vec::new();
     let mut runs = Vec::new();
-    for (line, session) in lines.iter().zip(sessions(lines)) {
+    for (line, session) in lines.iter().zip(sessions) {
         let known = powders.iter().position(|powder| *powder == line.powder);
         let powder = known.unwrap_or(powders.len());
         if known.is_none() {
             powders.push(line.powder.clone());
         }
-        let run = |repose_deg| Run { row: line.row as u32, powder, session, repose_deg };
+        let run = |repose_deg| Run { row: line.row as u32, powder, session: *session, repose_deg };
         match line.angle {
             Some(angle) => {
                 runs.extend(repeats_of(angle.repose_deg, angle.sd_deg, angle.n).into_iter().map(|deg| run(Some(deg))));
@@ -194,87 +312,19 @@ fn campaign(lines: &[Line], columns: Vec<String>) -> Campaign {
             None => runs.push(run(None)),
         }
     }
-    let covariate = |(k, name): (usize, String)| {
-        let cells: Vec<&str> = lines.iter().map(|line| line.cells[k].as_str()).collect();
-        values(&name, &cells, lines).map(|values| Covariate { name, values })
+    let repeats: Vec<usize> = lines.iter().map(Line::runs).collect();
+    let covariate = |(name, column): (&&str, Column)| {
+        column.values(&repeats).map(|values| Covariate { name: (*name).to_owned(), values })
     };
     let times = lines.iter().flat_map(|line| (0..line.runs()).map(|k| line.flow_time_s.filter(|_| k == 0)));
     let flow_time_s: Vec<Option<f64>> = times.collect();
     Campaign {
         powders,
         runs,
-        covariates: columns.into_iter().enumerate().filter_map(covariate).collect(),
+        covariates: names.iter().zip(columns).filter_map(covariate).collect(),
         flow_time_s: if flow_time_s.iter().any(Option::is_some) { flow_time_s } else { Vec::new() },
         ..Campaign::default()
     }
-}
-
-/// A column, one value for each run; none if it says nothing.
-fn values(name: &str, cells: &[&str], lines: &[Line]) -> Option<Values> {
-    let filled: Vec<&str> = cells.iter().copied().filter(|cell| !cell.is_empty()).collect();
-    let numbers = || cells.iter().map(|cell| number(cell).filter(|number| number.abs() <= NUMBER_MAX)).collect();
-    let numbers: Vec<Option<f64>> = if NAMES.contains(&name) { Vec::new() } else { numbers() };
-    if numbers.iter().flatten().count() == filled.len() {
-        return (!filled.is_empty()).then(|| Values::Numbers(of_runs(&numbers, lines)));
-    }
-    let mut names = filled.clone();
-    names.sort_unstable();
-    names.dedup();
-    // A column that a cause needs is kept, so that the report can say why the cause cannot be told.
-    let says_nothing = 2 * names.len() > filled.len() || names.len() > LEVELS_MAX;
-    if (says_nothing && !NAMES.contains(&name)) || !names.iter().all(is_name) {
-        return None;
-    }
-    let of: Vec<Option<usize>> = cells.iter().map(|cell| names.binary_search(cell).ok()).collect();
-    Some(Values::Levels { names: names.into_iter().map(str::to_owned).collect(), of: of_runs(&of, lines) })
-}
-
-fn is_name(name: &&str) -> bool {
-    name.chars().count() <= NAME_CHARS_MAX && !name.chars().any(char::is_control)
-}
-
-/// What is said of a row holds for every run behind it.
-fn of_runs<T: Copy>(of_lines: &[T], lines: &[Line]) -> Vec<T> {
-    of_lines.iter().zip(lines).flat_map(|(value, line)| std::iter::repeat_n(*value, line.runs())).collect()
-}
-
-/// Session of each row, numbered in order of time.
-fn sessions(lines: &[Line]) -> Vec<usize> {
-    let named: Vec<&str> = lines.iter().map(|line| line.session.as_str()).filter(|name| !name.is_empty()).collect();
-    let times = |time: fn(&str) -> Option<f64>| named.iter().map(|name| time(name)).collect::<Option<Vec<f64>>>();
-    let places: Vec<usize> = match times(number).or_else(|| times(day)) {
-        Some(times) => {
-            let mut order = times.clone();
-            order.sort_unstable_by(f64::total_cmp);
-            order.dedup();
-            times.iter().map(|time| order.partition_point(|other| other < time)).collect()
-        }
-        None => {
-            let mut known: HashMap<&str, usize> = HashMap::new();
-            let mut place = |name| {
-                let next = known.len();
-                *known.entry(name).or_insert(next)
-            };
-            named.iter().map(|name| place(*name)).collect()
-        }
-    };
-    // Rows without one come last, each by itself.
-    let unnamed = places.iter().max().map_or(0, |last| last + 1)..;
-    let (mut places, mut unnamed) = (places.into_iter(), unnamed);
-    let session = |line: &Line| if line.session.is_empty() { unnamed.next() } else { places.next() };
-    lines.iter().filter_map(session).collect()
-}
-
-/// Days since the year 0 of a date, which a time of day may follow.
-fn day(text: &str) -> Option<f64> {
-    let (date, rest) = text.split_at_checked(10).unwrap_or((text, ""));
-    let is_time = |rest: &str| rest.starts_with(['T', ' ']) && rest[1..].starts_with(|c: char| c.is_ascii_digit());
-    if !rest.is_empty() && !is_time(rest) {
-        return None;
-    }
-    let iso = Date::parse(date, format_description!("[year]-[month]-[day]"));
-    let dotted = || Date::parse(date, format_description!("[day].[month].[year]"));
-    iso.or_else(|_| dotted()).ok().map(|date| f64::from(date.to_julian_day()))
 }
 
 #[cfg(test)]

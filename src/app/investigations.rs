@@ -1,8 +1,11 @@
 //! Investigations: what measured angles and balance readings say that the calibrated simulator does not.
 
+use super::campaign_csv::{self, CampaignRead};
 use super::check::Check;
+use super::csv_file::date::DateOrder;
 use super::jobs::{corrupt, stored};
-use super::{App, Error, Result, campaign_csv, trace_csv};
+use super::trace_csv::{self, TracesRead};
+use super::{App, Error, Result};
 use crate::discover::report::{Report, Row, Verdict};
 use crate::discover::{self, Campaign, FitSet, Settings};
 use crate::domain::FieldError;
@@ -35,17 +38,21 @@ const UNCALIBRATED: [[f64; 2]; 7] =
 pub struct InvestigationRequest {
     /// The runs as CSV text, one a row; default every stored measurement of an angle of repose, or none beside `traces_csv`.
     ///
-    /// Columns: `powder` and `repose_deg`, with `repose_sd_deg` and `n` a summary of n runs; of what was recorded, `session` (the day),
-    /// `order_in_session`, `method` (camera, manual), `operator`, `batch`, `plate`, `relative_humidity_pct`, `temperature_c`, `rest_min`,
+    /// Columns: `powder` (id or name) and `repose_deg`, with `repose_sd_deg` and `n` a summary of n runs; of what was recorded, `session` (the
+    /// day), `order_in_session`, `method` (camera, manual), `operator`, `batch`, `plate`, `relative_humidity_pct`, `temperature_c`, `rest_min`,
     /// `container_age_d`, `funnel_height_mm`, `base_diameter_mm`, `poured_mass_g`, `flow_time_s`, `vibration_rms_m_s2`, `ioniser_on`, and any
-    /// other column. An empty cell is a missing value. A refusal names the cell, such as `row[2].repose_deg`; the header is row 1.
+    /// other column. Separated by commas, semicolons or tabs, numbers with a point or a comma, at most 20000 rows and 8 MiB. An empty cell, `NA`
+    /// and the like are missing values. A refusal names the cell, such as `row[2].repose_deg`; the header is row 1. The report's `files` tells
+    /// what each column was taken as.
     pub measurements_csv: Option<String>,
     /// Balance readings of weighings as CSV text, one a row; default none.
     ///
     /// Columns: `weighing_id`, `t_s` and `balance_mg`; of what was recorded, `stable`, `powder`, `session` (the day), `shake_index` (shakes so
     /// far), `shake_mm`, `spoon_pitch_deg`, `spoon_fill_mg`, `target_mg`, `relative_humidity_pct`, `vibration_rms_m_s2`, and `kind`: `dose`, or of
-    /// a control log `zero` (the empty pan) or `standard` (a standard mass). An empty cell is a missing value.
+    /// a control log `zero` (the empty pan) or `standard` (a standard mass). Forms and limits are those of `measurements_csv`.
     pub traces_csv: Option<String>,
+    /// What stands first in dates such as 2/3/2026, `day_first` or `month_first`; needed where no day above 12 in the column tells.
+    pub dates: Option<DateOrder>,
     /// Campaigns in which nothing is wrong to compare with, 99 to 9999; default 499.
     pub simulations: Option<u32>,
     /// Most heaps to simulate, 0 to 10000; default 60. They criticise the simulator's own numerics and, where an extension is accepted, find and verify
@@ -69,7 +76,7 @@ pub struct Investigation {
     /// Weighings whose balance readings it looks at, controls counted.
     #[serde(default)]
     pub weighings: u32,
-    /// What was recorded; a column of names that hardly repeat is left out. The report says of what nothing can be told, and why.
+    /// What was recorded. The report's `files` tell which columns were left out, and why.
     pub covariates: Vec<String>,
     /// Campaigns in which nothing is wrong that it compares with.
     pub simulations: u32,
@@ -106,15 +113,29 @@ impl App {
             None if request.traces_csv.is_none() => Some(as_runs(&self.store().all_measurements(None).await?)),
             csv => csv,
         };
-        let runs = |csv: String| -> Result<Campaign> { Ok(campaign_csv::read(&csv, &REQUIRED)?.checked()?) };
-        let campaign = csv.map(runs).transpose()?;
-        let traces = request.traces_csv.map(|csv| trace_csv::read(&csv).map_err(of_traces)).transpose()?;
+        let mut files = Vec::new();
+        let campaign = match csv {
+            Some(csv) => {
+                let CampaignRead { campaign, read } = campaign_csv::read(&csv, &REQUIRED, request.dates)?;
+                files.push(read);
+                Some(campaign.checked()?)
+            }
+            None => None,
+        };
+        let traces = match request.traces_csv {
+            Some(csv) => {
+                let TracesRead { traces, read } = trace_csv::read(&csv).map_err(of_traces)?;
+                files.push(read);
+                Some(traces)
+            }
+            None => None,
+        };
         let heaps = match (&campaign, budget_runs) {
             (Some(campaign), 1..) => Some(Heaps { budget_runs, sets: self.stand_ins(campaign).await? }),
             _ => None,
         };
         let (method, simulator) = (discover::VERSION, SIMULATOR.to_owned());
-        let spec = InvestigationSpec { campaign, traces, settings, heaps, method, simulator };
+        let spec = InvestigationSpec { campaign, traces, settings, heaps, files, method, simulator };
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Investigation(spec)).await?)
     }
 

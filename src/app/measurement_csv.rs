@@ -4,11 +4,13 @@
 //! gathered into one measurement in the place of the first of them. What [`write()`] writes, [`read`] reads.
 
 use super::check::Check;
-use super::csv_file::{Cells, CsvFile, REFUSALS_MAX, Refused, at};
+use super::csv_file::words;
+use super::csv_file::{Cells, Columns, Holds, REFUSALS_MAX, Refused, Table, at};
+use super::powder_names::PowderNames;
 use super::{Error, Result};
 use crate::domain::FieldError;
 use crate::domain::observable::{Observable, Observation, SD_MIN};
-use crate::domain::powder::{Flowability, HeapReadings, Method, mean_and_sd, powder_id};
+use crate::domain::powder::{Flowability, HeapReadings, Method, mean_and_sd};
 use crate::store::observations::PowderObservation;
 use crate::store::powders::Measurement;
 use std::collections::HashMap;
@@ -101,26 +103,31 @@ struct Group {
     summary: Option<Value>,
 }
 
-/// Everything that a file says, in the order of its rows.
+/// Everything that a file says, in the order of its rows, and the powders that it names by a name.
 ///
 /// # Errors
 /// Every wrong cell by row and column, up to 50; an unknown, missing or repeated column by name.
-pub(super) fn read(text: &str) -> Result<Vec<Entry>> {
-    let mut groups = Groups::default();
-    let file = CsvFile::open(text, check_header)?;
-    let mut refusals = file.rows(|cells| Row { row: cells.row, cells }.read(&mut groups))?;
+pub(super) fn read(text: &str) -> Result<(Vec<Entry>, PowderNames)> {
+    let (mut groups, mut powders) = (Groups::default(), PowderNames::default());
+    let table = Table::open(text, &Columns { required: &["powder"], known, most: COLUMNS.len() }, check_header)?;
+    let mut refusals = table.each(|cells| Row { row: cells.row, cells }.read(&mut groups, &mut powders));
     let entries: Vec<_> =
         groups.list.into_iter().filter_map(|group| group.entry().map_err(|e| refusals.push(e)).ok()).collect();
     refusals.truncate(REFUSALS_MAX);
-    if refusals.is_empty() { Ok(entries) } else { Err(Error::Invalid(refusals)) }
+    if refusals.is_empty() { Ok((entries, powders)) } else { Err(Error::Invalid(refusals)) }
+}
+
+fn known(name: &str) -> Option<Holds> {
+    match name {
+        "powder" | "method" | "source" => Some(Holds::Text),
+        _ => COLUMNS.contains(&name).then_some(Holds::Numbers),
+    }
 }
 
 fn check_header(header: &[String], check: &mut Check) {
-    for name in header.iter().filter(|name| !COLUMNS.contains(&name.as_str())) {
+    let is_unknown = |name: &&String| !name.is_empty() && known(name).is_none();
+    for name in header.iter().filter(is_unknown) {
         check.refuse(name, format!("is no column that is known here; these are: {}", COLUMNS.join(", ")));
-    }
-    if !header.iter().any(|name| name == "powder") {
-        check.refuse("powder", "is missing in the header: the column with the powder's id");
     }
 }
 
@@ -131,21 +138,18 @@ struct Row<'a> {
 }
 
 impl Row<'_> {
-    fn read(&self, groups: &mut Groups) -> Refused<()> {
+    fn read(&self, groups: &mut Groups, powders: &mut PowderNames) -> Refused<()> {
         let row = self.row;
         let mut check = Check::default();
         let powder = match self.cells.text("powder") {
             "" => check.keep(Err(at(row, "powder", "is missing"))),
-            id => check.keep(powder_id(&format!("row[{row}].powder"), id)),
+            name => check.keep(powders.id_of(row, name)),
         };
-        let method = match self.cells.text("method") {
-            "" | "automated" => Method::Automated,
-            "manual" => Method::Manual,
-            other => {
-                check.refuse(&format!("row[{row}].method"), format!("must be automated or manual, got `{other}`"));
-                Method::Automated
-            }
-        };
+        let method = words::method(self.cells.text("method")).unwrap_or_else(|| {
+            let advice = format!("must be automated (camera) or manual, got `{}`", self.cells.text("method"));
+            check.refuse(&format!("row[{row}].method"), advice);
+            Method::Automated
+        });
         let source = self.cells.written("source");
         check.source(&format!("row[{row}].source"), source);
         let n = check.keep(self.cells.repeats("n")).flatten();
@@ -207,6 +211,8 @@ impl Row<'_> {
                     format!("does not go with {}, which is one heap: leave it empty", quantity.value),
                 ));
             }
+            // Of a single value nobody knows the spread.
+            (true, column) if n == Some(1) && !self.cells.holds(column) => 0.0,
             (true, column) => self.cells.number(column)?,
             (false, column) if self.cells.holds(column) => {
                 return Err(at(
@@ -239,9 +245,14 @@ impl Row<'_> {
             "drained_deg" => Observable::DrainedAngle {},
             _ => Observable::PileHeight { base_diameter_mm: setting(0)?, fall_mm: setting(1)? },
         };
-        // A single repeat is possible if a measurement of two such is, whatever their spread.
-        let sd = if is_summary { sd } else { SD_MIN };
-        let observation = Observation { observable, mean: value, sd, n }.checked();
+        // A single repeat is possible if a measurement of two such is, whatever their spread. A balance may read less than nothing after a shake
+        // that let nothing fall; the mean of the repeats may not.
+        let (sd, mean) = match (is_summary, observable) {
+            (true, _) => (sd, value),
+            (false, Observable::ShakeMass { .. }) => (SD_MIN, value.abs()),
+            (false, _) => (SD_MIN, value),
+        };
+        let observation = Observation { observable, mean, sd, n }.checked();
         let observation = observation.map_err(|error| self.renamed(quantity, error))?;
         let measured =
             if is_summary { Measured::Summary(Value::Observed(observation)) } else { Measured::Repeat(value) };

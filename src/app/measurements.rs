@@ -1,18 +1,20 @@
 //! What was measured of a powder: its angle of repose, and what else an experiment tells.
 
 use super::check::Check;
-use super::measurement_csv::{self, Value};
+use super::measurement_csv::{self, Entry, Value};
 use super::{App, Result};
+use crate::discover::reading::NamedPowder;
 use crate::domain::FieldError;
 use crate::domain::observable::{Observable, Observation};
 use crate::domain::powder::{Flowability, HeapReadings, Method};
+use crate::domain::powder_name::same_name;
 use crate::store::observations::PowderObservation;
 use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use crate::store::powders::Measurement;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 
-/// A measurement to register, in exactly one of three forms: `repose_deg` with `sd_deg` and `n`; the angles of all repeats in `repeats_deg`;
+/// A measurement to register, in exactly one of three forms: `repose_deg` with `sd_deg` and `n`, or alone as a single value; the angles of all repeats in `repeats_deg`;
 /// or the heaps themselves, `heights_mm` with `base_diameters_mm`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -21,9 +23,9 @@ pub struct NewMeasurement {
     pub method: Method,
     /// Mean angle of repose, 5 to 85 degrees.
     pub repose_deg: Option<f64>,
-    /// Standard deviation over the repeats, 0 to 45 degrees.
+    /// Standard deviation over the repeats, 0 to 45 degrees; of a single value nobody knows it, and it is left out.
     pub sd_deg: Option<f64>,
-    /// Number of repeats, 1 to 10000.
+    /// Number of repeats, 1 to 10000; 1 where neither it nor `sd_deg` is given.
     pub n: Option<u32>,
     /// Angle of repose of each of 1 to 10000 repeats, 5 to 85 degrees; mean, sample SD (0 for a single one) and number follow.
     pub repeats_deg: Option<Vec<f64>>,
@@ -58,6 +60,9 @@ pub struct NewObservation {
 pub struct Imported {
     /// Ids of the powders that were registered because the file names them.
     pub powders: Vec<String>,
+    /// Powders that the file has by their names, with the ids that these make or stand for.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub named: Vec<NamedPowder>,
     /// The measurements, in the order of the file.
     pub measurements: Vec<Measurement>,
     /// The observations beside the angle, in the order of the file.
@@ -112,12 +117,17 @@ impl NewMeasurement {
             }
             (None, None, Some(repose_deg)) => {
                 stray(&bases, "`repose_deg`")?;
-                let sd_deg = sd_deg.ok_or_else(|| FieldError::new("sd_deg", "is missing: the SD over the repeats"))?;
-                let n = n.ok_or_else(|| FieldError::new("n", "is missing: the number of repeats"))?;
+                // Of a single value nobody knows the spread: 0 with n = 1, as of one repeat.
+                let (sd_deg, n) = match (*sd_deg, *n) {
+                    (None, None | Some(1)) => (0.0, 1),
+                    (Some(sd_deg), Some(n)) => (sd_deg, n),
+                    (None, Some(_)) => return Err(FieldError::new("sd_deg", "is missing: the SD over the repeats")),
+                    (Some(_), None) => return Err(FieldError::new("n", "is missing: the number of repeats")),
+                };
                 Flowability::new(*repose_deg, sd_deg, n)
             }
             (None, None, None) => {
-                let advice = "is missing: give it with `sd_deg` and `n`, or the repeats as `repeats_deg`, \
+                let advice = "is missing: give it, with `sd_deg` and `n` where there are repeats, or the repeats as `repeats_deg`, \
                               or the heaps as `heights_mm` and `base_diameters_mm`";
                 Err(FieldError::new("repose_deg", advice))
             }
@@ -134,6 +144,48 @@ impl NewObservation {
             setting => FieldError { field: format!("observable.{setting}"), ..error },
         })
     }
+}
+
+/// What the powder of a file is to the powders that are registered.
+enum Registered {
+    /// This one.
+    As(String),
+    /// None of them.
+    Not,
+    /// Its id is that of a powder with this other name.
+    Another(String),
+}
+
+/// Which of the `known` powders, id and name, has this id, or this name where the file has one.
+fn registered(known: &[(String, String)], id: &str, name: Option<&str>) -> Registered {
+    let of_id = known.iter().find(|(known, _)| known == id);
+    let Some(name) = name else { return of_id.map_or(Registered::Not, |(id, _)| Registered::As(id.clone())) };
+    let is_same = |(id, known): &&(String, String)| same_name(known) == same_name(name) || known == id;
+    // A powder that was registered by its id alone has no name of its own.
+    let of_name = known.iter().find(|(_, known)| same_name(known) == same_name(name));
+    match (of_id.filter(is_same).or(of_name), of_id) {
+        (Some((id, _)), _) => Registered::As(id.clone()),
+        (None, Some((_, other))) => Registered::Another(other.clone()),
+        (None, None) => Registered::Not,
+    }
+}
+
+/// Powders in the order of the file, each with the first row that names it.
+fn first_rows(entries: &[Entry]) -> Vec<(String, usize)> {
+    let mut seen = HashSet::new();
+    let first = entries.iter().filter(|entry| seen.insert(entry.powder.as_str()));
+    first.map(|entry| (entry.powder.clone(), entry.row)).collect()
+}
+
+/// Put the id that a powder is registered under in the place of the one that its name makes.
+fn renamed(entries: &mut [Entry], named: &mut [NamedPowder], made: &str, id: &str) {
+    entries.iter_mut().filter(|entry| entry.powder == made).for_each(|entry| id.clone_into(&mut entry.powder));
+    named.iter_mut().filter(|powder| powder.id == made).for_each(|powder| id.clone_into(&mut powder.id));
+}
+
+fn unknown(id: &str, name: Option<&str>) -> String {
+    let name = name.map_or_else(String::new, |name| format!(" and none called `{name}`"));
+    format!("there is no powder `{id}`{name}: register it first, or import with `create`")
 }
 
 impl App {
@@ -158,32 +210,34 @@ impl App {
         Ok(measurement)
     }
 
-    /// Register everything that a CSV file holds, or nothing of it. A powder that is not registered is refused, or with `create` registered
-    /// with its id as its name. The same file again adds the same measurements again.
+    /// Register everything that a CSV file holds, or nothing of it. A powder is named by its id or its name. One that is not registered is refused,
+    /// or with `create` registered, under an id that is made from its name. The same file again adds the same measurements again.
     ///
     /// # Errors
     /// `Invalid` with every wrong cell as `row[2].repose_deg`, the header being row 1.
     pub async fn import_measurements(&self, csv: &str, create: bool) -> Result<Imported> {
-        let entries = measurement_csv::read(csv)?;
-        let mut check = Check::default();
-        let mut seen = HashSet::new();
-        let mut powders = Vec::new();
-        let mut tx = self.store().write().await?;
-        for entry in entries.iter().filter(|entry| seen.insert(entry.powder.as_str())) {
-            let (row, id) = (entry.row, &entry.powder);
-            if self.store().powder(id).await?.is_some() {
-                continue;
-            }
-            if create {
-                tx.insert_powder(id, id).await?;
-                powders.push(id.clone());
-            } else {
-                let advice = format!("there is no powder `{id}`: register it first, or import with `create`");
-                check.refuse(&format!("row[{row}].powder"), advice);
+        let (mut entries, names) = measurement_csv::read(csv)?;
+        let known = self.store().powder_names().await?;
+        let (mut check, mut new, mut named) = (Check::default(), Vec::new(), names.named());
+        for (made, row) in first_rows(&entries) {
+            let name = names.name_of(&made);
+            match registered(&known, &made, name) {
+                Registered::As(id) => renamed(&mut entries, &mut named, &made, &id),
+                Registered::Not if create => new.push((made.clone(), name.unwrap_or(&made).to_owned())),
+                Registered::Not => check.refuse(&format!("row[{row}].powder"), unknown(&made, name)),
+                Registered::Another(other) => {
+                    let advice = format!("makes the id {made}, which is `{other}`: write the id if it is that powder");
+                    check.refuse(&format!("row[{row}].powder"), advice);
+                }
             }
         }
         check.done()?;
-        let mut imported = Imported { powders, measurements: Vec::new(), observations: Vec::new() };
+        let mut tx = self.store().write().await?;
+        for (id, name) in &new {
+            tx.insert_powder(id, name).await?;
+        }
+        let powders = new.into_iter().map(|(id, _)| id).collect();
+        let mut imported = Imported { powders, named, measurements: Vec::new(), observations: Vec::new() };
         for entry in &entries {
             let (powder, source) = (&entry.powder, &entry.source);
             match &entry.value {

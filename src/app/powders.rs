@@ -5,6 +5,7 @@ use super::{App, Error, Result};
 use crate::domain::FieldError;
 use crate::domain::observable::Observation;
 use crate::domain::powder::powder_id;
+use crate::domain::powder_name::{NAME_CHARS_MAX, id_of_powder};
 use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use crate::store::parameter_sets::CalibratedSet;
 use crate::store::powders::{Measurement, Powder};
@@ -14,7 +15,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewPowder {
-    /// A lower-case letter, then up to 63 of a-z, 0-9 and _.
+    /// A lower-case letter, then up to 63 of a-z, 0-9 and _; made from the name where it is left out or empty: `Lactose 200M` is
+    /// `lactose_200m`.
+    #[serde(default)]
     pub id: String,
     /// Name for people, 1 to 100 characters.
     pub name: String,
@@ -53,16 +56,17 @@ impl App {
     /// Register a powder; `Conflict` when the id is taken.
     pub async fn create_powder(&self, new: NewPowder) -> Result<Powder> {
         let mut check = Check::default();
-        check.keep(powder_id("id", &new.id));
-        check.text("name", &new.name, 100);
+        let id = (!new.id.is_empty()).then(|| powder_id("id", &new.id)).and_then(|id| check.keep(id));
+        check.text("name", &new.name, NAME_CHARS_MAX);
         check.done()?;
+        let id = id.map_or_else(|| id_of_powder("name", &new.name), Ok)?;
         let mut tx = self.store().write().await?;
-        if !tx.insert_powder(&new.id, &new.name).await? {
-            let advice = format!("powder `{}` exists already: add measurements to it, or choose another id", new.id);
+        if !tx.insert_powder(&id, &new.name).await? {
+            let advice = format!("powder `{id}` exists already: add measurements to it, or choose another id");
             return Err(Error::conflict("powder_exists", advice));
         }
         tx.commit().await?;
-        self.existing_powder(&new.id).await
+        self.existing_powder(&id).await
     }
 
     /// Calibrated sets, newest first; of one powder when named.

@@ -5,20 +5,35 @@
 //! | `weighing_id`, `t_s`, `balance_mg` | the reading; rows of one weighing are in the order of time, wherever they stand |
 //! | `kind` | what was on the pan: `dose`, or as a control `zero` (empty) or `standard` (a standard mass); empty is a dose |
 //! | `powder`, `session`, `target_mg` | of the whole weighing: one row may say it for all |
-//! | the known numbers below, `stable` | of the reading, within bounds |
+//! | the known numbers below, `stable` | of the reading, within bounds; `stable` as balances flag it, S or U, or yes and no |
 //! | any other | nothing: no cause of the simulated bench acts through it |
 //!
 //! An empty cell is a missing value, never zero.
 
 use super::check::Check;
-use super::csv_file::{Cells, CsvFile, REFUSALS_MAX, Refused, at, within, yes_or_no};
-use super::{Error, Result};
+use super::csv_file::words::stable;
+use super::csv_file::{Cells, Columns, Holds, REFUSALS_MAX, Refused, Table, Told, at, within};
+use super::powder_names::PowderNames;
+use super::{Error, Result, humidity};
+use crate::discover::reading::{ColumnRead, FileRead, TakenAs};
 use crate::discover::traces::{Kind, Reading, Traces, Weighing};
-use crate::domain::powder::powder_id;
+use crate::domain::FieldError;
 use std::collections::HashMap;
 
 /// Columns without which a row is no reading.
 const REQUIRED: [&str; 3] = ["weighing_id", "t_s", "balance_mg"];
+/// Other columns of numbers.
+const NUMBERS: [&str; 7] = [
+    "shake_index",
+    "shake_mm",
+    "spoon_pitch_deg",
+    "spoon_fill_mg",
+    "target_mg",
+    humidity::COLUMN,
+    "vibration_rms_m_s2",
+];
+/// Other columns of words.
+const WORDS: [&str; 4] = ["stable", "kind", "powder", "session"];
 /// Most columns.
 const COLUMNS_MAX: usize = 60;
 /// Longest name of a weighing or a session.
@@ -44,48 +59,112 @@ struct Gathered {
     shakes: usize,
 }
 
+/// Traces, and how their file was read.
+#[derive(Debug)]
+pub(super) struct TracesRead {
+    pub traces: Traces,
+    pub read: FileRead,
+}
+
 /// The traces that a file describes.
 ///
 /// # Errors
 /// Every wrong cell by row and column, up to 50; a missing or repeated column by name; traces that say nothing.
-pub(super) fn read(text: &str) -> Result<Traces> {
-    let file = CsvFile::open(text, |names, check| {
-        for column in REQUIRED.iter().filter(|column| !names.iter().any(|name| name == *column)) {
-            check.refuse(column, "is missing in the header");
-        }
-        if names.len() > COLUMNS_MAX {
-            check.refuse("header", format!("has {} columns, and at most {COLUMNS_MAX} are read", names.len()));
-        }
-    })?;
+pub(super) fn read(text: &str) -> Result<TracesRead> {
+    let table = Table::open(text, &Columns { required: &REQUIRED, known, most: COLUMNS_MAX }, |_, _| {})?;
+    let (mut lines, mut powders) = (Vec::new(), PowderNames::default());
+    let refusals = table.each(|cells| {
+        lines.push(line(cells, &mut powders)?);
+        Ok(())
+    });
+    refused(refusals)?;
+    let humid = humidities(&table, &mut lines).map_err(Error::Invalid)?;
+    let mut columns = columns(&table);
+    if let (Some(note), Some(column)) = (humid, columns.iter_mut().find(|it| it.column == humidity::COLUMN)) {
+        column.note = note.to_owned();
+    }
+    let rows = lines.len() as u32;
+    let traces = gathered(lines)?;
+    let read = FileRead {
+        file: "traces".to_owned(),
+        rows,
+        columns,
+        powders: powders.named(),
+        left_out: Vec::new(),
+        notes: Vec::new(),
+    };
+    Ok(TracesRead { traces, read })
+}
+
+fn known(name: &str) -> Option<Holds> {
+    match name {
+        "weighing_id" => Some(Holds::Text),
+        _ if REQUIRED.contains(&name) || NUMBERS.contains(&name) => Some(Holds::Numbers),
+        _ => WORDS.contains(&name).then_some(Holds::Text),
+    }
+}
+
+fn refused(mut refusals: Vec<FieldError>) -> Result<()> {
+    refusals.truncate(REFUSALS_MAX);
+    if refusals.is_empty() { Ok(()) } else { Err(Error::Invalid(refusals)) }
+}
+
+/// Weighings in the order of their first rows.
+fn gathered(lines: Vec<Line>) -> Result<Traces> {
     let mut places: HashMap<String, usize> = HashMap::new();
     let mut all: Vec<Gathered> = Vec::new();
-    let mut refusals = file.rows(|cells| {
-        let line = line(cells)?;
+    let mut refusals = Vec::new();
+    for line in lines {
         let place = *places.entry(line.weighing.clone()).or_insert(all.len());
         if place == all.len() {
-            let Line { weighing: id, .. } = &line;
-            let weighing = Weighing {
-                id: id.clone(),
-                powder: None,
-                session: None,
-                kind: Kind::Dose,
-                target_mg: None,
-                readings: Vec::new(),
-            };
-            all.push(Gathered { weighing, kind: None, shakes: 0 });
+            all.push(Gathered::new(line.weighing.clone()));
         }
-        all[place].add(line)
-    })?;
-    refusals.truncate(REFUSALS_MAX);
-    if !refusals.is_empty() {
-        return Err(Error::Invalid(refusals));
+        refusals.extend(all[place].add(line).err().into_iter().flatten());
+        if refusals.len() >= REFUSALS_MAX {
+            break;
+        }
     }
+    refused(refusals)?;
     let named = |it: Gathered| Weighing { kind: it.kind.unwrap_or(Kind::Dose), ..it.weighing };
     Ok(Traces { weighings: all.into_iter().map(named).collect() }.checked()?)
 }
 
+/// Humidities in per cent, whichever way they are written; what that is to say of their column.
+fn humidities(table: &Table, lines: &mut [Line]) -> Refused<Option<&'static str>> {
+    let mut values: Vec<Option<f64>> = lines.iter().map(|line| line.reading.relative_humidity_pct).collect();
+    let units: Vec<bool> =
+        table.rows().map(|cells| matches!(cells.told(humidity::COLUMN), Told::Number(_, Some(_)))).collect();
+    let note = humidity::to_percent(&mut values, |k| units[k], |k| lines[k].row)?;
+    lines.iter_mut().zip(values).for_each(|(line, value)| line.reading.relative_humidity_pct = value);
+    Ok(note)
+}
+
+/// What became of each column.
+fn columns(table: &Table) -> Vec<ColumnRead> {
+    let rows = table.rows().count() as u32;
+    let named = table.columns.iter().filter(|name| !name.is_empty());
+    named
+        .map(|name| {
+            let filled = table.rows().filter(|cells| cells.holds(name)).count() as u32;
+            let taken_as = match name.as_str() {
+                "weighing_id" | "powder" => TakenAs::Subject,
+                "session" => TakenAs::Session,
+                "t_s" | "balance_mg" => TakenAs::Measured,
+                "stable" | "kind" => TakenAs::Names,
+                other if NUMBERS.contains(&other) => TakenAs::Numbers,
+                _ => TakenAs::Nothing,
+            };
+            let note = match taken_as {
+                TakenAs::Nothing => "no cause of the simulated bench acts through it".to_owned(),
+                _ => String::new(),
+            };
+            ColumnRead { column: name.clone(), taken_as, filled, missing: rows - filled, note }
+        })
+        .collect()
+}
+
 /// A row, if it is right.
-fn line(cells: &Cells<'_>) -> Refused<Line> {
+fn line(cells: &Cells<'_>, powders: &mut PowderNames) -> Refused<Line> {
     let row = cells.row;
     let mut check = Check::default();
     for column in REQUIRED.iter().filter(|column| !cells.holds(column)) {
@@ -94,9 +173,9 @@ fn line(cells: &Cells<'_>) -> Refused<Line> {
     for column in ["weighing_id", "session"].iter().filter(|column| cells.holds(column)) {
         check.text(&format!("row[{row}].{column}"), cells.text(column), NAME_CHARS_MAX);
     }
-    let powder = cells.holds("powder").then(|| powder_id(&format!("row[{row}].powder"), cells.text("powder")));
+    let powder = cells.holds("powder").then(|| powders.id_of(row, cells.text("powder")));
     let powder = powder.and_then(|id| check.keep(id));
-    let kind = match cells.text("kind") {
+    let kind = match cells.text("kind").to_lowercase().as_str() {
         "" => None,
         "dose" => Some(Kind::Dose),
         "zero" => Some(Kind::Zero),
@@ -106,9 +185,12 @@ fn line(cells: &Cells<'_>) -> Refused<Line> {
             None
         }
     };
-    let stable = yes_or_no(cells.text("stable")).map(|it| it == "yes");
-    if cells.holds("stable") && stable.is_none() {
-        let advice = format!("must be one of 1, 0, true, false, yes and no, got `{}`", cells.text("stable"));
+    let stood = stable(cells.text("stable"));
+    if cells.holds("stable") && stood.is_none() {
+        let advice = format!(
+            "must be S, ST or yes, or U, US, D, SD or no, also 1, 0, true and false, got `{}`",
+            cells.text("stable")
+        );
         check.keep::<()>(Err(at(row, "stable", advice)));
     }
     let mut number = |column: &str, lower: f64, upper: f64, unit: &str| {
@@ -120,12 +202,12 @@ fn line(cells: &Cells<'_>) -> Refused<Line> {
     let reading = Reading {
         t_s: t_s.unwrap_or_default(),
         balance_mg: balance_mg.unwrap_or_default(),
-        stable,
+        stable: stood,
         shake_index: None,
         shake_mm: number("shake_mm", 0.0, 1e3, "mm"),
         spoon_pitch_deg: number("spoon_pitch_deg", -180.0, 180.0, "deg"),
         spoon_fill_mg: number("spoon_fill_mg", -1e3, 1e9, "mg"),
-        relative_humidity_pct: number("relative_humidity_pct", 0.0, 100.0, "%"),
+        relative_humidity_pct: number(humidity::COLUMN, 0.0, 100.0, "%"),
         vibration_rms_m_s2: number("vibration_rms_m_s2", 0.0, 1e4, "m/s^2"),
     };
     let shake_index = check.keep(cells.whole("shake_index", "shakes")).flatten();
@@ -143,6 +225,12 @@ fn line(cells: &Cells<'_>) -> Refused<Line> {
 }
 
 impl Gathered {
+    fn new(id: String) -> Self {
+        let (powder, session, target_mg) = (None, None, None);
+        let weighing = Weighing { id, powder, session, kind: Kind::Dose, target_mg, readings: Vec::new() };
+        Self { weighing, kind: None, shakes: 0 }
+    }
+
     /// One row more; refused where it contradicts the rows before.
     fn add(&mut self, line: Line) -> Refused<()> {
         let Line { row, weighing: _, kind, powder, session, target_mg, reading } = line;
@@ -224,7 +312,7 @@ mod tests {
                     b,0,0.0,1,0,,,salt,2,12.5,41,x\nz,0,0.1,no,,,zero,,2,,41,\nb,1.5,3.25,,1.0,6,,,,,,\nz,1,0.0,yes,,,,,,,,\n"
             .to_owned()
             + &(2..40).map(|k| format!("z,{k},0.{k},,,,zero,,,,,\n")).collect::<String>();
-        let traces = read(&text).unwrap();
+        let traces = read(&text).unwrap().traces;
         let [b, z] = &traces.weighings[..] else { panic!("{traces:?}") };
         assert_eq!(
             (b.id.as_str(), b.kind, b.powder.as_deref(), b.session.as_deref()),
@@ -244,11 +332,11 @@ mod tests {
     #[test]
     fn wrong_cells_are_named_by_row_and_column() {
         let good = format!("{HEADER}{}", dose("a"));
-        assert_eq!(read(&good).unwrap().weighings[0].session.as_deref(), Some("monday"));
+        assert_eq!(read(&good).unwrap().traces.weighings[0].session.as_deref(), Some("monday"));
         let changed = |from: &str, to: &str| refused(&good.replacen(from, to, 1));
         assert_eq!(changed("a,3.5,1.1", "a,1.5,1.1"), ["row[5].t_s"], "time runs backwards");
         assert_eq!(changed("a,3.5,1.1,1", "a,3.5,1.1,0"), ["row[5].shake_index"], "shakes are counted up");
-        assert_eq!(changed("a,3.5,1.1", "a,3.5,1.1 mg"), ["row[5].balance_mg"], "text in a number");
+        assert_eq!(changed("a,3.5,1.1", "a,3.5,1.1 g"), ["row[5].balance_mg"], "another unit");
         assert_eq!(changed("a,3.5,1.1", "a,NaN,1.1"), ["row[5].t_s"]);
         assert_eq!(changed("a,3.5,1.1", ",,"), ["row[5].weighing_id", "row[5].t_s", "row[5].balance_mg"]);
         assert_eq!(changed("a,3.5,1.1,1", "a,3.5,1.1,1.5"), ["row[5].shake_index"]);
@@ -258,7 +346,7 @@ mod tests {
         for (column, cell) in [
             ("kind", "tare"),
             ("stable", "perhaps"),
-            ("powder", "a b"),
+            ("powder", "?!"),
             ("target_mg", "-1"),
             ("shake_mm", "-2"),
             ("spoon_pitch_deg", "200"),

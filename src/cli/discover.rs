@@ -7,8 +7,8 @@ use super::table::table;
 use super::watch::Watch;
 use super::{Common, FIRST_PAGE};
 use crate::app::{
-    App, CURRENT, ChosenSimulator, CurrentSimulator, InvestigationRequest, Report, SimulatorVersion, names,
-    predictions_csv, report_html,
+    App, CURRENT, ChosenSimulator, ColumnRead, CurrentSimulator, DateOrder, FileRead, InvestigationRequest,
+    PredictionRequest, Report, SimulatorVersion, names, predictions_csv, report_html,
 };
 use crate::domain::FieldError;
 use anyhow::Context;
@@ -19,6 +19,8 @@ use std::path::{Path, PathBuf};
 
 /// Causes that the text lists; the document has all.
 const CAUSES_SHOWN: usize = 5;
+/// Rows that the text names of those left out; the document has all.
+const ROWS_SHOWN: usize = 20;
 
 /// Arguments of `flip discover`.
 #[derive(Debug, clap::Args)]
@@ -40,6 +42,9 @@ enum Action {
         /// Rows as a CSV file: powder, and what the version's causes act through.
         #[arg(long, value_name = "FILE")]
         measurements: PathBuf,
+        /// What stands first in dates such as 2/3/2026; needed where no day above 12 tells.
+        #[arg(long, value_name = "ORDER")]
+        dates: Option<Dates>,
     },
     /// List the simulator's versions, newest first, and say which one is current.
     Versions,
@@ -69,6 +74,9 @@ struct CampaignArguments {
     /// empty pan) or standard (a standard mass). An empty cell is a missing value.
     #[arg(long, value_name = "FILE")]
     traces: Option<PathBuf>,
+    /// What stands first in dates such as 2/3/2026; needed where no day above 12 in the column tells.
+    #[arg(long, value_name = "ORDER")]
+    dates: Option<Dates>,
     /// Most heaps to simulate, 0 to 10000: they criticise the simulator's own numerics, and find and verify the amplitude of an accepted extension. With
     /// 0 it is read off a table and not verified.
     #[arg(long, value_name = "N", default_value_t = 60, allow_negative_numbers = true)]
@@ -81,13 +89,32 @@ struct CampaignArguments {
     out: Option<PathBuf>,
 }
 
+/// What stands first in a date.
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Dates {
+    /// 2/3/2026 is 2 March.
+    DayFirst,
+    /// 2/3/2026 is 3 February.
+    MonthFirst,
+}
+
+impl From<Dates> for DateOrder {
+    fn from(dates: Dates) -> Self {
+        match dates {
+            Dates::DayFirst => Self::DayFirst,
+            Dates::MonthFirst => Self::MonthFirst,
+        }
+    }
+}
+
 /// Investigate, write the files and print the report: whatever the verdict, that is a success. Or ask a version.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.action {
         None => discover(common, &arguments.campaign),
-        Some(Action::Predict { simulator, measurements }) => {
-            let csv = read("measurements", measurements)?;
-            let rows = with_app(common, async |app| Ok(app.predict(simulator, &csv).await?))?;
+        Some(Action::Predict { simulator, measurements, dates }) => {
+            let measurements_csv = read("measurements", measurements)?;
+            let request = PredictionRequest { measurements_csv, dates: dates.map(Into::into) };
+            let rows = with_app(common, async |app| Ok(app.predict(simulator, &request).await?))?;
             common.print(&rows, || predictions_csv(&rows))
         }
         Some(Action::Versions) => {
@@ -130,6 +157,7 @@ fn discover(common: &Common, arguments: &CampaignArguments) -> Result<(), Failur
     let request = InvestigationRequest {
         measurements_csv: text_of("measurements", &arguments.measurements)?,
         traces_csv: text_of("traces", &arguments.traces)?,
+        dates: arguments.dates.map(Into::into),
         simulations: Some(arguments.simulations),
         budget_runs: Some(arguments.budget_runs),
         seed: Some(common.seed),
@@ -191,15 +219,36 @@ fn text(report: &Report, out: &Path) -> String {
         ]
     });
     let untestable = report.untestable.iter().map(|it| vec![names::cause(&it.mechanism), it.reason.clone()]);
+    let files = report.files.iter().flat_map(read_as);
     let parts = [
         report.sentence.clone(),
         decision,
         section(&["cause", "family", "probability, if any", "powders"], causes.collect()),
         section(&["departs", "with", "effect", "95 % interval", "from - to", "powders"], findings.collect()),
         section(&["cannot be told", "because"], untestable.collect()),
+        files.collect::<Vec<_>>().join("\n\n"),
         format!("report.html, report.json and predict.csv are in {}", out.display()),
     ];
     parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n\n")
+}
+
+/// How a file was read: its columns, and what was left out.
+fn read_as(file: &FileRead) -> Vec<String> {
+    let column = |it: &ColumnRead| {
+        vec![it.column.clone(), word(&it.taken_as), it.filled.to_string(), it.missing.to_string(), it.note.clone()]
+    };
+    let header = format!("column of {}", file.file);
+    let columns = section(&[&header, "taken as", "filled", "missing", ""], file.columns.iter().map(column).collect());
+    let left_out = file.left_out.iter().map(|it| format!("left out: rows {}: {}", rows(&it.rows), it.reason));
+    let powders = file.powders.iter().map(|it| format!("powder `{}` is {}", it.name, it.id));
+    [columns].into_iter().chain(left_out).chain(file.notes.iter().cloned()).chain(powders).collect()
+}
+
+/// Rows by number, the first of them where they are many.
+fn rows(rows: &[u32]) -> String {
+    let named: Vec<String> = rows.iter().take(ROWS_SHOWN).map(u32::to_string).collect();
+    let more = rows.len().saturating_sub(ROWS_SHOWN);
+    named.join(", ") + &if more > 0 { format!(" and {more} more") } else { String::new() }
 }
 
 /// A table; nothing where it has no rows.

@@ -4,7 +4,7 @@ use super::Common;
 use super::failure::Failure;
 use super::session::{with_reader, with_writer};
 use super::table::table;
-use crate::app::{Compared, Imported};
+use crate::app::{Compared, Imported, NamedPowder, table_text};
 use crate::domain::FieldError;
 use clap::Subcommand;
 use std::path::{Path, PathBuf};
@@ -22,11 +22,12 @@ enum Action {
     ///
     /// Columns: powder; method; repose_deg, or height_mm with base_diameter_mm and perhaps funnel_height_mm; flow_time_s with poured_mass_g and
     /// orifice_mm; shake_mg with spoon_pitch_deg and shake_mm; drained_deg; pile_height_mm with base_diameter_mm and fall_mm; source. A row is
-    /// one repeat, and repeats are gathered; with n and the SD it is a summary. An empty cell is a missing value.
+    /// one repeat, and repeats are gathered; with n and the SD it is a summary. An empty cell, NA and the like are missing values. Separated by
+    /// commas, semicolons or tabs, numbers with a point or a comma; a powder is named by its id or its name.
     Import {
-        /// The file, UTF-8, with a header.
+        /// The file, UTF-8 or UTF-16, with a header.
         file: PathBuf,
-        /// Register powders that the file names and FLIP does not know, with their id as their name.
+        /// Register powders that the file names and FLIP does not know, each under an id that is made from its name.
         #[arg(long)]
         create: bool,
     },
@@ -62,14 +63,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 /// The text of the file that `field` names.
 pub(super) fn read(field: &str, file: &Path) -> Result<String, Failure> {
     let unreadable = |error| FieldError::new(field, format!("{} cannot be read: {error}", file.display()));
-    let bytes = std::fs::read(file).map_err(unreadable)?;
-    let not_text = |error: std::string::FromUtf8Error| {
-        let before = &error.as_bytes()[..error.utf8_error().valid_up_to()];
-        let row = 1 + before.iter().filter(|byte| **byte == b'\n').count();
-        let advice = format!("is not UTF-8 text: save {} as CSV UTF-8", file.display());
-        FieldError::new(format!("row[{row}]"), advice)
-    };
-    Ok(String::from_utf8(bytes).map_err(not_text)?)
+    Ok(table_text(&std::fs::read(file).map_err(unreadable)?)?)
 }
 
 fn comparison(compared: &[Compared]) -> String {
@@ -86,10 +80,13 @@ fn comparison(compared: &[Compared]) -> String {
 }
 
 fn text(imported: &Imported) -> String {
-    let Imported { powders, measurements, observations } = imported;
+    let Imported { powders, named, measurements, observations } = imported;
     let mut text = format!("{} measurements and {} observations added", measurements.len(), observations.len());
     if !powders.is_empty() {
         text += &format!("; powders registered: {}", powders.join(", "));
+    }
+    for NamedPowder { name, id } in named {
+        text += &format!("\npowder `{name}` is {id}");
     }
     text
 }

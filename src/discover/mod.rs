@@ -17,7 +17,7 @@
 //! investigate.rs  all of it, for angles              report.rs, words.rs   the document, and its sentences
 //! flow.rs, scatter.rs   flow times, and how far repeats scatter    beside.rs   judged as angles are
 //! traces/         the same for balance readings      channels.rs           all together
-//! names.rs        plain names of causes and columns
+//! names.rs        plain names of causes and columns    reading.rs   how files were read
 //! ```
 //!
 //! The calibrated simulator predicts one angle for a powder, whatever the day. Anything that a new calibration would absorb, a powder's own mean,
@@ -50,6 +50,7 @@ pub mod names;
 mod noise;
 pub mod numerics;
 mod posterior;
+pub mod reading;
 pub mod report;
 mod response;
 mod scatter;

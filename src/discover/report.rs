@@ -2,6 +2,7 @@
 
 use super::extension::FitSet;
 use super::numerics::Dependence;
+use super::reading::FileRead;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -56,6 +57,9 @@ pub struct Report {
     /// Whether angles of simulated heaps depend on how they are computed; absent where nothing was simulated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub numerics: Option<Numerics>,
+    /// How the files were read: what each column was taken as, and what was left out.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub files: Vec<FileRead>,
     /// Simulations that this took.
     pub simulator_runs: u32,
     /// Time that this took, s; 0 where nobody measured it.
@@ -87,6 +91,7 @@ impl Report {
             rows: Vec::new(),
             curves: Vec::new(),
             numerics: None,
+            files: Vec::new(),
             simulator_runs: 0,
             wall_s: 0.0,
         }

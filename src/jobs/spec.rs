@@ -2,6 +2,7 @@
 
 use super::conditions::Conditions;
 use crate::calibrate;
+use crate::discover::reading::FileRead;
 use crate::discover::traces::Traces;
 use crate::discover::{self, Campaign, FitSet};
 use crate::domain::bench::BenchKind;
@@ -131,6 +132,9 @@ pub struct InvestigationSpec {
     /// Heaps that it may simulate; none without.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub heaps: Option<Heaps>,
+    /// How the files were read; of one of before there is nothing.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub files: Vec<FileRead>,
     /// What judges: [`discover::VERSION`]. Another one may find something else.
     pub method: u32,
     /// Version of the simulator: [`SIMULATOR`].

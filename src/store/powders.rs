@@ -59,6 +59,11 @@ impl Store {
         row.as_ref().map(powder).transpose()
     }
 
+    /// Id and name of every powder, oldest first.
+    pub(crate) async fn powder_names(&self) -> Result<Vec<(String, String)>> {
+        Ok(sqlx::query_as("SELECT id, name FROM powder ORDER BY seq").fetch_all(&self.reader).await?)
+    }
+
     /// Measurements of a powder, oldest first.
     pub(crate) async fn measurements(&self, powder: &str, window: Window) -> Result<Page<Measurement>> {
         let rows = sqlx::query("SELECT * FROM measurement WHERE powder = ?1 AND seq > ?2 ORDER BY seq LIMIT ?3")

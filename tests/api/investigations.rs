@@ -308,3 +308,90 @@ async fn an_extension_that_wins_is_a_version_that_predicts_and_the_report_is_a_p
     let page = page.text().await.unwrap();
     assert!(page.contains("Humidity makes all powders pile steeper") && !page.contains("<script"));
 }
+
+/// 200 weighings of ten shakes, ten readings each: 20000 rows, more than a megabyte.
+fn many_weighings() -> String {
+    let reading = |k: u32| {
+        let (weighing, shake) = (k / 100, k % 100 / 10);
+        let noise = f64::from((k * 7919 + k % 1000 * 31) % 101) / 500.0 - 0.1;
+        let load = f64::from(shake) * (1.4 + 0.03 * f64::from((weighing * 5 + shake * 3) % 13));
+        format!("weighing-{weighing:04},{}.{},{:.4},{shake},3-Nitrotoluene,ST\r\n", k % 100, k % 10, load + noise)
+    };
+    "weighing_id,t_s,balance_mg,shake_index,powder,stable\r\n".to_owned()
+        + &(0..20_000).map(reading).collect::<String>()
+}
+
+#[tokio::test]
+async fn twenty_thousand_readings_are_taken_over_rest_and_grpc_alike() {
+    let service = Service::start().await;
+    let csv = many_weighings();
+    assert!(csv.len() > 1024 * 1024);
+    let posted = post(&service, &json!({ "traces_csv": csv, "simulations": 99 })).await;
+    assert_eq!(posted.status(), 202);
+    let job: Value = posted.json().await.unwrap();
+    let mut client = InvestigationsClient::connect(service.url("")).await.unwrap();
+    let request = proto::StartInvestigationRequest {
+        traces_csv: Some(csv.replace(',', ";")),
+        simulations: Some(99),
+        ..Default::default()
+    };
+    let again = client.start_investigation(as_operator(&service, request).await).await.unwrap().into_inner();
+    assert_eq!(
+        (again.created, again.job.unwrap().id.as_str()),
+        (false, job["id"].as_str().unwrap()),
+        "with semicolons"
+    );
+    let path = format!("/v1/jobs/{}/cancel", job["id"].as_str().unwrap());
+    let cancel = service.request("POST", &path).bearer_auth(service.token(Role::Operator).await).send().await.unwrap();
+    assert!(cancel.status().is_success());
+    let one_more = format!("{}\r\nweighing-9999,0,0,0,salt,ST\r\n", many_weighings().trim_end());
+    let refused = problem(post(&service, &json!({ "traces_csv": one_more })).await, 400).await;
+    assert_eq!(fields(&refused), ["traces.row[20002]"]);
+}
+
+#[tokio::test]
+async fn how_a_file_was_read_is_in_the_report_and_a_day_that_may_be_two_is_asked_for() {
+    let service = Service::start().await;
+    let mut lines: Vec<String> = humid_campaign().lines().map(str::to_owned).collect();
+    let column = |name: &str| lines[0].split(',').position(|it| it == name).unwrap();
+    let (session, humidity) = (column("session"), column("relative_humidity_pct"));
+    for (k, line) in lines.iter_mut().enumerate().skip(1) {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        let day: u32 = cells[session].parse().unwrap();
+        cells[session] = format!("3/{day}/2026");
+        if k == 5 {
+            cells[humidity] = "NA".to_owned();
+        }
+        *line = cells.join(",");
+    }
+    let csv = lines.join("\n");
+    let asked = problem(post(&service, &json!({ "measurements_csv": csv, "simulations": 99 })).await, 400).await;
+    assert_eq!(fields(&asked), ["row[2].session"]);
+    assert!(asked.to_string().contains("`dates`"), "{asked}");
+    let body = json!({ "measurements_csv": csv, "simulations": 99, "dates": "month_first" });
+    let started: Value = post(&service, &body).await.json().await.unwrap();
+    let found = finished(&service, started["id"].as_str().unwrap()).await;
+    let read = &found["report"]["files"][0];
+    assert_eq!((&read["file"], &read["rows"]), (&json!("measurements"), &json!(72)));
+    let of = |name: &str| read["columns"].as_array().unwrap().iter().find(|it| it["column"] == name).unwrap().clone();
+    assert_eq!(of("session")["note"], "12 days, 2026-03-01 to 2026-03-12");
+    let humidity = of("relative_humidity_pct");
+    assert_eq!(
+        (&humidity["taken_as"], &humidity["filled"], &humidity["missing"]),
+        (&json!("numbers"), &json!(71), &json!(1))
+    );
+    assert_eq!(
+        found["report"]["findings"][0]["covariate"], "relative_humidity_pct",
+        "one missing cell loses no column"
+    );
+    assert_eq!(of("remark")["taken_as"], "nothing");
+    let page =
+        service.get(&format!("{PATH}/{}/report.html", started["id"].as_str().unwrap())).await.text().await.unwrap();
+    assert!(page.contains("How the data were read") && page.contains("12 days, 2026-03-01 to 2026-03-12"));
+    let mut client = InvestigationsClient::connect(service.url("")).await.unwrap();
+    let mut request =
+        proto::StartInvestigationRequest { measurements_csv: Some(csv), simulations: Some(99), ..Default::default() };
+    request.set_dates(proto::DateOrder::MonthFirst);
+    let again = client.start_investigation(as_operator(&service, request).await).await.unwrap().into_inner();
+    assert!(!again.created, "the same over gRPC is the same job");
+}

@@ -38,6 +38,9 @@ async fn a_measurement_is_given_as_a_mean_as_repeats_or_as_heaps() {
     for (body, angle, sd, n) in [
         (json!({ "method": "manual", "repose_deg": 33.5, "sd_deg": 1.25, "n": 4 }), 33.5, 1.25, 4),
         (json!({ "method": "manual", "repeats_deg": [30, 32, 34] }), 32.0, 2.0, 3),
+        // A single value: nobody knows its spread.
+        (json!({ "method": "manual", "repose_deg": 33.5 }), 33.5, 0.0, 1),
+        (json!({ "method": "manual", "repose_deg": 33.5, "n": 1 }), 33.5, 0.0, 1),
         (json!({ "method": "manual", "heights_mm": [20, 20], "base_diameters_mm": [40] }), 45.0, 0.0, 2),
         (
             json!({ "method": "manual", "heights_mm": [20, 50], "base_diameters_mm": [40, 100], "funnel_height_mm": 50 }),
@@ -256,7 +259,7 @@ async fn a_bad_file_is_refused_by_row_and_column_and_stores_nothing() {
         ("?create=true", "powder,repose_deg\nflour,30\nflour,86\n", &["row[3].repose_deg"] as &[&str]),
         ("", "powder,repose_deg\nsalt,30\nflour,30\nflour,31\nchalk,30\n", &["row[3].powder", "row[5].powder"]),
         ("", "powder,repose\nsalt,30\n", &["repose"]),
-        ("", "powder,repose_deg\nsalt,30,\n", &["row[2]"]),
+        ("", "powder,repose_deg\nsalt,30,5\n", &["row[2]"]),
         ("", "powder,drained_deg\nsalt,30\n", &["row[2].drained_deg"]),
         ("", "", &["powder"]),
         ("?create=maybe", "powder,repose_deg\nsalt,30\n", &["create"]),
@@ -268,11 +271,58 @@ async fn a_bad_file_is_refused_by_row_and_column_and_stores_nothing() {
     let unknown = problem(import(&service, "", "powder,repose_deg\nflour,30\n").await, 400).await;
     assert!(unknown["detail"].as_str().unwrap().contains("`flour`"), "{unknown}");
     problem(import(&service, "", b"powder\n\xff\n".to_vec()).await, 400).await;
-    problem(import(&service, "", " ".repeat(1024 * 1024 + 1)).await, 413).await;
+    let large = problem(import(&service, "", " ".repeat(8 * 1024 * 1024 + 1)).await, 400).await;
+    assert_eq!(fields(&large), ["file"]);
+    problem(import(&service, "", " ".repeat(16 * 1024 * 1024 + 1)).await, 413).await;
     let problem_of_json = problem(post(&service, "/v1/measurements/import", &json!({})).await, 415).await;
     assert!(problem_of_json["detail"].as_str().unwrap().contains("text/csv"));
     problem(service.request("POST", "/v1/measurements/import").send().await.unwrap(), 401).await;
     problem(service.get("/v1/powders/flour").await, 404).await;
     problem(service.get("/v1/powders/flour/measurements.csv").await, 404).await;
     assert_eq!(service.get("/v1/measurements.csv").await.text().await.unwrap(), before);
+}
+
+#[tokio::test]
+async fn a_powder_is_registered_by_its_name_under_an_id_that_is_told() {
+    let service = Service::start().await;
+    let utf16 = |text: &str| -> Vec<u8> {
+        [0xff, 0xfe].into_iter().chain(text.encode_utf16().flat_map(u16::to_le_bytes)).collect()
+    };
+    let file = "Powder\tRepose_Deg\r\nLactose 200M\t40,5\r\n3-Nitrotoluene\t38,5\r\nSodium bicarbonate\t42,5\r\n";
+    let unknown = problem(import(&service, "", utf16(file)).await, 400).await;
+    assert_eq!(fields(&unknown), ["row[2].powder", "row[3].powder"], "sodium bicarbonate is registered");
+    let added: Value = import(&service, "?create=true", utf16(file)).await.json().await.unwrap();
+    assert_eq!(added["powders"], json!(["lactose_200m", "p_3_nitrotoluene"]));
+    assert_eq!(added["named"][0], json!({ "name": "Lactose 200M", "id": "lactose_200m" }));
+    assert_eq!(added["measurements"][2]["powder"], "sodium_bicarbonate");
+    let powder: Value = service.get("/v1/powders/p_3_nitrotoluene").await.json().await.unwrap();
+    assert_eq!(powder["powder"]["name"], "3-Nitrotoluene");
+    let again = import(&service, "", "powder,repose_deg\nLACTOSE 200M,41\nlactose_200m,41\n").await;
+    assert_eq!(again.status(), 201, "by the name that it has, or its id");
+    let other = problem(import(&service, "?create=true", "powder,repose_deg\nLactose-200M,41\n").await, 400).await;
+    assert!(other["detail"].as_str().unwrap().contains("`Lactose 200M`"), "{other}");
+
+    // The same without a file.
+    let post = async |body: Value| post(&service, "/v1/powders", &body).await;
+    let made: Value = post(json!({ "name": "Stärke (Mais)" })).await.json().await.unwrap();
+    assert_eq!((&made["id"], &made["name"]), (&json!("staerke_mais"), &json!("Stärke (Mais)")));
+    assert_eq!(post(json!({ "name": "Lactose 200-M", "id": "lac" })).await.status(), 201);
+    assert_eq!(fields(&problem(post(json!({ "name": "?!" })).await, 400).await), ["name"]);
+    problem(post(json!({ "name": "Salt" })).await, 409).await;
+    let mut powders = PowdersClient::connect(service.url("")).await.unwrap();
+    let new = proto::CreatePowderRequest { id: String::new(), name: "食盐".into() };
+    let made = powders.create_powder(as_operator(&service, new).await).await.unwrap().into_inner();
+    assert!(made.id.starts_with("p_") && made.name == "食盐", "{}", made.id);
+}
+
+#[tokio::test]
+async fn twenty_thousand_rows_are_taken_over_rest_and_grpc() {
+    let service = Service::start().await;
+    // Two sources, 10000 repeats at most each; a remark makes it more than a megabyte.
+    let row = |k: u32| format!("salt,{}.{},\"bench {}, {:>60}\"\r\n", 30 + k % 7, k % 10, k % 2, "by the window");
+    let rows: String = (0..20_000).map(row).collect();
+    let response = import(&service, "", format!("powder,repose_deg,source\r\n{rows}")).await;
+    assert_eq!(response.status(), 201);
+    let added: Value = response.json().await.unwrap();
+    assert_eq!((&added["measurements"][0]["n"], &added["measurements"][1]["n"]), (&json!(10_000), &json!(10_000)));
 }

@@ -41,6 +41,7 @@ same_names! {
     Outcome = Outcome { Within Under Over NotStable Blocked Stopped Aborted Unknown }
     WeighingState = WeighingState { Planned Armed Dosing Settling Done Aborted Unknown }
     app::CalibrationMethod = CalibrationMethod { Emulator Paper Sequential }
+    app::DateOrder = DateOrder { DayFirst MonthFirst }
     app::TrialPhase = TrialPhase { Search Verification }
     app::Order = Order { Curriculum Random Reverse DomainRandomisation }
     app::Preset = Preset { Flip Paper }

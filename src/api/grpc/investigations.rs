@@ -1,6 +1,6 @@
 //! `flip.v1.Investigations`.
 
-use super::convert::{all, page};
+use super::convert::{all, named, page};
 use super::proto::*;
 use super::{Service, read, write};
 use crate::app::InvestigationRequest;
@@ -12,9 +12,10 @@ impl investigations_server::Investigations for Service {
         &self,
         request: Request<StartInvestigationRequest>,
     ) -> Result<Response<StartJobResponse>, Status> {
-        let StartInvestigationRequest { measurements_csv, traces_csv, simulations, seed, budget_runs } =
+        let StartInvestigationRequest { measurements_csv, traces_csv, dates, simulations, seed, budget_runs } =
             write(request)?;
-        let request = InvestigationRequest { measurements_csv, traces_csv, simulations, budget_runs, seed };
+        let dates = named::<DateOrder, _>("dates", dates.unwrap_or_default())?;
+        let request = InvestigationRequest { measurements_csv, traces_csv, dates, simulations, budget_runs, seed };
         Ok(Response::new(self.app.start_investigation(request).await?.into()))
     }
 

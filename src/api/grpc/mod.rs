@@ -81,9 +81,12 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         ($server:ident) => {
             $server::new(service.clone()).max_decoding_message_size(BODY_BYTES_MAX)
         };
+        ($server:ident, $bytes_max:ident) => {
+            $server::new(service.clone()).max_decoding_message_size($bytes_max)
+        };
     }
-    let frames = ReposeMeasurementsServer::new(service.clone()).max_decoding_message_size(LARGE_BYTES_MAX);
     // What has come as a frame goes out again.
+    let frames = limited!(ReposeMeasurementsServer, LARGE_BYTES_MAX);
     let frames = frames.max_encoding_message_size(LARGE_BYTES_MAX);
     let mut routes = Routes::new(health);
     if let Ok(reflection) = reflection().build_v1() {
@@ -99,8 +102,8 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         .add_service(limited!(TrainingsServer))
         .add_service(limited!(PoliciesServer))
         .add_service(limited!(EvaluationsServer))
-        .add_service(limited!(InvestigationsServer))
-        .add_service(limited!(SimulatorsServer))
+        .add_service(limited!(InvestigationsServer, LARGE_BYTES_MAX))
+        .add_service(limited!(SimulatorsServer, LARGE_BYTES_MAX))
         .add_service(limited!(WeighingsServer))
         .add_service(limited!(BenchServer))
         .add_service(frames)

@@ -1,5 +1,6 @@
 //! What the OpenAPI document says besides what each route says of itself.
 
+use super::extract::{BODY_BYTES_MAX, LARGE_BYTES_MAX};
 use crate::api::problem::{CONTENT_TYPE, Problem};
 use utoipa::openapi::path::{Operation, PathItem};
 use utoipa::openapi::schema::{ArrayBuilder, Schema};
@@ -50,8 +51,9 @@ pub fn head() -> OpenApi {
     Head::openapi()
 }
 
-/// The document with what follows from the shape of each operation: who may call it and which refusals it has.
-pub fn complete(mut document: OpenApi) -> OpenApi {
+/// The document with what follows from the shape of each operation: who may call it and which refusals it has. Bodies of paths that are `large` may
+/// hold images or tables.
+pub fn complete(mut document: OpenApi, large: impl Fn(&str) -> bool) -> OpenApi {
     for (path, item) in &mut document.paths.paths {
         let has_id = path.contains('{');
         for (safe, operation) in operations(item) {
@@ -67,7 +69,8 @@ pub fn complete(mut document: OpenApi) -> OpenApi {
                 refuse(operation, "404", "No such thing");
             }
             if has_body {
-                refuse(operation, "413", "The body is larger than 1 MiB");
+                let bytes_max = if large(path) { LARGE_BYTES_MAX } else { BODY_BYTES_MAX };
+                refuse(operation, "413", &format!("The body is larger than {} MiB", bytes_max / (1024 * 1024)));
                 refuse(operation, "415", "The body is not JSON");
             }
             refuse(operation, "500", "Our fault; the log tells the cause under `instance`");

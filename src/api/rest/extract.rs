@@ -1,6 +1,7 @@
 //! Axum's extractors, with refusals that name the field.
 
 use crate::api::problem::Problem;
+use crate::app::table_text;
 use crate::domain::FieldError;
 use axum::body::Bytes;
 use axum::extract::rejection::QueryRejection;
@@ -12,7 +13,7 @@ use std::error::Error;
 
 /// Most bytes of a request body.
 pub const BODY_BYTES_MAX: usize = 1024 * 1024;
-/// Most bytes of a body that holds images.
+/// Most bytes of a body that holds images or tables.
 pub const LARGE_BYTES_MAX: usize = 16 * 1024 * 1024;
 
 /// A JSON body.
@@ -27,7 +28,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Input<T> {
     }
 }
 
-/// A JSON body that holds images.
+/// A JSON body that holds images or tables.
 #[derive(Debug)]
 pub struct Large<T>(pub T);
 
@@ -47,9 +48,8 @@ impl<S: Send + Sync> FromRequest<S> for Csv {
     type Rejection = Problem;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
-        let bytes = body(request, state, "text/csv", BODY_BYTES_MAX).await?;
-        let text = String::from_utf8(bytes.into()).map_err(|_| Problem::malformed("the body is not UTF-8 text"))?;
-        Ok(Self(text))
+        let bytes = body(request, state, "text/csv", LARGE_BYTES_MAX).await?;
+        Ok(Self(table_text(&bytes)?))
     }
 }
 

@@ -1,6 +1,6 @@
 //! `/v1/investigations`: what measured angles say that the calibrated simulator does not.
 
-use super::extract::{Input, Path, Query};
+use super::extract::{Large, Path, Query};
 use super::list::{ListParams, respond};
 use super::{csv_file, started};
 use crate::api::auth::{Operator, Viewer};
@@ -32,7 +32,7 @@ pub async fn list_investigations(
 pub async fn start_investigation(
     _: Operator,
     State(app): State<App>,
-    Input(request): Input<InvestigationRequest>,
+    Large(request): Large<InvestigationRequest>,
 ) -> Result<Response, Problem> {
     Ok(started("investigations", app.start_investigation(request).await?))
 }

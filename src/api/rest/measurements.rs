@@ -76,7 +76,7 @@ pub async fn add_observation(
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ImportParams {
-    /// Register powders that the file names and FLIP does not know, with their id as their name.
+    /// Register powders that the file names and FLIP does not know, each under an id that is made from its name.
     #[serde(default)]
     #[param(default = false)]
     create: bool,
@@ -84,13 +84,14 @@ pub struct ImportParams {
 
 /// Register the measurements and observations of a CSV file, all or nothing.
 ///
-/// Columns: `powder`; `method` (automated, manual); `repose_deg`, or `height_mm` with `base_diameter_mm` and perhaps `funnel_height_mm`;
+/// Columns: `powder` (id or name); `method` (automated or camera, manual); `repose_deg`, or `height_mm` with `base_diameter_mm` and perhaps `funnel_height_mm`;
 /// `flow_time_s` with `poured_mass_g` and `orifice_mm`; `shake_mg` with `spoon_pitch_deg` and `shake_mm`; `drained_deg`; `pile_height_mm` with
 /// `base_diameter_mm` and `fall_mm`; `source`. A row is one repeat, and those of one powder, method, source and experiment are gathered; with
-/// `n` and the SD (`repose_sd_deg`, `flow_time_sd_s`, `shake_sd_mg`, `drained_sd_deg`, `pile_height_sd_mm`) it is a summary. An empty cell
-/// is a missing value. A refusal names the cell, such as `row[2].repose_deg`; the header is row 1.
+/// `n` and the SD (`repose_sd_deg`, `flow_time_sd_s`, `shake_sd_mg`, `drained_sd_deg`, `pile_height_sd_mm`) it is a summary; of a
+/// single value (`n` 1) there is no SD. Separated by commas, semicolons or tabs, numbers with a point or a comma. An empty cell, `NA` and the like
+/// are missing values. A refusal names the cell, such as `row[2].repose_deg`; the header is row 1.
 #[utoipa::path(post, path = "/v1/measurements/import", tag = "powders", params(ImportParams),
-    request_body(content = String, content_type = "text/csv", description = "The file, UTF-8, at most 20000 rows"),
+    request_body(content = String, content_type = "text/csv", description = "The file, UTF-8 or UTF-16, at most 20000 rows and 8 MiB"),
     responses((status = 201, description = "What was added", body = Imported),
         (status = 415, description = "The body is not CSV", body = Problem, content_type = "application/problem+json")))]
 pub async fn import_measurements(

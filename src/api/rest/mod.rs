@@ -41,7 +41,6 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(powders::get_powder))
         .routes(routes!(measurements::list_measurements, measurements::add_measurement))
         .routes(routes!(measurements::list_observations, measurements::add_observation))
-        .routes(routes!(measurements::import_measurements))
         .routes(routes!(measurements::export_measurements))
         .routes(routes!(measurements::export_powder_measurements))
         .routes(routes!(repose::compare_methods))
@@ -65,14 +64,13 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(policies::download_policy_weights))
         .routes(routes!(evaluations::list_evaluations, evaluations::start_evaluation))
         .routes(routes!(evaluations::get_evaluation))
-        .routes(routes!(investigations::list_investigations, investigations::start_investigation))
+        .routes(routes!(investigations::list_investigations))
         .routes(routes!(investigations::get_investigation))
         .routes(routes!(investigations::download_predictions))
         .routes(routes!(investigations::get_report_page))
         .routes(routes!(simulators::list_simulators))
         .routes(routes!(simulators::get_current_simulator, simulators::choose_simulator))
         .routes(routes!(simulators::get_simulator))
-        .routes(routes!(simulators::predict))
         .routes(routes!(weighings::list_weighings, weighings::start_weighing))
         .routes(routes!(weighings::get_weighing))
         .routes(routes!(weighings::get_trace))
@@ -96,17 +94,21 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(tokens::create_token))
 }
 
-/// Routes whose bodies are images: so few at once that their bytes fit.
+/// Routes whose bodies are images or tables: so few at once that their bytes fit.
 fn large_routes() -> OpenApiRouter<App> {
     OpenApiRouter::new()
         .routes(routes!(repose::add_frame))
+        .routes(routes!(measurements::import_measurements))
+        .routes(routes!(investigations::start_investigation))
+        .routes(routes!(simulators::predict))
         .layer(DefaultBodyLimit::max(extract::LARGE_BYTES_MAX))
         .layer(GlobalConcurrencyLimitLayer::new(LARGE_AT_ONCE))
 }
 
 /// The OpenAPI document of everything below `/v1`.
 pub fn openapi() -> OpenApi {
-    document::complete(routes().merge(large_routes()).into_openapi())
+    let large = large_routes().into_openapi();
+    document::complete(routes().merge(large_routes()).into_openapi(), |path| large.paths.paths.contains_key(path))
 }
 
 /// The routes, with `/openapi.json`.

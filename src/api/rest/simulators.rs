@@ -1,7 +1,7 @@
 //! `/v1/simulators`: versions of the simulator that investigations made, and which of them is current.
 
 use super::csv_file;
-use super::extract::{Input, Path, Query};
+use super::extract::{Input, Large, Path, Query};
 use super::list::{ListParams, respond};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
@@ -64,7 +64,7 @@ pub async fn predict(
     _: Operator,
     State(app): State<App>,
     Path(id): Path<String>,
-    Input(request): Input<PredictionRequest>,
+    Large(request): Large<PredictionRequest>,
 ) -> Result<Response, Problem> {
-    Ok(csv_file("predict", predictions_csv(&app.predict(&id, &request.measurements_csv).await?)))
+    Ok(csv_file("predict", predictions_csv(&app.predict(&id, &request).await?)))
 }

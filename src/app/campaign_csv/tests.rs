@@ -1,16 +1,28 @@
 //! What a file becomes, and what it is refused for.
 
 use super::*;
+use crate::discover::{LEVELS_MAX, Values};
 use crate::stats::summary::{mean, sd};
+use proptest::prelude::*;
 
 const REQUIRED: [&str; 2] = ["powder", "repose_deg"];
 
+fn read_of(text: &str) -> CampaignRead {
+    read(text, &REQUIRED, None).unwrap_or_else(|error| panic!("{text}: {error}"))
+}
+
 fn campaign_of(text: &str) -> Campaign {
-    read(text, &REQUIRED).unwrap_or_else(|error| panic!("{text}: {error}"))
+    read_of(text).campaign
+}
+
+/// What a file of this column was told to have become of it.
+fn told(name: &str, cells: &[&str]) -> ColumnRead {
+    let columns = read_of(&with_column(name, cells)).read.columns;
+    columns.into_iter().find(|it| it.column == name).unwrap()
 }
 
 fn refused(text: &str) -> Vec<String> {
-    match read(text, &REQUIRED) {
+    match read(text, &REQUIRED, None) {
         Err(Error::Invalid(errors)) => errors.into_iter().map(|error| error.field).collect(),
         other => panic!("{text}: {other:?}"),
     }
@@ -75,7 +87,6 @@ fn sessions_are_numbered_in_order_of_time() {
         (["2026-02-01T09:30", "2026-01-31 08:00", "2026-02-01 14:00:00", "2025-12-31"], [2, 1, 2, 0]),
         (["Tuesday", "Monday", "Tuesday", "Friday"], [0, 1, 0, 2]),
         (["2026-02-01 b", "2026-02-01 a", "2026-02-01 b", "2026-01-31"], [0, 1, 0, 2]),
-        (["12", "Monday", "12", "9"], [0, 1, 0, 2]),
         (["", "7", "", "3"], [2, 1, 3, 0]),
         (["", "", "", ""], [0, 1, 2, 3]),
     ] {
@@ -126,7 +137,7 @@ fn a_flow_time_is_measured_beside_the_angle_and_of_a_summary_counts_once() {
 
 #[test]
 fn an_angle_may_be_missing_where_it_is_to_be_predicted() {
-    let campaign = read("powder,relative_humidity_pct\nsalt,40\nsugar,50\n", &["powder"]).unwrap();
+    let campaign = read("powder,relative_humidity_pct\nsalt,40\nsugar,50\n", &["powder"], None).unwrap().campaign;
     assert_eq!(campaign.runs.iter().map(|run| (run.row, run.repose_deg)).collect::<Vec<_>>(), [(2, None), (3, None)]);
 }
 
@@ -136,13 +147,13 @@ fn wrong_cells_are_refused_by_row_and_column() {
     for (text, fields) in [
         ("repose_deg\n36\n", &["powder"] as &[&str]),
         ("", &["powder", "repose_deg"]),
-        ("powder;repose_deg\nsalt;36\n", &["powder", "repose_deg"]),
         ("powder,repose_deg,batch,batch\nsalt,36,a,a\n", &["batch"]),
         ("powder,repose_deg\n", &["row[2]"]),
         ("powder,repose_deg\nsalt,36,40\n", &["row[2]"]),
-        ("powder,repose_deg\n,36\nSalt!,36\nsalt,\n", &["row[2].powder", "row[3].powder", "row[4].repose_deg"]),
+        ("powder,repose_deg\n,36\n?!,36\nsalt,\n", &["row[2].powder", "row[3].powder", "row[4].repose_deg"]),
+        ("powder,repose_deg\nLactose 200M,36\nLactose-200M,36\n", &["row[3].powder"]),
         (
-            "powder,repose_deg\nsalt,4.9\nsalt,85.1\nsalt,NaN\nsalt,\"36,5\"\nsalt,steep\n",
+            "powder,repose_deg\nsalt,4.9\nsalt,85.1\nsalt,NaN\nsalt,<36\nsalt,steep\n",
             &["row[2].repose_deg", "row[3].repose_deg", "row[4].repose_deg", "row[5].repose_deg", "row[6].repose_deg"],
         ),
         (&columns("salt,36,,5"), &["row[2].repose_sd_deg"]),
@@ -168,6 +179,14 @@ fn wrong_cells_are_refused_by_row_and_column() {
         (&with_column("flow_time_s", &["0", "fast"]), &["row[2].flow_time_s", "row[3].flow_time_s"]),
         (&with_column("vibration_rms_m_s2", &["-0.1"]), &["row[2].vibration_rms_m_s2"]),
         (&with_column("order_in_session", &["first"]), &["row[2].order_in_session"]),
+        (&with_column("relative_humidity_pct", &["41", "0.41"]), &["row[3].relative_humidity_pct"]),
+        (&with_column("flow_time_s", &["<5"]), &["row[2].flow_time_s"]),
+        (&with_column("temperature_c", &["75 °F"]), &["row[2].temperature_c"]),
+        (&with_column("rh", &["41", "42", "wet"]), &["row[4].rh"]),
+        (&with_column("rh", &["41", "42", "~43", "40-50"]), &["row[4].rh", "row[5].rh"]),
+        (&with_column("gap", &["5 mm", "0.6 cm"]), &["row[3].gap"]),
+        (&with_column("mass", &["\"1,125\"", "2.5"]), &["row[2].mass"]),
+        (&with_column("session", &["12", "Monday", "12", "9"]), &["row[3].session"]),
     ] {
         assert_eq!(refused(text), fields, "{text}");
     }
@@ -184,4 +203,266 @@ fn a_file_has_bounds() {
     assert_eq!(refused("powder,repose_deg,repose_sd_deg,n\nsalt,36,1,1000\nsalt,36,1,1000\nsalt,36,1,2\n"), ["row[4]"]);
     let wide: String = (0..COLUMNS_MAX).map(|k| format!(",c{k}")).collect();
     assert_eq!(refused(&format!("powder,repose_deg{wide}\n")), ["header"]);
+}
+
+/// Month and day of eight rows.
+const DAYS: [(u8, u8); 8] = [(3, 11), (2, 15), (2, 7), (3, 11), (12, 1), (2, 15), (1, 30), (2, 7)];
+
+fn days(written: impl Fn(u8, u8) -> String) -> String {
+    with_column("session", &DAYS.map(|(month, day)| written(month, day)).iter().map(String::as_str).collect::<Vec<_>>())
+}
+
+#[test]
+fn days_written_another_way_are_the_same_sessions_in_the_same_order() {
+    let iso = read_of(&days(|month, day| format!("2026-{month:02}-{day:02}")));
+    assert_eq!(iso.campaign.session_of(), [3, 2, 1, 3, 4, 2, 0, 1]);
+    let of =
+        |month: u8, day: u8| time::Date::from_calendar_date(2026, time::Month::try_from(month).unwrap(), day).unwrap();
+    let name = |month: u8| of(month, 1).month().to_string();
+    let since_1970 = |month, day| i64::from(of(month, day).to_julian_day() - 2_440_588);
+    let forms: [&dyn Fn(u8, u8) -> String; 12] = [
+        &|month, day| format!("{day}.{month}.2026"),
+        &|month, day| format!("{day:02}.{month:02}.26"),
+        &|month, day| format!("{month}/{day}/2026"),
+        &|month, day| format!("{day}/{month}/2026"),
+        &|month, day| format!("{day:02}-{}-26", &name(month)[..3]),
+        &|month, day| format!("\"{} {day}, 2026\"", name(month)),
+        &|month, day| format!("{day} {} 2026 09:3{}", name(month), day % 10),
+        &|month, day| format!("2026-{month:02}-{day:02}T1{}:30:00+02:00", day % 10),
+        &|month, day| (since_1970(month, day) + 25_569).to_string(),
+        &|month, day| format!("{}.5", since_1970(month, day) + 25_569),
+        &|month, day| (since_1970(month, day) * 86_400 + i64::from(day) * 3_600 / 2).to_string(),
+        &|month, day| format!("2026{month:02}{day:02}"),
+    ];
+    for form in forms {
+        assert_eq!(read_of(&days(form)), iso, "{}", form(3, 11));
+    }
+    assert_eq!(iso.read.columns[2].note, "5 days, 2026-01-30 to 2026-12-01");
+}
+
+#[test]
+fn one_typo_among_days_does_not_make_names_of_them() {
+    for typo in ["2026-02-30", "2026-13-02", "2026-03-1l", "Monday", "46056", "26-03-11", "3 Mar", "2026-03-11 25:00"] {
+        let cells = ["2026-03-11", "2026-02-15", typo, "2026-02-07"];
+        assert_eq!(refused(&with_column("session", &cells)), ["row[4].session"], "{typo}");
+    }
+    assert_eq!(refused(&with_column("session", &["15/2/2026", "2/15/2026", "3/3/2026"])), ["row[3].session"]);
+    let named = told("session", &["Tuesday", "Monday", "Tuesday", ""]);
+    assert!(named.note.starts_with("2 names, in the order in which they first stand"), "{}", named.note);
+    assert_eq!((named.taken_as, named.filled, named.missing), (TakenAs::Session, 3, 1));
+}
+
+#[test]
+fn a_day_that_may_be_two_is_asked_for() {
+    let text = with_column("session", &["2/3/2026", "4/3/2026", "2/3/2026"]);
+    let asked = read(&text, &REQUIRED, None).unwrap_err().to_string();
+    assert!(asked.contains("row[2].session") && asked.contains("--dates day-first"), "{asked}");
+    let sessions = |order| read(&text, &REQUIRED, Some(order)).unwrap();
+    let (day_first, month_first) = (sessions(DateOrder::DayFirst), sessions(DateOrder::MonthFirst));
+    assert_eq!(day_first.read.columns[2].note, "2 days, 2026-03-02 to 2026-03-04");
+    assert_eq!(month_first.read.columns[2].note, "2 days, 2026-02-03 to 2026-04-03");
+    let wrong = read(&with_column("session", &["15/2/2026", "3/2/2026"]), &REQUIRED, Some(DateOrder::MonthFirst));
+    assert!(wrong.unwrap_err().to_string().contains("row[2].session"));
+    // The same whichever comes first.
+    assert_eq!(told("session", &["2/2/2026", "3/3/2026"]).note, "2 days, 2026-02-02 to 2026-03-03");
+}
+
+#[test]
+fn one_cell_without_a_number_does_not_make_names_of_a_column() {
+    let numbers = |cells: &[&str]| match column(&campaign_of(&with_column("rh", cells)), "rh") {
+        Some(Values::Numbers(values)) => values.clone(),
+        other => panic!("{cells:?}: {other:?}"),
+    };
+    for missing in ["NA", "N/A", "nan", "-", "n.d.", "#N/A", "", "none", "<5", "> 95"] {
+        assert_eq!(numbers(&["47", missing, "46.5"]), [Some(47.0), None, Some(46.5)], "{missing}");
+    }
+    for number in ["47.1", "\"47,1\"", "47.1 %", "\"47,1 %\"", "4.71e1"] {
+        assert_eq!(numbers(&["47", number, "46.5"]), [Some(47.0), Some(47.1), Some(46.5)], "{number}");
+    }
+    let limits = told("rh", &["47", "<5", "", "46"]);
+    assert_eq!((limits.taken_as, limits.filled, limits.missing), (TakenAs::Numbers, 2, 2));
+    assert!(limits.note.contains("limits such as <5 and count as missing: rows 3"), "{}", limits.note);
+}
+
+#[test]
+fn what_is_left_out_is_told_with_its_reason() {
+    let left_out = |name: &str, cells: &[&str]| {
+        let told = told(name, cells);
+        (told.taken_as == TakenAs::Nothing).then_some(told.note).unwrap_or_default()
+    };
+    assert_eq!(left_out("remark", &["a", "b", "c", "c"]), "hardly a name stands twice");
+    assert_eq!(left_out("remark", &["", ""]), "no cell of it is filled");
+    assert_eq!(left_out("rh", &["<5", "<5"]), "it holds limits and no number");
+    assert_eq!(left_out("lab", &["a", "a", "b"]), "");
+    assert_eq!(told("lab", &["a", "a", "1", "1"]).note, "2 of its cells are numbers and count as names");
+    let fractions = told("relative_humidity_pct", &["0.41", "0.5", "NA"]);
+    assert!(fractions.note.starts_with("written as fractions, taken as per cent"), "{}", fractions.note);
+    let campaign = campaign_of(&with_column("relative_humidity_pct", &["0.25", "0.5"]));
+    assert_eq!(column(&campaign, "relative_humidity_pct"), Some(&Values::Numbers(vec![Some(25.0), Some(50.0)])));
+    let named = read_of("powder,repose_deg\nLactose 200M,36\n3-Nitrotoluene,37\nlactose_200m,35\n");
+    assert_eq!(named.campaign.powders, ["lactose_200m", "p_3_nitrotoluene"]);
+    let ids: Vec<(&str, &str)> = named.read.powders.iter().map(|it| (it.name.as_str(), it.id.as_str())).collect();
+    assert_eq!(ids, [("Lactose 200M", "lactose_200m"), ("3-Nitrotoluene", "p_3_nitrotoluene")]);
+}
+
+/// 48 runs of four days, read to `decimals`; with `place` each with its place in its day.
+fn runs(decimals: usize, place: bool) -> Vec<String> {
+    let angle = |k: u32| 36.0 + f64::from((k * 7919 + k * k * 31) % 1009) / 250.0 - 2.0;
+    let line = |k: u32| {
+        let place = if place { (k / 4).to_string() } else { String::new() };
+        format!("{},{:.decimals$},{},{place}", ["salt", "sugar"][(k % 2) as usize], angle(k), k % 4)
+    };
+    (0..48).map(line).collect()
+}
+
+fn file(lines: &[String]) -> String {
+    format!("powder,repose_deg,session,order_in_session\n{}\n", lines.join("\n"))
+}
+
+#[test]
+fn a_row_that_stands_twice_counts_once_and_is_named() {
+    for decimals in [0, 2] {
+        let lines = runs(decimals, true);
+        let once = read_of(&file(&lines));
+        let twice = read_of(&file(&[&lines[..], &lines[3..9]].concat()));
+        assert_eq!(twice.campaign, once.campaign, "{decimals} decimals");
+        assert_eq!(twice.read.left_out[0].rows, [50, 51, 52, 53, 54, 55]);
+        assert_eq!((twice.read.rows, once.read.left_out.len()), (54, 0));
+    }
+    // Nothing says which run is which, but ten pairs alike to a hundredth of a degree are too many.
+    let lines = runs(2, false);
+    let copied = read_of(&file(&[&lines[..], &lines[3..13]].concat()));
+    assert!((50..60).all(|row| copied.read.left_out[0].rows.contains(&row)), "{:?}", copied.read.left_out);
+    // The whole file twice, at whole degrees.
+    let whole = runs(0, false);
+    let twice = read_of(&file(&[&whole[..], &whole].concat()));
+    assert_eq!(twice.campaign, read_of(&file(&whole)).campaign);
+    assert_eq!(twice.read.left_out[0].rows, (50..98).collect::<Vec<u32>>());
+    let predicted = "powder,rest_min\nsalt,5\nsalt,5\n";
+    assert_eq!(super::read(predicted, &["powder"], None).unwrap().campaign.runs.len(), 2, "a question twice");
+}
+
+#[test]
+fn angles_that_are_equal_because_they_are_coarse_all_count() {
+    let coarse = read_of(&file(&runs(0, false)));
+    assert_eq!((coarse.campaign.runs.len(), coarse.read.left_out.len()), (48, 0));
+    assert!(coarse.read.notes[0].contains("rows are like an earlier row in every cell"), "{:?}", coarse.read.notes);
+    // One pair of 48 runs alike at a tenth of a degree is what chance brings.
+    let tenths = [&runs(1, false)[..], &runs(1, false)[5..6]].concat();
+    assert_eq!(read_of(&file(&tenths)).campaign.runs.len(), 49);
+}
+
+/// A form in which a laboratory may write a table.
+#[derive(Debug, Clone)]
+struct Form {
+    separator: char,
+    comma: bool,
+    date: usize,
+    header: usize,
+    missing: usize,
+    wrapping: usize,
+    order: Vec<usize>,
+}
+
+impl Form {
+    fn plain() -> Self {
+        Self { separator: ',', comma: false, date: 0, header: 0, missing: 0, wrapping: 0, order: (0..5).collect() }
+    }
+
+    fn number(&self, number: String) -> String {
+        match (self.comma, self.separator) {
+            (true, ',') => format!("\"{}\"", number.replace('.', ",")),
+            (true, _) => number.replace('.', ","),
+            (false, _) => number,
+        }
+    }
+
+    fn date(&self, month: u8, day: u8) -> String {
+        let short =
+            ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"][month as usize - 1];
+        match self.date {
+            0 => format!("2026-{month:02}-{day:02}"),
+            1 => format!("{day}.{month}.2026"),
+            2 => format!("{month}/{day}/2026"),
+            3 => format!("{day:02}-{short}-26"),
+            4 => format!("{day} {short} 2026 09:30"),
+            _ => format!("2026-{month:02}-{day:02}T14:00:00Z"),
+        }
+    }
+
+    fn name(&self, name: &str) -> String {
+        match self.header {
+            0 => name.to_owned(),
+            1 => name.to_uppercase(),
+            _ => format!(" {} ", name.replace('_', " ")),
+        }
+    }
+
+    /// The table of these rows: powder, angle, day, humidity, operator.
+    fn write(&self, rows: &[(usize, i32, (u8, u8), Option<i32>, usize)]) -> String {
+        let missing = ["", "NA", "n.d.", "-", "#N/A"][self.missing];
+        let header =
+            ["powder", "repose_deg", "session", "relative_humidity_pct", "operator"].map(|name| self.name(name));
+        let cells = rows.iter().map(|(powder, angle, (month, day), humidity, operator)| {
+            let humidity = humidity.map(|it| self.number(format!("{:.1}", f64::from(it) / 10.0)));
+            [
+                ["salt", "sugar", "flour"][*powder].to_owned(),
+                self.number(format!("{:.2}", f64::from(*angle) / 100.0)),
+                self.date(*month, *day),
+                humidity.unwrap_or_else(|| missing.to_owned()),
+                ["Ada", "Ben", "Chloe"][*operator].to_owned(),
+            ]
+        });
+        let line = |cells: [String; 5]| {
+            let cells: Vec<&str> = self.order.iter().map(|&k| cells[k].as_str()).collect();
+            let end = if self.wrapping == 1 { self.separator.to_string().repeat(2) } else { String::new() };
+            cells.join(&self.separator.to_string()) + &end
+        };
+        let lines: Vec<String> = std::iter::once(header).chain(cells).map(line).collect();
+        match self.wrapping {
+            2 => format!("\u{feff}sep={}\r\n{}\r\n\u{1a}", self.separator, lines.join("\r\n")),
+            3 => format!("\u{feff}{}\r\n\r\n", lines.join("\r\n")),
+            4 => lines.join("\r"),
+            _ => lines.join("\n") + "\n",
+        }
+    }
+}
+
+fn forms() -> impl Strategy<Value = Form> {
+    let order = Just((0..5).collect::<Vec<usize>>()).prop_shuffle();
+    (
+        prop::sample::select(vec![',', ';', '\t', '|']),
+        any::<bool>(),
+        0..6_usize,
+        0..3_usize,
+        0..5_usize,
+        0..5_usize,
+        order,
+    )
+        .prop_map(|(separator, comma, date, header, missing, wrapping, order)| Form {
+            separator,
+            comma,
+            date,
+            header,
+            missing,
+            wrapping,
+            order,
+        })
+}
+
+proptest! {
+    #[test]
+    fn one_table_in_any_form_is_one_campaign(
+        rows in prop::collection::vec((0..3_usize, 2500..4500_i32, (1..=12_u8, 1..=28_u8), prop::option::of(300..700_i32), 0..3_usize), 1..30),
+        form in forms(),
+    ) {
+        let of = |form: &Form| {
+            let text = form.write(&rows);
+            let mut read = read(&text, &REQUIRED, Some(DateOrder::MonthFirst)).map_err(|error| format!("{error}: {text}"))?;
+            read.campaign.covariates.sort_by(|a, b| a.name.cmp(&b.name));
+            read.read.columns.sort_by(|a, b| a.column.cmp(&b.column));
+            Ok::<_, String>(read)
+        };
+        prop_assert_eq!(of(&form), of(&Form::plain()));
+    }
 }

@@ -5,6 +5,7 @@
 //! sections.rs    what stands between them
 //! gain.rs        before and after
 //! traces.rs      what balance readings say by themselves
+//! files.rs       how the files were read
 //! figures.rs     SVG
 //! words.rs       names, numbers and units; everything from a file is escaped there
 //! style.css      light, dark, phone and paper
@@ -13,6 +14,7 @@
 //! The same report always makes the same bytes. A server must answer it with [`POLICY`]: under a stricter one the page has no style.
 
 mod figures;
+mod files;
 mod gain;
 mod sections;
 mod traces;
@@ -44,6 +46,7 @@ pub fn html(report: &Report) -> String {
         sections::blind_spots(report),
         sections::null_check(report),
         sections::experiment(report),
+        files::files(report),
         provenance(report),
     ];
     format!(

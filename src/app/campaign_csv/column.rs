@@ -1,0 +1,181 @@
+//! What the column of a covariate is: numbers, or names, or nothing that could be judged.
+//!
+//! | cells | taken as |
+//! |-------|----------|
+//! | all numbers, but for what is missing and limits such as `<5` | numbers; a limit is missing |
+//! | more than half numbers | numbers: the others are refused by row and column |
+//! | others | names, unless hardly one stands twice |
+
+use super::{Cell, NAMES, NUMBERS, is_name};
+use crate::app::csv_file::number::unit_of;
+use crate::app::csv_file::words::is_no_number;
+use crate::app::csv_file::{Refused, Told, at, two_numbers};
+use crate::app::humidity;
+use crate::discover::reading::{ColumnRead, TakenAs};
+use crate::discover::{LEVELS_MAX, Values};
+
+/// Largest number in a column without bounds of its own: its square must be one too.
+const NUMBER_MAX: f64 = 1e15;
+/// Rows that a note names.
+const ROWS_NAMED: usize = 10;
+
+/// A column, one value for each row.
+#[derive(Debug)]
+pub(super) struct Column {
+    values: Option<Values>,
+    filled: usize,
+    note: String,
+}
+
+impl Column {
+    /// What became of it, of so many rows.
+    pub fn told(&self, name: &str, rows: usize) -> ColumnRead {
+        let taken_as = match self.values {
+            Some(Values::Numbers(_)) => TakenAs::Numbers,
+            Some(Values::Levels { .. }) => TakenAs::Names,
+            None => TakenAs::Nothing,
+        };
+        let (filled, missing) = (self.filled as u32, (rows - self.filled) as u32);
+        ColumnRead { column: name.to_owned(), taken_as, filled, missing, note: self.note.clone() }
+    }
+
+    /// One value for each run: what is said of a row holds for every run behind it.
+    pub fn values(self, runs: &[usize]) -> Option<Values> {
+        match self.values? {
+            Values::Numbers(of) => Some(Values::Numbers(of_runs(&of, runs))),
+            Values::Levels { names, of } => Some(Values::Levels { names, of: of_runs(&of, runs) }),
+        }
+    }
+
+    fn nothing(filled: usize, note: &str) -> Self {
+        Self { values: None, filled, note: note.to_owned() }
+    }
+}
+
+fn of_runs<T: Copy>(of_rows: &[T], runs: &[usize]) -> Vec<T> {
+    of_rows.iter().zip(runs).flat_map(|(value, runs)| std::iter::repeat_n(*value, *runs)).collect()
+}
+
+/// The column `name` of rows with these numbers.
+///
+/// # Errors
+/// Cells that are not understood, by row and column.
+pub(super) fn read(name: &str, cells: &[Cell<'_>], rows: &[usize]) -> Refused<Column> {
+    let filled = cells.iter().filter(|cell| cell.is_filled()).count();
+    if filled == 0 {
+        return Ok(Column::nothing(0, "no cell of it is filled"));
+    }
+    let is_text = |cell: &&Cell<'_>| matches!(cell.told, Told::Text(text) if !is_no_number(text));
+    let numbers = cells.iter().filter(|cell| matches!(cell.told, Told::Number(..) | Told::TwoNumbers(_))).count();
+    let texts = cells.iter().filter(is_text).count();
+    if NAMES.contains(&name) || (texts > 0 && 2 * numbers <= filled) {
+        return Ok(names(name, cells, filled));
+    }
+    Numbers { name, cells, rows }.read()
+}
+
+/// A column of numbers.
+struct Numbers<'a> {
+    name: &'a str,
+    cells: &'a [Cell<'a>],
+    rows: &'a [usize],
+}
+
+impl Numbers<'_> {
+    fn read(&self) -> Refused<Column> {
+        let unit = unit_of(self.name).or_else(|| self.cells.iter().find_map(|cell| self.unit(cell)));
+        let (mut values, mut refusals) = (Vec::new(), Vec::new());
+        for (cell, row) in self.cells.iter().zip(self.rows) {
+            match self.value(cell, unit) {
+                Ok(value) => values.push(value),
+                Err(message) => refusals.push(at(*row, self.name, message)),
+            }
+        }
+        if !refusals.is_empty() {
+            return Err(refusals);
+        }
+        let mut notes: Vec<String> = self.limits().into_iter().collect();
+        if self.name == humidity::COLUMN {
+            let has_unit = |k: usize| self.unit(&self.cells[k]).is_some();
+            notes.extend(humidity::to_percent(&mut values, has_unit, |k| self.rows[k])?.map(str::to_owned));
+        }
+        let filled = values.iter().flatten().count();
+        if filled == 0 {
+            return Ok(Column::nothing(0, "it holds limits and no number"));
+        }
+        if filled < values.len() {
+            notes.push("where it is missing, the mean of its session stands in, else that of all".to_owned());
+        }
+        Ok(Column { values: Some(Values::Numbers(values)), filled, note: notes.join("; ") })
+    }
+
+    fn unit(&self, cell: &Cell<'_>) -> Option<&'static str> {
+        match cell.told {
+            Told::Number(_, unit) => unit,
+            _ => None,
+        }
+    }
+
+    fn value(&self, cell: &Cell<'_>, unit: Option<&str>) -> Result<Option<f64>, String> {
+        match cell.told {
+            Told::Missing | Told::Limit(_) => Ok(None),
+            Told::Number(_, Some(is)) if Some(is) != unit => {
+                Err(format!("is in {is}, and the column in {}", unit.unwrap_or("no unit")))
+            }
+            Told::Number(value, _) if value.abs() <= NUMBER_MAX || self.is_known() => Ok(Some(value)),
+            Told::Number(..) => Err(format!("must be from -{NUMBER_MAX:e} to {NUMBER_MAX:e}, got `{}`", cell.text)),
+            Told::TwoNumbers(text) => Err(two_numbers(text)),
+            Told::Text(text) if is_no_number(text) => Ok(None),
+            Told::Text(text) => Err(format!(
+                "is no number, as most cells of the column are, got `{text}`: correct it or leave it empty; where they are names, call the column batch"
+            )),
+        }
+    }
+
+    fn is_known(&self) -> bool {
+        NUMBERS.iter().any(|(column, ..)| *column == self.name)
+    }
+
+    /// What is said of limits.
+    fn limits(&self) -> Option<String> {
+        let is_limit = |(cell, _): &(&Cell<'_>, &usize)| matches!(cell.told, Told::Limit(_));
+        let rows: Vec<usize> = self.cells.iter().zip(self.rows).filter(is_limit).map(|(_, row)| *row).collect();
+        if rows.is_empty() {
+            return None;
+        }
+        let named: Vec<String> = rows.iter().take(ROWS_NAMED).map(usize::to_string).collect();
+        let more = if rows.len() > ROWS_NAMED { " and more" } else { "" };
+        Some(format!(
+            "{} cells are limits such as <5 and count as missing: rows {}{more}",
+            rows.len(),
+            named.join(", ")
+        ))
+    }
+}
+
+/// A column of names, if it says anything.
+fn names(name: &str, cells: &[Cell<'_>], filled: usize) -> Column {
+    let is_filled = |cell: &&Cell<'_>| cell.is_filled();
+    let mut names: Vec<&str> = cells.iter().filter(is_filled).map(|cell| cell.text).collect();
+    names.sort_unstable();
+    names.dedup();
+    // A column that a cause needs is kept, so that the report can say why the cause cannot be told.
+    let is_needed = NAMES.contains(&name);
+    if !names.iter().all(|name| is_name(name)) {
+        return Column::nothing(filled, "it holds sentences");
+    }
+    if names.len() > LEVELS_MAX && !is_needed {
+        return Column::nothing(filled, &format!("it holds {} names, more than {LEVELS_MAX}", names.len()));
+    }
+    if 2 * names.len() > filled && !is_needed {
+        return Column::nothing(filled, "hardly a name stands twice");
+    }
+    let numbers = cells.iter().filter(|cell| matches!(cell.told, Told::Number(..))).count();
+    let note = match numbers {
+        n if n > 0 && !is_needed => format!("{n} of its cells are numbers and count as names"),
+        _ => String::new(),
+    };
+    let of = |cell: &Cell<'_>| cell.is_filled().then(|| names.binary_search(&cell.text).ok()).flatten();
+    let of = cells.iter().map(of).collect();
+    Column { values: Some(Values::Levels { names: names.into_iter().map(str::to_owned).collect(), of }), filled, note }
+}

@@ -1,0 +1,196 @@
+//! Which session each row belongs to, numbered in order of time.
+//!
+//! | cells | order |
+//! |-------|-------|
+//! | days, half of them at least ([`date`](crate::app::csv_file::date)) | of time; the others are refused |
+//! | numbers, more than half | of size; where all count days (46056), seconds or milliseconds since 1970, or are digits of a date, the day; the others are refused |
+//! | names | in which they first stand in the file |
+
+use super::Cell;
+use crate::app::csv_file::date::{Count, DateOrder, Written, day};
+use crate::app::csv_file::{Refused, Told, at};
+use crate::discover::reading::{ColumnRead, TakenAs};
+use crate::domain::FieldError;
+use std::collections::HashMap;
+use time::Date;
+
+/// Sessions of the rows.
+#[derive(Debug)]
+pub(super) struct Sessions {
+    /// Of each row.
+    pub places: Vec<usize>,
+    /// What became of the column; none where there is none.
+    pub column: Option<ColumnRead>,
+}
+
+/// What a cell may be as a session.
+enum Read {
+    Day(Written),
+    Number(f64),
+    Name,
+}
+
+fn read(cell: &Cell<'_>) -> Read {
+    match cell.told {
+        Told::Number(number, None) => Read::Number(number),
+        _ => day(cell.text).map_or(Read::Name, Read::Day),
+    }
+}
+
+/// Sessions of rows with these cells and numbers.
+///
+/// # Errors
+/// Cells that are no days in a column of days, no numbers in one of numbers; a day that may be two, where `order` is not known.
+pub(super) fn sessions(cells: &[Cell<'_>], rows: &[usize], order: Option<DateOrder>) -> Refused<Sessions> {
+    let filled: Vec<usize> = (0..cells.len()).filter(|&k| cells[k].is_filled()).collect();
+    let column = Column {
+        rows: filled.iter().map(|&k| rows[k]).collect(),
+        texts: filled.iter().map(|&k| cells[k].text).collect(),
+        cells: filled.iter().map(|&k| read(&cells[k])).collect(),
+    };
+    let (known, note) = column.places(order)?;
+    // Rows without one come last, each by itself.
+    let mut unnamed = known.iter().max().map_or(0, |last| last + 1)..;
+    let mut known = known.into_iter();
+    let place = |cell: &Cell<'_>| if cell.is_filled() { known.next() } else { unnamed.next() };
+    let missing = cells.len() - filled.len();
+    let alone = if missing > 0 && !filled.is_empty() { "; a row without is a session of its own" } else { "" };
+    Ok(Sessions {
+        column: (!filled.is_empty()).then(|| ColumnRead {
+            column: "session".to_owned(),
+            taken_as: TakenAs::Session,
+            filled: filled.len() as u32,
+            missing: missing as u32,
+            note: format!("{note}{alone}"),
+        }),
+        places: cells.iter().filter_map(place).collect(),
+    })
+}
+
+/// The cells that are filled.
+struct Column<'a> {
+    rows: Vec<usize>,
+    texts: Vec<&'a str>,
+    cells: Vec<Read>,
+}
+
+impl Column<'_> {
+    /// Session of each cell, and what there is to say of them.
+    fn places(&self, order: Option<DateOrder>) -> Refused<(Vec<usize>, String)> {
+        let days = self.cells.iter().filter(|cell| matches!(cell, Read::Day(_))).count();
+        let numbers = self.cells.iter().filter(|cell| matches!(cell, Read::Number(_))).count();
+        if days > 0 && 2 * days >= self.cells.len() {
+            return Ok(of_days(&self.days(order)?));
+        }
+        if 2 * numbers > self.cells.len() {
+            let numbers = self.numbers()?;
+            let counted = Count::of(&numbers);
+            let days: Option<Vec<Date>> =
+                counted.and_then(|count| numbers.iter().map(|number| count.day(*number)).collect());
+            return Ok(days.map_or_else(|| of_numbers(&numbers), |days| of_days(&days)));
+        }
+        Ok(of_names(&self.texts))
+    }
+
+    fn numbers(&self) -> Refused<Vec<f64>> {
+        self.each(|cell| match cell {
+            Read::Number(number) => Ok(*number),
+            _ => Err("is no number, as most sessions of the file are: correct it, or leave it empty".to_owned()),
+        })
+    }
+
+    /// What `of` makes of every cell, or all that it refuses.
+    fn each<T>(&self, mut of: impl FnMut(&Read) -> std::result::Result<T, String>) -> Refused<Vec<T>> {
+        let (mut all, mut refusals) = (Vec::new(), Vec::new());
+        for ((cell, row), text) in self.cells.iter().zip(&self.rows).zip(&self.texts) {
+            match of(cell) {
+                Ok(value) => all.push(value),
+                Err(message) => refusals.push(at(*row, "session", format!("{message}, got `{text}`"))),
+            }
+        }
+        if refusals.is_empty() { Ok(all) } else { Err(refusals) }
+    }
+
+    fn days(&self, order: Option<DateOrder>) -> Refused<Vec<Date>> {
+        let order = match order {
+            Some(order) => Some(order),
+            None => self.order()?,
+        };
+        self.each(|cell| match cell {
+            Read::Day(Written::Unclear(why)) => Err(format!("{why}: write days as 2026-02-03")),
+            Read::Day(written) => written.day(order).ok_or_else(|| {
+                let first = if order == Some(DateOrder::DayFirst) { "the day" } else { "the month" };
+                format!("is no day with {first} first, as the others are read")
+            }),
+            _ => Err("is no day, as most sessions of the file are: correct it, or leave it empty".to_owned()),
+        })
+    }
+
+    /// The order that a day above 12 shows. None where no cell needs one.
+    fn order(&self) -> Refused<Option<DateOrder>> {
+        let days = || self.cells.iter().zip(&self.rows).zip(&self.texts);
+        let shown = days().filter_map(|((cell, row), text)| match cell {
+            Read::Day(written) => Some((written.order()?, *row, *text)),
+            _ => None,
+        });
+        let shown: Vec<(DateOrder, usize, &str)> = shown.collect();
+        if let Some((first, from, _)) = shown.first() {
+            let other = shown.iter().filter(|(order, ..)| order != first);
+            let refuse = |(_, row, text): &(DateOrder, usize, &str)| {
+                let advice = format!("`{text}` has the day where row {from} has the month: write days as 2026-02-03");
+                at(*row, "session", advice)
+            };
+            let refusals: Vec<FieldError> = other.map(refuse).collect();
+            return if refusals.is_empty() { Ok(Some(*first)) } else { Err(refusals) };
+        }
+        let unclear = days().find(
+            |((cell, _), _)| matches!(cell, Read::Day(written @ Written::Either(..)) if written.day(None).is_none()),
+        );
+        unclear.map_or(Ok(None), |((_, row), text)| {
+            let advice = format!(
+                "`{text}` may have the day first or the month, and no day above 12 in the column tells: say which with `dates`, \
+                 day_first or month_first (`--dates day-first`), or write days as 2026-02-03"
+            );
+            Err(vec![at(*row, "session", advice)])
+        })
+    }
+}
+
+fn of_days(days: &[Date]) -> (Vec<usize>, String) {
+    let (places, order) = ranked(days, Date::cmp);
+    (places, span("days", &order))
+}
+
+fn of_numbers(numbers: &[f64]) -> (Vec<usize>, String) {
+    let (places, order) = ranked(numbers, f64::total_cmp);
+    (places, span("sessions", &order))
+}
+
+fn span(what: &str, order: &[impl std::fmt::Display]) -> String {
+    match order {
+        [] => String::new(),
+        [first, ..] => format!("{} {what}, {first} to {}", order.len(), order[order.len() - 1]),
+    }
+}
+
+fn of_names(names: &[&str]) -> (Vec<usize>, String) {
+    let mut known: HashMap<&str, usize> = HashMap::new();
+    let places: Vec<usize> = names
+        .iter()
+        .map(|name| {
+            let next = known.len();
+            *known.entry(*name).or_insert(next)
+        })
+        .collect();
+    let note = "names, in the order in which they first stand in the file: only days or numbers tell the order of time";
+    (places, format!("{} {note}", known.len()))
+}
+
+/// The place of each value among all different ones, and these in order.
+fn ranked<T: Copy>(values: &[T], compare: impl Fn(&T, &T) -> std::cmp::Ordering) -> (Vec<usize>, Vec<T>) {
+    let mut order = values.to_vec();
+    order.sort_unstable_by(|a, b| compare(a, b));
+    order.dedup_by(|a, b| compare(a, b).is_eq());
+    let places = values.iter().map(|value| order.partition_point(|other| compare(other, value).is_lt())).collect();
+    (places, order)
+}

@@ -1,0 +1,368 @@
+//! Days as laboratories write them; a time of day and a zone may follow, and the day is the one that is written.
+//!
+//! | written | read |
+//! |---------|------|
+//! | `2026-02-03`, `2026/2/3`, `2026.02.03`, `2026-02-03T09:30:00+01:00` | year, month, day |
+//! | `3.2.2026`, `03.02.26` | dots: day, month, year |
+//! | `2/3/2026`, `2-3-2026`, `2/3/26` | day or month first: a day above 12 in the column decides, else whoever sends the file ([`DateOrder`]) |
+//! | `03-Feb-26`, `3 Feb 2026`, `Feb 3, 2026`, `Tuesday, 3 February 2026 2:30 PM` | month by name, also in German and French |
+
+use serde::{Deserialize, Serialize};
+use time::{Date, Month};
+
+/// What stands first in a date such as 2/3/2026.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum DateOrder {
+    /// 2 March.
+    DayFirst,
+    /// 3 February.
+    MonthFirst,
+}
+
+/// A cell that holds a day.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Written {
+    Day(Date),
+    /// By day first and by month first; one of them may be no day.
+    Either(Option<Date>, Option<Date>),
+    /// A day, and why it cannot be told which.
+    Unclear(&'static str),
+}
+
+impl Written {
+    /// The order that it can only have.
+    pub fn order(&self) -> Option<DateOrder> {
+        match self {
+            Self::Either(Some(_), None) => Some(DateOrder::DayFirst),
+            Self::Either(None, Some(_)) => Some(DateOrder::MonthFirst),
+            _ => None,
+        }
+    }
+
+    /// Its day, in a column whose dates have this order; nothing where that is needed and not known, or says that there is no such day.
+    pub fn day(&self, order: Option<DateOrder>) -> Option<Date> {
+        match (self, order) {
+            (Self::Day(day), _) => Some(*day),
+            (Self::Either(day_first, month_first), _) if day_first == month_first => *day_first,
+            (Self::Either(day_first, _), Some(DateOrder::DayFirst)) => *day_first,
+            (Self::Either(_, month_first), Some(DateOrder::MonthFirst)) => *month_first,
+            _ => None,
+        }
+    }
+}
+
+/// The day in a cell, if it holds one.
+pub fn day(text: &str) -> Option<Written> {
+    let date = without_weekday(without_time(text.trim())?);
+    let is_mark = |c: char| c.is_whitespace() || "-./,".contains(c);
+    let parts: Vec<&str> = date.split(is_mark).filter(|part| !part.is_empty()).collect();
+    let mark = date.chars().find(|c| is_mark(*c))?;
+    match parts.as_slice() {
+        [a, b, c] => three(a, b, c, mark),
+        // A month by name, or the dots of 3.2., tell that a date is meant.
+        [a, b] if month(a).is_some() && number(b, 2).is_some() || month(b).is_some() && number(a, 2).is_some() => {
+            Some(Written::Unclear("has no year"))
+        }
+        [a, b] if date.ends_with('.') && number(a, 2).is_some() && number(b, 2).is_some() => {
+            Some(Written::Unclear("has no year"))
+        }
+        _ => None,
+    }
+}
+
+fn three(a: &str, b: &str, c: &str, mark: char) -> Option<Written> {
+    let short = |text: &str| number(text, 2);
+    if let (Some(year), Some(day)) = (full_year(a), short(c)) {
+        let month = month(b).or(short(b))?;
+        return date(year, month, day).map(Written::Day);
+    }
+    if let (Some(day), Some(month), Some(year)) = (ordinal(a), month(b), year(c)) {
+        return date(year, month, day).map(Written::Day);
+    }
+    if let (Some(month), Some(day), Some(year)) = (month(a), ordinal(b), year(c)) {
+        return date(year, month, day).map(Written::Day);
+    }
+    let (first, second, written) = (short(a)?, short(b)?, year(c)?);
+    match mark {
+        '.' => date(written, second, first).map(Written::Day),
+        '-' if full_year(c).is_none() => {
+            Some(Written::Unclear("has a year of two digits, which may be the first number or the last"))
+        }
+        '/' | '-' => match (date(written, second, first), date(written, first, second)) {
+            (None, None) => None,
+            (day_first, month_first) => Some(Written::Either(day_first, month_first)),
+        },
+        _ => None,
+    }
+}
+
+fn date(year: u16, month: u16, day: u16) -> Option<Date> {
+    let month = Month::try_from(u8::try_from(month).ok()?).ok()?;
+    Date::from_calendar_date(i32::from(year), month, u8::try_from(day).ok()?).ok()
+}
+
+/// Digits, at most `most` of them.
+fn number(text: &str, most: usize) -> Option<u16> {
+    let is_number = (1..=most).contains(&text.len()) && text.bytes().all(|byte| byte.is_ascii_digit());
+    is_number.then(|| text.parse().ok()).flatten()
+}
+
+fn full_year(text: &str) -> Option<u16> {
+    number(text, 4).filter(|year| text.len() == 4 && (1900..2200).contains(year))
+}
+
+/// A year of four digits, or of two: up to 69 of this century, as POSIX has it.
+fn year(text: &str) -> Option<u16> {
+    let short = || number(text, 2).filter(|_| text.len() == 2);
+    full_year(text).or_else(|| short().map(|year| if year < 70 { 2000 + year } else { 1900 + year }))
+}
+
+/// A day of the month, `3` or `3rd`.
+fn ordinal(text: &str) -> Option<u16> {
+    let text = ["st", "nd", "rd", "th"].iter().find_map(|ending| text.strip_suffix(ending)).unwrap_or(text);
+    number(text, 2)
+}
+
+/// Months in English, German and French, whole or shortened to three letters or more.
+fn month(text: &str) -> Option<u16> {
+    const NAMES: [&[&str]; 12] = [
+        &["january", "januar", "jänner", "janvier"],
+        &["february", "februar", "février", "fevrier"],
+        &["march", "märz", "maerz", "mrz", "mars"],
+        &["april", "avril"],
+        &["may", "mai"],
+        &["june", "juni", "juin"],
+        &["july", "juli", "juillet"],
+        &["august", "août", "aout"],
+        &["september", "septembre"],
+        &["october", "oktober", "octobre"],
+        &["november", "novembre"],
+        &["december", "dezember", "décembre", "decembre"],
+    ];
+    let text = text.to_lowercase();
+    let names = |names: &&[&str]| text.chars().count() >= 3 && names.iter().any(|name| name.starts_with(&text));
+    let mut months = (1..).zip(&NAMES).filter(|(_, of)| names(of)).map(|(month, _)| month);
+    // `jui` is June or July.
+    months.next().filter(|_| months.next().is_none())
+}
+
+/// Without the name of a weekday before it.
+fn without_weekday(text: &str) -> &str {
+    const NAMES: [&str; 21] = [
+        "monday",
+        "tuesday",
+        "wednesday",
+        "thursday",
+        "friday",
+        "saturday",
+        "sunday",
+        "montag",
+        "dienstag",
+        "mittwoch",
+        "donnerstag",
+        "freitag",
+        "samstag",
+        "sonntag",
+        "lundi",
+        "mardi",
+        "mercredi",
+        "jeudi",
+        "vendredi",
+        "samedi",
+        "dimanche",
+    ];
+    let end = text.find(|c: char| !c.is_alphabetic()).unwrap_or(text.len());
+    let word = text[..end].to_lowercase();
+    let is_weekday = word.len() >= 2 && month(&word).is_none() && NAMES.iter().any(|name| name.starts_with(&word));
+    if is_weekday { text[end..].trim_start_matches(['.', ',', ' ']) } else { text }
+}
+
+/// The date of a text that a time of day may end; nothing where what ends it is no time.
+fn without_time(text: &str) -> Option<&str> {
+    let Some(colon) = text.find(':') else { return Some(text) };
+    let hour = text[..colon].trim_end_matches(|c: char| c.is_ascii_digit());
+    let date = hour.strip_suffix(['T', 't', ' '])?;
+    is_time(&text[hour.len()..]).then(|| date.trim_end_matches([',', ' ']))
+}
+
+/// `9:30`, `09:30:15.250`, `2:30 PM`, `09:30Z`, `09:30+01:00`.
+fn is_time(text: &str) -> bool {
+    let clock_end = text.find(|c: char| !c.is_ascii_digit() && c != ':' && c != '.').unwrap_or(text.len());
+    let (clock, rest) = text.split_at(clock_end);
+    let (clock, fraction) = clock.split_once('.').unwrap_or((clock, "0"));
+    let parts: Vec<Option<u16>> = clock.split(':').map(|part| number(part, 2)).collect();
+    let is_clock = match parts.as_slice() {
+        [Some(hour), Some(minute)] => *hour < 24 && *minute < 60,
+        [Some(hour), Some(minute), Some(second)] => *hour < 24 && *minute < 60 && *second <= 60,
+        _ => false,
+    };
+    let is_fraction = !fraction.is_empty() && fraction.bytes().all(|byte| byte.is_ascii_digit());
+    is_clock && is_fraction && is_zone(rest.trim())
+}
+
+fn is_zone(text: &str) -> bool {
+    let text = text.to_ascii_lowercase();
+    let offset = text.strip_prefix("utc").unwrap_or(&text).strip_prefix(['+', '-']);
+    let is_offset =
+        |it: &str| (2..=5).contains(&it.len()) && it.bytes().all(|byte| byte.is_ascii_digit() || byte == b':');
+    ["", "z", "utc", "gmt", "am", "pm", "a.m.", "p.m."].contains(&text.as_str()) || offset.is_some_and(is_offset)
+}
+
+/// What numbers of a column of days count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Count {
+    /// Days, as a spreadsheet counts them: 46056 is 2026-02-03.
+    Serial,
+    /// Seconds since 1970, UTC.
+    Seconds,
+    /// Milliseconds since 1970, UTC.
+    Milliseconds,
+    /// Digits of year, month and day, which those of a time may follow: 20260203, 202602030930.
+    Digits,
+}
+
+impl Count {
+    /// What all of these numbers count; nothing where they are numbers of another kind.
+    pub fn of(numbers: &[f64]) -> Option<Self> {
+        [Self::Serial, Self::Seconds, Self::Milliseconds, Self::Digits]
+            .into_iter()
+            .find(|count| !numbers.is_empty() && numbers.iter().all(|number| count.day(*number).is_some()))
+    }
+
+    /// The day of a number, of the years 2000 to 2099.
+    pub fn day(self, number: f64) -> Option<Date> {
+        const DAY_S: f64 = 86_400.0;
+        // Julian days of 1970-01-01 and of day 0 of spreadsheets.
+        const EPOCH: f64 = 2_440_588.0;
+        const SPREADSHEET: f64 = 2_415_019.0;
+        let date = match self {
+            Self::Serial => julian(SPREADSHEET + number),
+            Self::Seconds => julian(EPOCH + (number / DAY_S).floor()),
+            Self::Milliseconds => julian(EPOCH + (number / (1000.0 * DAY_S)).floor()),
+            Self::Digits => digits(number),
+        };
+        date.filter(|date| (2000..2100).contains(&date.year()))
+    }
+}
+
+fn julian(day: f64) -> Option<Date> {
+    // Far beyond what a date can be, and within what an integer can.
+    (day.abs() < 1e8).then(|| Date::from_julian_day(day.floor() as i32).ok()).flatten()
+}
+
+fn digits(number: f64) -> Option<Date> {
+    let text = format!("{number}");
+    let time = match text.len() {
+        8 => "0000",
+        12 | 14 => text.get(8..12)?,
+        _ => return None,
+    };
+    let is_time = time[..2].parse().is_ok_and(|hour: u8| hour < 24) && time[2..].parse().is_ok_and(|it: u8| it < 60);
+    let part = |from: usize, to: usize| text.get(from..to)?.parse::<u16>().ok();
+    date(part(0, 4)?, part(4, 6)?, part(6, 8)?).filter(|_| is_time)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use time::macros::date;
+
+    const THIRD: Date = date!(2026 - 02 - 03);
+
+    #[test]
+    fn one_day_in_every_form_is_that_day() {
+        for text in [
+            "2026-02-03",
+            "2026/2/3",
+            "2026.02.03",
+            "2026-02-03T09:30:00+01:00",
+            "2026-02-03 09:30",
+            "2026-02-03T23:59:59.999Z",
+            "3.2.2026",
+            "03.02.2026",
+            "3.2.26",
+            "3. 2. 2026",
+            "3.2.2026 14:05",
+            "03-Feb-26",
+            "3-Feb-2026",
+            "3 Feb 2026",
+            "3 February 2026",
+            "3rd February 2026",
+            "Feb 3, 2026",
+            "February 3, 2026 2:30 PM",
+            "Tue, 3 Feb 2026",
+            "Tuesday, February 3, 2026",
+            "3. Februar 2026",
+            "Di, 3.2.2026",
+            "3 févr. 2026",
+            "2026-Feb-03",
+            "13/2/2026".replace("13", "3").as_str(),
+        ] {
+            let read = day(text).unwrap_or_else(|| panic!("{text}"));
+            assert_eq!(read.day(Some(DateOrder::DayFirst)), Some(THIRD), "{text}");
+        }
+    }
+
+    #[test]
+    fn slashes_are_read_in_the_order_that_is_known() {
+        let read = day("2/3/2026").unwrap();
+        assert_eq!((read.order(), read.day(None)), (None, None));
+        assert_eq!(read.day(Some(DateOrder::MonthFirst)), Some(THIRD));
+        assert_eq!(read.day(Some(DateOrder::DayFirst)), Some(date!(2026 - 03 - 02)));
+        assert_eq!(day("15/2/26 9:30").unwrap().order(), Some(DateOrder::DayFirst));
+        assert_eq!(day("2-15-2026").unwrap().order(), Some(DateOrder::MonthFirst));
+        assert_eq!(day("15/2/2026").unwrap().day(Some(DateOrder::MonthFirst)), None);
+        assert_eq!(day("2/2/2026").unwrap().day(None), Some(date!(2026 - 02 - 02)), "the same either way");
+        assert_eq!(
+            day("26-02-03"),
+            Some(Written::Unclear("has a year of two digits, which may be the first number or the last"))
+        );
+        assert_eq!(day("3.2."), Some(Written::Unclear("has no year")));
+        assert_eq!(day("3 Feb"), Some(Written::Unclear("has no year")));
+    }
+
+    #[test]
+    fn what_is_no_day_is_none() {
+        for text in [
+            "",
+            "Monday",
+            "day 3",
+            "2026-02-30",
+            "2026-13-01",
+            "2/30/2026",
+            "15.15.2026",
+            "2.15.2026",
+            "2026-02-03 b",
+            "2026-02-03 25:00",
+            "2026-02-03T9",
+            "12:30",
+            "1/2",
+            "3.2",
+            "a.b.2026",
+            "2026",
+            "1-2-3",
+            "20260203",
+            "2026-02-3x",
+            "3 Jui 2026",
+            "2026-02",
+        ] {
+            assert_eq!(day(text), None, "{text}");
+        }
+    }
+
+    #[test]
+    fn numbers_count_days_if_all_of_them_do() {
+        let of = |numbers: &[f64]| Count::of(numbers).and_then(|count| count.day(numbers[0]));
+        assert_eq!(of(&[46_056.0, 46_057.4]), Some(THIRD));
+        assert_eq!(of(&[46_056.9]), Some(THIRD), "whatever the hour");
+        assert_eq!(of(&[1_770_076_800.0, 1_770_163_199.0]), Some(THIRD));
+        assert_eq!(of(&[1_770_163_199_000.0]), Some(THIRD));
+        assert_eq!(of(&[20_260_203.0]), Some(THIRD));
+        assert_eq!(of(&[202_602_030_930.0]), Some(THIRD));
+        assert_eq!(of(&[20_260_203_093_059.0]), Some(THIRD));
+        for numbers in [&[1.0, 2.0] as &[f64], &[46_056.0, 3.0], &[20_261_503.0], &[202_602_032_530.0], &[]] {
+            assert_eq!(Count::of(numbers), None, "{numbers:?}");
+        }
+    }
+}

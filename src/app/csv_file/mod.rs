@@ -1,0 +1,334 @@
+//! Tables as laboratories write them: a header, rows, an empty cell for what is missing. Every importer reads through this.
+//!
+//! ```text
+//! text.rs       bytes to text, without what a spreadsheet wraps it in
+//! separator.rs  what separates cells         place.rs   which row of the file a record is
+//! number.rs     numbers, with a point or a comma, with units
+//! date.rs       days                         words.rs   words for what is missing, yes and no, by hand, stable
+//! ```
+//!
+//! A refusal names the cell, such as `row[2].repose_deg`; the header is row 1. Columns that are known are found whatever the case of their names,
+//! with blanks for underscores; empty columns at the end are none.
+
+pub(super) mod date;
+pub(super) mod number;
+mod place;
+mod separator;
+mod text;
+pub(super) mod words;
+
+#[cfg(test)]
+mod tests;
+
+pub use text::table_text;
+
+use super::check::Check;
+use super::{Error, Result};
+use crate::domain::{FieldError, bounded};
+use number::{Cell, Signs, unit_of};
+use place::Place;
+use std::collections::HashMap;
+
+/// Most rows of a file.
+const ROWS_MAX: usize = 20_000;
+/// Most bytes of a file: 400 for each of [`ROWS_MAX`] rows.
+pub const TABLE_BYTES_MAX: usize = 8 * 1024 * 1024;
+/// Refusals after which reading stops: a wrong delimiter makes every row wrong.
+pub(super) const REFUSALS_MAX: usize = 50;
+
+/// What was made of a row, or all that is wrong with it.
+pub(super) type Refused<T> = std::result::Result<T, Vec<FieldError>>;
+
+/// A refusal of a cell.
+pub(super) fn at(row: usize, column: &str, message: impl Into<String>) -> FieldError {
+    FieldError::new(format!("row[{row}].{column}"), message)
+}
+
+/// What belongs in a column that is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Holds {
+    Numbers,
+    Text,
+}
+
+/// The columns of a kind of file.
+pub(super) struct Columns<'a> {
+    /// Without which there is no row.
+    pub required: &'a [&'a str],
+    /// What belongs in a column; nothing where it is not known.
+    pub known: fn(&str) -> Option<Holds>,
+    /// Most columns.
+    pub most: usize,
+}
+
+/// A file in memory.
+pub(super) struct Table {
+    /// Names of its columns, in their order; empty where one has none.
+    pub columns: Vec<String>,
+    holds: Vec<Option<Holds>>,
+    rows: Vec<Row>,
+    separator: u8,
+    /// Decimal signs of each column, and of all.
+    signs: Vec<Signs>,
+    all_signs: Signs,
+}
+
+struct Row {
+    /// Of the file, the header being row 1.
+    number: usize,
+    cells: Vec<String>,
+}
+
+impl Table {
+    /// Read a file, and let `check` look at the names of its columns.
+    ///
+    /// # Errors
+    /// A file that is too large or has too many rows or none; a column that is missing or stands twice, and what `check` refused; a row of another
+    /// length than the header.
+    pub fn open(text: &str, columns: &Columns<'_>, check: impl FnOnce(&[String], &mut Check)) -> Result<Self> {
+        if text.len() > TABLE_BYTES_MAX {
+            let advice = format!("has {} bytes, and at most {TABLE_BYTES_MAX} are read: split it", text.len());
+            return Err(FieldError::new("file", advice).into());
+        }
+        let bare = text::bare(text)?;
+        let is_known = |name: &str| (columns.known)(&name_of(name, columns)).is_some();
+        let separator = bare.separator.unwrap_or_else(|| separator::separator(bare.text, is_known));
+        let mut reader =
+            csv::ReaderBuilder::new().delimiter(separator).flexible(true).from_reader(bare.text.as_bytes());
+        let header = reader.headers().map_err(|error| unreadable(1, &error))?.clone();
+        let names: Vec<String> = header.iter().map(|name| name_of(name, columns)).collect();
+        let mut refusals = Check::default();
+        check_header(&names, columns, &mut refusals);
+        check(&names, &mut refusals);
+        refusals.done()?;
+        let rows = rows(&mut reader, Place::new(bare.text, &header), &names)?;
+        let holds = names.iter().map(|name| (columns.known)(name)).collect();
+        let mut table = Self { columns: names, holds, rows, separator, signs: Vec::new(), all_signs: Signs::default() };
+        table.signs = (0..table.columns.len()).map(|column| table.signs_of(column)).collect();
+        table.all_signs = table.signs.iter().fold(Signs::default(), |all, signs| all.and(*signs));
+        Ok(table)
+    }
+
+    /// Decimal signs that the cells of a column show.
+    fn signs_of(&self, column: usize) -> Signs {
+        let cells = self.rows.iter().filter_map(|row| row.cells.get(column));
+        cells.fold(Signs::default(), |signs, cell| match number::cell(cell.trim()) {
+            Cell::Number(written) => signs.and(written.signs()),
+            _ => signs,
+        })
+    }
+
+    /// The rows that are not blank.
+    pub fn rows(&self) -> impl Iterator<Item = Cells<'_>> {
+        self.rows.iter().map(|row| {
+            let filled = self.columns.iter().enumerate().zip(&row.cells).filter_map(|((k, name), cell)| {
+                let text = cell.trim();
+                let numbers = self.holds[k] == Some(Holds::Numbers);
+                let is_missing = words::is_missing(text) || (numbers && words::is_no_number(text));
+                (!is_missing).then_some((name.as_str(), (k, cell.as_str())))
+            });
+            Cells { row: row.number, table: self, filled: filled.collect() }
+        })
+    }
+
+    /// Hand every row that is not blank to `row`. What it refused is returned, and reading ends when that is [`REFUSALS_MAX`] or more.
+    pub fn each<'a>(&'a self, mut row: impl FnMut(&Cells<'a>) -> Refused<()>) -> Vec<FieldError> {
+        let mut refusals = Vec::new();
+        for cells in self.rows() {
+            refusals.extend(row(&cells).err().into_iter().flatten());
+            if refusals.len() >= REFUSALS_MAX {
+                refusals.truncate(REFUSALS_MAX);
+                break;
+            }
+        }
+        refusals
+    }
+}
+
+/// The name of a column: as it is known, else as it is written.
+fn name_of(written: &str, columns: &Columns<'_>) -> String {
+    let written = written.trim();
+    let plain = written.to_lowercase().replace([' ', '-'], "_");
+    if (columns.known)(&plain).is_some() { plain } else { written.to_owned() }
+}
+
+fn check_header(names: &[String], columns: &Columns<'_>, check: &mut Check) {
+    for (k, name) in names.iter().enumerate() {
+        if !name.is_empty() && names[..k].contains(name) {
+            check.refuse(name, "stands twice in the header");
+        }
+    }
+    for column in columns.required.iter().filter(|column| !names.iter().any(|name| name == *column)) {
+        check.refuse(column, "is missing in the header");
+    }
+    let count = names.iter().filter(|name| !name.is_empty()).count();
+    if count > columns.most {
+        check.refuse("header", format!("has {count} columns, and at most {} are read", columns.most));
+    }
+}
+
+fn rows(reader: &mut csv::Reader<&[u8]>, mut place: Place<'_>, names: &[String]) -> Result<Vec<Row>> {
+    let mut rows = Vec::new();
+    for record in reader.records() {
+        let record = record.map_err(|error| unreadable(place.row_at(error.position()), &error))?;
+        let number = place.of(&record);
+        if record.iter().all(|cell| cell.trim().is_empty()) {
+            continue;
+        }
+        check_length(number, &record, names)?;
+        if rows.len() == ROWS_MAX {
+            let advice = format!("is one too many: a file may hold {ROWS_MAX} rows; split it");
+            return Err(FieldError::new(format!("row[{number}]"), advice).into());
+        }
+        rows.push(Row { number, cells: record.iter().map(str::to_owned).collect() });
+    }
+    match rows.is_empty() {
+        true => Err(FieldError::new("row[2]", "is missing: the file has no row below its header").into()),
+        false => Ok(rows),
+    }
+}
+
+/// A row has a cell for each column with a name, and nothing beside them.
+fn check_length(row: usize, record: &csv::StringRecord, names: &[String]) -> std::result::Result<(), FieldError> {
+    let refused = |message: String| Err(FieldError::new(format!("row[{row}]"), message));
+    let named = names.iter().rposition(|name| !name.is_empty()).map_or(0, |last| last + 1);
+    if record.len() < named {
+        return refused(format!(
+            "has {} cells where the header has {named}: quote cells that hold a separator",
+            record.len()
+        ));
+    }
+    let stray = record
+        .iter()
+        .enumerate()
+        .find(|(k, cell)| !cell.trim().is_empty() && names.get(*k).is_none_or(String::is_empty));
+    match stray {
+        Some((k, _)) if k >= names.len() => refused(format!(
+            "has {} cells where the header has {named}: quote cells that hold a separator",
+            record.len()
+        )),
+        Some((_, cell)) => refused(format!("holds `{}` in a column without a name", cell.trim())),
+        None => Ok(()),
+    }
+}
+
+fn unreadable(row: usize, error: &csv::Error) -> Error {
+    let field = if row == 1 { "header".to_owned() } else { format!("row[{row}]") };
+    FieldError::new(field, format!("cannot be read: {error}")).into()
+}
+
+/// The filled cells of a row, by column.
+pub(super) struct Cells<'a> {
+    /// Row of the file, the header being row 1.
+    pub row: usize,
+    table: &'a Table,
+    filled: HashMap<&'a str, (usize, &'a str)>,
+}
+
+/// What a cell of a column that is not known may be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Told<'a> {
+    Missing,
+    Number(f64, Option<&'static str>),
+    /// Below or above what could be measured.
+    Limit(&'a str),
+    /// A comma or point before three digits: one number or a thousand times it.
+    TwoNumbers(&'a str),
+    Text(&'a str),
+}
+
+impl<'a> Cells<'a> {
+    /// Whether the column is there and its cell says something.
+    pub fn holds(&self, column: &str) -> bool {
+        self.filled.contains_key(column)
+    }
+
+    /// The cell as it is written; nothing where it is empty.
+    pub fn written(&self, column: &str) -> &'a str {
+        self.filled.get(column).map(|(_, cell)| *cell).unwrap_or_default()
+    }
+
+    /// The cell without the blanks around it.
+    pub fn text(&self, column: &str) -> &'a str {
+        self.written(column).trim()
+    }
+
+    /// What the cell is, by itself and by what its column and file show of decimal signs.
+    pub fn told(&self, column: &str) -> Told<'a> {
+        let Some((k, cell)) = self.filled.get(column) else { return Told::Missing };
+        let (text, table) = (cell.trim(), self.table);
+        match number::cell(text) {
+            Cell::Number(written) => match written.value(table.signs[*k], table.all_signs, table.separator) {
+                Some(value) => Told::Number(value, written.unit),
+                None => Told::TwoNumbers(text),
+            },
+            Cell::Limit => Told::Limit(text),
+            Cell::Other => Told::Text(text),
+        }
+    }
+
+    /// The number in the cell, in the unit of its column.
+    ///
+    /// # Errors
+    /// An empty cell, or one without a number, with two, or with one of another unit.
+    pub fn number(&self, column: &str) -> std::result::Result<f64, FieldError> {
+        let refused = |message: String| Err(at(self.row, column, message));
+        match self.told(column) {
+            Told::Missing => refused("is missing".to_owned()),
+            Told::Number(value, unit) => match (unit, unit_of(column)) {
+                (Some(is), Some(wanted)) if is != wanted => refused(format!("is in {is}, and the column in {wanted}")),
+                (Some(is), None) => refused(format!("is in {is}, and the column counts")),
+                _ => Ok(value),
+            },
+            Told::TwoNumbers(text) => refused(two_numbers(text)),
+            Told::Limit(text) => {
+                refused(format!("is a limit, `{text}`, and no number: leave it empty, or leave the row out"))
+            }
+            Told::Text(text) => refused(format!("must be a number, got `{text}`")),
+        }
+    }
+
+    /// The number of repeats in the cell, none where it is empty.
+    ///
+    /// # Errors
+    /// Anything but a whole number.
+    pub fn repeats(&self, column: &str) -> std::result::Result<Option<u32>, FieldError> {
+        self.whole(column, "repeats")
+    }
+
+    /// The number of `what` in the cell, none where it is empty. `5.0` is five: a table with gaps writes it so.
+    ///
+    /// # Errors
+    /// Anything but a whole number.
+    pub fn whole(&self, column: &str, what: &str) -> std::result::Result<Option<u32>, FieldError> {
+        if !self.holds(column) {
+            return Ok(None);
+        }
+        let number = self.number(column).ok();
+        let whole = number.filter(|n| n.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(n));
+        let wrong = || at(self.row, column, format!("must be a whole number of {what}, got `{}`", self.text(column)));
+        whole.map(|n| Some(n as u32)).ok_or_else(wrong)
+    }
+
+    /// All cells but that of one column, without the blanks around them.
+    pub fn all_but(&self, column: &str) -> Vec<&'a str> {
+        self.table.columns.iter().filter(|name| *name != column).map(|name| self.text(name)).collect()
+    }
+}
+
+/// Why a number may be two.
+pub(super) fn two_numbers(text: &str) -> String {
+    let plain: String = text.chars().filter(|c| !",.".contains(*c)).collect();
+    format!("may be {} or {plain}: write it as one of these", text.replace(',', "."))
+}
+
+/// The number in a cell, if it is within bounds.
+pub(super) fn within(
+    cells: &Cells<'_>,
+    column: &str,
+    lower: f64,
+    upper: f64,
+    unit: &str,
+) -> std::result::Result<f64, FieldError> {
+    bounded(&format!("row[{}].{column}", cells.row), cells.number(column)?, lower, upper, unit)
+}

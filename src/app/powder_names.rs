@@ -1,0 +1,62 @@
+//! Powders that a file names, by id or by name.
+
+use super::csv_file::at;
+use crate::discover::reading::NamedPowder;
+use crate::domain::FieldError;
+use crate::domain::powder_name::{id_of_powder, same_name};
+use std::collections::BTreeMap;
+
+/// The names of a file, by the ids that they make.
+#[derive(Debug, Default)]
+pub(super) struct PowderNames {
+    named: BTreeMap<String, (usize, String)>,
+}
+
+impl PowderNames {
+    /// The id of the powder that a row names.
+    ///
+    /// # Errors
+    /// What names none; a name that makes the id of another name.
+    pub fn id_of(&mut self, row: usize, text: &str) -> Result<String, FieldError> {
+        let id = id_of_powder(&format!("row[{row}].powder"), text)?;
+        if id == text {
+            return Ok(id);
+        }
+        let (before, known) = self.named.entry(id.clone()).or_insert_with(|| (row, text.to_owned()));
+        if same_name(known) == same_name(text) {
+            return Ok(id);
+        }
+        let advice = format!(
+            "`{text}` makes the id {id}, as `{known}` of row {before} does: write one powder in one way, or ids"
+        );
+        Err(at(row, "powder", advice))
+    }
+
+    /// The name that stands for an id; none where the file has the id itself.
+    pub fn name_of(&self, id: &str) -> Option<&str> {
+        self.named.get(id).map(|(_, name)| name.as_str())
+    }
+
+    /// All of them, by id.
+    pub fn named(&self) -> Vec<NamedPowder> {
+        self.named.iter().map(|(id, (_, name))| NamedPowder { name: name.clone(), id: id.clone() }).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_powder_has_one_name_and_two_names_have_two_ids() {
+        let mut names = PowderNames::default();
+        for (row, text) in [(2, "Lactose 200M"), (3, "lactose_200m"), (4, "LACTOSE  200M"), (5, "salt")] {
+            assert!(names.id_of(row, text).is_ok(), "{text}");
+        }
+        let refused = names.id_of(6, "Lactose-200M").unwrap_err();
+        assert_eq!(refused.field, "row[6].powder");
+        assert!(refused.message.contains("lactose_200m") && refused.message.contains("row 2"), "{refused}");
+        assert_eq!((names.name_of("lactose_200m"), names.name_of("salt")), (Some("Lactose 200M"), None));
+        assert_eq!(names.named().len(), 1);
+    }
+}
