@@ -326,6 +326,31 @@ fn what_discover_accepts_is_a_simulator_that_other_commands_take() {
 }
 
 #[test]
+fn discover_asks_which_day_is_meant_and_says_how_it_read_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, out) = (folder.path().join("m.csv"), folder.path().join("found"));
+    let slashed = |(k, line): (usize, &str)| {
+        let cells: Vec<&str> = line.split(',').collect();
+        let day = cells[2].parse().map_or(cells[2].to_owned(), |day: u32| format!("3/{}/2026", day + 1));
+        let humidity = if k == 7 { "NA" } else { cells[3] };
+        format!("{};{};{day};{humidity}\n", cells[0], cells[1].replace('.', ","))
+    };
+    let rows: String = campaign().lines().enumerate().map(slashed).collect();
+    std::fs::write(&file, format!("sep=;\r\n{rows}{}\u{1a}", rows.lines().last().unwrap())).unwrap();
+    let (data, quick) = (folder.path().join("data"), ["--simulations", "99", "--budget-runs", "0"]);
+    let discover = ["discover", "--measurements", file.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let asked = flip(&data, &[&discover[..], &quick].concat());
+    expect_status(&asked, 2);
+    assert!(stderr(&asked).contains("row[2].session: `3/1/2026`"), "{}", stderr(&asked));
+    let output = flip(&data, &[&discover[..], &quick, &["--dates", "month-first"]].concat());
+    expect_status(&output, 0);
+    let text = String::from_utf8(output.stdout).unwrap();
+    for said in ["column of measurements", "12 days, 2026-03-01 to 2026-03-12", "the mean of its session stands in"] {
+        assert!(text.contains(said), "{said} is missing in {text}");
+    }
+}
+
+#[test]
 fn discover_prints_a_text_and_refuses_a_bad_file_before_anything_is_written() {
     let folder = tempfile::tempdir().unwrap();
     let (file, out) = (folder.path().join("m.csv"), folder.path().join("found"));

@@ -25,7 +25,7 @@ use crate::discover::{Campaign, Covariate, Run, repeats_of};
 use crate::domain::FieldError;
 use crate::domain::powder::{Flowability, Method};
 use column::Column;
-use sessions::sessions;
+use sessions::{Sessions, sessions};
 
 /// Most runs, the repeats behind summaries counted: an investigation holds some thirty matrices of runs times runs.
 const RUNS_MAX: usize = 2000;
@@ -117,42 +117,44 @@ pub(super) fn read(text: &str, required: &[&str], dates: Option<DateOrder>) -> R
     // Rows to be predicted are questions, and a question may be asked twice.
     let left_out =
         if required.contains(&"repose_deg") { twice::leave_out(&mut lines) } else { twice::Twice::default() };
-    let rows = lines.len() + left_out.rows.len();
     bounded(&lines)?;
-    let cells: Vec<Cell<'_>> = lines.iter().map(|line| line.session).collect();
-    let mut refusals = Vec::new();
-    let mut keep = |error: Vec<FieldError>| refusals.extend(error);
-    let session = sessions(&cells, &row_numbers(&lines), dates).map_err(&mut keep).ok();
-    let column = |(k, name): (usize, &&str)| {
-        let cells: Vec<Cell<'_>> = lines.iter().map(|line| line.cells[k]).collect();
-        column::read(name, &cells, &row_numbers(&lines))
-    };
-    let read: Vec<Column> = covariates.iter().enumerate().filter_map(|of| column(of).map_err(&mut keep).ok()).collect();
-    refused(refusals)?;
-    let Some(session) = session else { unreachable!("refused above") };
+    let (session, read) = conditions(&lines, &covariates, dates)?;
     let mut columns = own_columns(&table, &lines);
     columns.extend(session.column.clone());
     columns.extend(covariates.iter().zip(&read).map(|(name, column)| column.told(name, lines.len())));
     columns.sort_by_key(|it| table.columns.iter().position(|name| *name == it.column));
     let read_as = FileRead {
         file: "measurements".to_owned(),
-        rows: rows as u32,
+        rows: (lines.len() + left_out.rows.len()) as u32,
         columns,
         powders: powders.named(),
         left_out: left_out.told(),
-        notes: left_out.note.clone().into_iter().collect(),
+        notes: left_out.note.into_iter().collect(),
     };
-    let campaign = campaign(&lines, &session.places, &covariates, read);
-    Ok(CampaignRead { campaign, read: read_as })
+    Ok(CampaignRead { campaign: campaign(&lines, &session.places, &covariates, read), read: read_as })
+}
+
+/// Session and covariates of the rows, or all that is wrong with either.
+fn conditions(lines: &[Line<'_>], names: &[&str], dates: Option<DateOrder>) -> Result<(Sessions, Vec<Column>)> {
+    let (mut columns, mut refusals) = (Vec::new(), Vec::new());
+    let rows: Vec<usize> = lines.iter().map(|line| line.row).collect();
+    let cells: Vec<Cell<'_>> = lines.iter().map(|line| line.session).collect();
+    let session = sessions(&cells, &rows, dates).map_err(|all| refusals.extend(all)).ok();
+    for (k, name) in names.iter().enumerate() {
+        let cells: Vec<Cell<'_>> = lines.iter().map(|line| line.cells[k]).collect();
+        match column::read(name, &cells, &rows) {
+            Ok(column) => columns.push(column),
+            Err(all) => refusals.extend(all),
+        }
+    }
+    refused(refusals)?;
+    let Some(session) = session else { unreachable!("refused above") };
+    Ok((session, columns))
 }
 
 fn refused(mut refusals: Vec<FieldError>) -> Result<()> {
     refusals.truncate(REFUSALS_MAX);
     if refusals.is_empty() { Ok(()) } else { Err(Error::Invalid(refusals)) }
-}
-
-fn row_numbers(lines: &[Line<'_>]) -> Vec<usize> {
-    lines.iter().map(|line| line.row).collect()
 }
 
 fn known(name: &str) -> Option<Holds> {

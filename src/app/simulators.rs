@@ -1,6 +1,5 @@
 //! Versions of the simulator: what investigations extended it by, and what it predicts then.
 
-use super::csv_file::date::DateOrder;
 use super::current_simulator::{BASE, CURRENT};
 use super::jobs::{corrupt, stored};
 use super::{App, Error, Result, campaign_csv};
@@ -20,8 +19,6 @@ use serde::{Deserialize, Serialize};
 pub struct PredictionRequest {
     /// The rows as CSV text, as investigations take them; `repose_deg` may be left out, and is not looked at.
     pub measurements_csv: String,
-    /// What stands first in dates such as 2/3/2026; needed where no day above 12 in the column tells.
-    pub dates: Option<DateOrder>,
 }
 
 impl App {
@@ -77,9 +74,9 @@ impl App {
     ///
     /// # Errors
     /// `NotFound`; `Invalid`: a file by row and column, or one without what the version's causes act through.
-    pub async fn predict(&self, version: &str, request: &PredictionRequest) -> Result<Vec<Row>> {
+    pub async fn predict(&self, version: &str, measurements_csv: &str) -> Result<Vec<Row>> {
         let version = self.extended_simulator(version).await?;
-        let new = campaign_csv::read(&request.measurements_csv, &["powder"], request.dates)?.campaign;
+        let new = campaign_csv::read(measurements_csv, &["powder"], None)?.campaign;
         let made = self.store().job(&version.investigation).await?.ok_or_else(|| corrupt("an investigation"))?;
         let JobSpec::Investigation(spec) = stored(&made.spec)? else {
             return Err(corrupt("an investigation's specification"));

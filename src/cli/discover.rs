@@ -7,8 +7,8 @@ use super::table::table;
 use super::watch::Watch;
 use super::{Common, FIRST_PAGE};
 use crate::app::{
-    App, CURRENT, ChosenSimulator, ColumnRead, CurrentSimulator, DateOrder, FileRead, InvestigationRequest,
-    PredictionRequest, Report, SimulatorVersion, names, predictions_csv, report_html,
+    App, CURRENT, ChosenSimulator, ColumnRead, CurrentSimulator, DateOrder, FileRead, InvestigationRequest, Report,
+    SimulatorVersion, names, predictions_csv, report_html,
 };
 use crate::domain::FieldError;
 use anyhow::Context;
@@ -42,9 +42,6 @@ enum Action {
         /// Rows as a CSV file: powder, and what the version's causes act through.
         #[arg(long, value_name = "FILE")]
         measurements: PathBuf,
-        /// What stands first in dates such as 2/3/2026; needed where no day above 12 tells.
-        #[arg(long, value_name = "ORDER")]
-        dates: Option<Dates>,
     },
     /// List the simulator's versions, newest first, and say which one is current.
     Versions,
@@ -111,10 +108,9 @@ impl From<Dates> for DateOrder {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.action {
         None => discover(common, &arguments.campaign),
-        Some(Action::Predict { simulator, measurements, dates }) => {
-            let measurements_csv = read("measurements", measurements)?;
-            let request = PredictionRequest { measurements_csv, dates: dates.map(Into::into) };
-            let rows = with_app(common, async |app| Ok(app.predict(simulator, &request).await?))?;
+        Some(Action::Predict { simulator, measurements }) => {
+            let csv = read("measurements", measurements)?;
+            let rows = with_app(common, async |app| Ok(app.predict(simulator, &csv).await?))?;
             common.print(&rows, || predictions_csv(&rows))
         }
         Some(Action::Versions) => {

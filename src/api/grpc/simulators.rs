@@ -1,9 +1,9 @@
 //! `flip.v1.Simulators`.
 
-use super::convert::{all, named, page};
+use super::convert::{all, page};
 use super::proto::*;
 use super::{Service, read, write};
-use crate::app::{ChosenSimulator, PredictionRequest};
+use crate::app::ChosenSimulator;
 use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
@@ -21,10 +21,8 @@ impl simulators_server::Simulators for Service {
     }
 
     async fn predict(&self, request: Request<PredictRequest>) -> Result<Response<PredictResponse>, Status> {
-        let PredictRequest { id, measurements_csv, dates } = write(request)?;
-        let dates = named::<DateOrder, _>("dates", dates.unwrap_or_default())?;
-        let rows = self.app.predict(&id, &PredictionRequest { measurements_csv, dates }).await?;
-        Ok(Response::new(PredictResponse { rows: all(rows) }))
+        let PredictRequest { id, measurements_csv } = write(request)?;
+        Ok(Response::new(PredictResponse { rows: all(self.app.predict(&id, &measurements_csv).await?) }))
     }
 
     async fn get_current_simulator(

@@ -66,5 +66,5 @@ pub async fn predict(
     Path(id): Path<String>,
     Large(request): Large<PredictionRequest>,
 ) -> Result<Response, Problem> {
-    Ok(csv_file("predict", predictions_csv(&app.predict(&id, &request).await?)))
+    Ok(csv_file("predict", predictions_csv(&app.predict(&id, &request.measurements_csv).await?)))
 }

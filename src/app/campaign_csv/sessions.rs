@@ -149,7 +149,7 @@ impl Column<'_> {
         unclear.map_or(Ok(None), |((_, row), text)| {
             let advice = format!(
                 "`{text}` may have the day first or the month, and no day above 12 in the column tells: say which with `dates`, \
-                 day_first or month_first (`--dates day-first`), or write days as 2026-02-03"
+                 day_first or month_first (`flip discover --dates day-first`), or write days as 2026-02-03"
             );
             Err(vec![at(*row, "session", advice)])
         })

@@ -183,7 +183,7 @@ fn wrong_cells_are_refused_by_row_and_column() {
         (&with_column("flow_time_s", &["<5"]), &["row[2].flow_time_s"]),
         (&with_column("temperature_c", &["75 °F"]), &["row[2].temperature_c"]),
         (&with_column("rh", &["41", "42", "wet"]), &["row[4].rh"]),
-        (&with_column("rh", &["41", "42", "~43", "40-50"]), &["row[4].rh", "row[5].rh"]),
+        (&with_column("rh", &["41", "42", "43", "~43", "40-50"]), &["row[5].rh", "row[6].rh"]),
         (&with_column("gap", &["5 mm", "0.6 cm"]), &["row[3].gap"]),
         (&with_column("mass", &["\"1,125\"", "2.5"]), &["row[2].mass"]),
         (&with_column("session", &["12", "Monday", "12", "9"]), &["row[3].session"]),
@@ -293,7 +293,7 @@ fn what_is_left_out_is_told_with_its_reason() {
     assert_eq!(left_out("remark", &["a", "b", "c", "c"]), "hardly a name stands twice");
     assert_eq!(left_out("remark", &["", ""]), "no cell of it is filled");
     assert_eq!(left_out("rh", &["<5", "<5"]), "it holds limits and no number");
-    assert_eq!(left_out("lab", &["a", "a", "b"]), "");
+    assert_eq!(left_out("lab", &["a", "a", "b", "b"]), "");
     assert_eq!(told("lab", &["a", "a", "1", "1"]).note, "2 of its cells are numbers and count as names");
     let fractions = told("relative_humidity_pct", &["0.41", "0.5", "NA"]);
     assert!(fractions.note.starts_with("written as fractions, taken as per cent"), "{}", fractions.note);

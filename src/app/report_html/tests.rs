@@ -2,6 +2,7 @@ use super::figures::Scale;
 use super::html;
 use super::words::{cause, chance, column_with_unit, duration, interval, num, percent, signed, span, with_unit};
 use crate::discover::numerics::{Dependence, Varied};
+use crate::discover::reading::{ColumnRead, FileRead, LeftOut, NamedPowder, TakenAs};
 use crate::discover::report::{
     CauseReport, Channel, Coverage, Curve, Detectable, Evidence, Experiment, Finding, FormClass, Gain, HeldOut,
     LogScore, NullCheck, Numerics, ParameterReport, PowderEffect, Row, SCHEMA_VERSION, SimulatorVersions, Unexplained,
@@ -146,6 +147,20 @@ fn full(verdict: Verdict, word: &str) -> Report {
                 Dependence { varied: Varied::Substep, slope_deg: 0.11, ci99: [-0.5, 0.7], is_defect: false, runs: 6 },
             ],
         }),
+        files: vec![FileRead {
+            file: owned(),
+            rows: 12,
+            columns: vec![ColumnRead {
+                column: owned(),
+                taken_as: TakenAs::Nothing,
+                filled: 11,
+                missing: 1,
+                note: owned(),
+            }],
+            powders: vec![NamedPowder { name: owned(), id: owned() }],
+            left_out: vec![LeftOut { rows: (2..40).collect(), reason: owned() }],
+            notes: vec![owned()],
+        }],
         simulator_runs: 160,
         wall_s: 900.0,
         ..bare(verdict)
@@ -232,7 +247,7 @@ fn a_part_without_anything_to_say_is_not_there() {
     for empty in ["<table", "<svg", "<ul", "<h3", "></p>", "<figure"] {
         assert!(!page.contains(empty), "{empty}");
     }
-    assert_eq!(html(&full(Verdict::Cause, "salt")).matches("<section").count(), 9);
+    assert_eq!(html(&full(Verdict::Cause, "salt")).matches("<section").count(), 10);
 }
 
 #[test]
