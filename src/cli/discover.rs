@@ -216,6 +216,7 @@ fn text(report: &Report, out: &Path) -> String {
     });
     let untestable = report.untestable.iter().map(|it| vec![names::cause(&it.mechanism), it.reason.clone()]);
     let files = report.files.iter().flat_map(read_as);
+    let left_out = report.left_out.iter().map(|it| vec![it.column.clone(), it.reason.clone()]);
     let parts = [
         report.sentence.clone(),
         decision,
@@ -223,6 +224,7 @@ fn text(report: &Report, out: &Path) -> String {
         section(&["departs", "with", "effect", "95 % interval", "from - to", "powders"], findings.collect()),
         section(&["cannot be told", "because"], untestable.collect()),
         files.collect::<Vec<_>>().join("\n\n"),
+        section(&["column left out", "because it"], left_out.collect()),
         format!("report.html, report.json and predict.csv are in {}", out.display()),
     ];
     parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n\n")

@@ -5,8 +5,9 @@
 //! looked at. Nobody knows how much a cause of the catalogue changes the flow of which powder, so signs and responses are left open.
 
 use super::campaign::Campaign;
+use super::claim::{Claim, Proposal};
 use super::hypothesis::{Cause, Responses};
-use super::investigate::{Judgement, evidence};
+use super::investigate::{Judgement, evidence, worth};
 use super::posterior::Posterior;
 use super::report::{
     CauseReport, Experiment, Finding, FormClass, NullCheck, ParameterReport, SideChannel, Unexplained, Verdict,
@@ -14,6 +15,7 @@ use super::report::{
 use super::screen::{Prepared, Screening, Settings};
 use super::{effects, experiment, law, words};
 use crate::domain::FieldError;
+use std::ops::ControlFlow;
 
 /// A channel that was screened.
 pub(super) struct Beside<'a> {
@@ -25,6 +27,8 @@ pub(super) struct Beside<'a> {
 
 /// What one more channel says, to be added to a document.
 pub(super) struct Heard {
+    /// What was measured, to begin a sentence with.
+    pub what: &'static str,
     pub verdict: Verdict,
     pub sentence: String,
     pub findings: Vec<Finding>,
@@ -43,12 +47,15 @@ impl Beside<'_> {
         let Self { campaign, prepared, posterior, screening } = self;
         let judgement = Judgement::of(prepared, posterior, p_value);
         let none = Responses::new();
-        let (mut findings, mut causes) = (Vec::new(), Vec::new());
-        for cause in &judgement.told {
-            let of = effects::findings(campaign, &none, std::slice::from_ref(cause))?;
-            causes.extend(of.iter().filter_map(|finding| self.cause(cause, finding)));
-            findings.extend(of);
-        }
+        let told = effects::told(campaign, &none, &judgement.told)?;
+        let gain = match judgement.proposal {
+            Proposal::Cause => {
+                worth(campaign, &none, &judgement, settings, |_| ControlFlow::Continue(())).ok().flatten()
+            }
+            _ => None,
+        };
+        let claim = Claim::of(judgement.proposal, told, gain.as_ref().is_some_and(|gain| gain.accepted));
+        let causes = claim.told.iter().filter_map(|it| self.cause(&it.cause, it.finding.as_ref()?)).collect();
         let unexplained = judgement.unexplained().map(|covariate| match covariate {
             Some(covariate) => law::law(campaign, prepared, covariate),
             None => Unexplained {
@@ -57,26 +64,28 @@ impl Beside<'_> {
                 form_class: FormClass::Smooth,
             },
         });
-        let experiment = match (judgement.verdict, judgement.to_tell_apart()) {
+        let verdict = claim.verdict;
+        let experiment = match (verdict, judgement.to_tell_apart()) {
             (Verdict::Ambiguous, Some(causes)) => {
                 experiment::experiment(campaign, &none, &causes, false, settings)?.map(timed)
             }
             _ => None,
         };
         let ambiguous_between = judgement.ambiguous_between();
-        let sentence =
-            words::beside(campaign.quantity, judgement.verdict, &causes, &findings, &ambiguous_between, p_value);
+        let probability = |cause: &Cause| posterior.inclusion_of(cause);
+        let sentence = words::beside(campaign.quantity, &claim, probability, &ambiguous_between, p_value);
         let side = SideChannel {
             channel: campaign.quantity.channel(),
-            verdict: judgement.verdict,
+            verdict,
             p_value: screening.p_value,
             n: prepared.measured.len() as u32,
             sentence: sentence.clone(),
             evidence: evidence(prepared, screening, posterior),
             null_check: NullCheck::of(&screening.null, screening.statistic),
+            gain,
         };
-        let verdict = judgement.verdict;
-        Ok((Heard { verdict, sentence, findings, causes, ambiguous_between, unexplained, experiment }, side))
+        let (what, findings) = (campaign.quantity.name(), claim.findings());
+        Ok((Heard { what, verdict, sentence, findings, causes, ambiguous_between, unexplained, experiment }, side))
     }
 
     fn cause(&self, cause: &Cause, finding: &Finding) -> Option<CauseReport> {

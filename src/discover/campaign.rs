@@ -98,6 +98,15 @@ impl Quantity {
         }
     }
 
+    /// What was measured, to begin a sentence with.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Repose => "Angles of repose",
+            Self::FlowTime => "Flow times",
+            Self::Scatter => "Distances between repeats",
+        }
+    }
+
     /// Unit of a change.
     pub(super) fn unit(self) -> &'static str {
         match self {

@@ -11,6 +11,7 @@
 use super::beside::{Beside, Heard};
 use super::campaign::Campaign;
 use super::flow::flow_times;
+use super::follows;
 use super::hypothesis::Responses;
 use super::investigate::angles;
 use super::posterior::Posterior;
@@ -19,6 +20,7 @@ use super::response::responses;
 use super::screen::{Prepared, Settings, screen_prepared};
 use super::traces::report::{TraceReport, report};
 use super::traces::{self, Traces, screen_traces};
+use super::words;
 use crate::domain::FieldError;
 use crate::domain::job::Progress;
 use std::ops::ControlFlow;
@@ -55,7 +57,8 @@ pub fn investigate(
         screened = Some((traces, screen_traces(traces, &traces::Settings { seed, simulations })?));
         done = TRACES_SHARE;
     }
-    let trace_p = screened.as_ref().map(|(_, screening)| screening.p_value);
+    // Readings of which nothing was judged cost the other channels nothing.
+    let trace_p = screened.as_ref().filter(|(_, it)| !it.judged.is_empty()).map(|(_, screening)| screening.p_value);
     let Some(campaign) = campaign else {
         let Some((traces, screening)) = screened else {
             return Err(FieldError::new("measurements", "or traces are needed: there is nothing to judge"));
@@ -64,8 +67,14 @@ pub fn investigate(
         add_traces(&mut document, report(traces, &screening, screening.p_value));
         return Ok(Some(document));
     };
+    let (campaign, mut left_out) = follows::without(campaign);
+    let campaign = &campaign;
     // Flow times that say nothing are no reason to refuse the angles.
-    let flow = flow_times(campaign).map(|flow| flow.and_then(|it| Ok((Prepared::new(&it, &Responses::new())?, it))));
+    let flow = flow_times(campaign).map(|flow| -> Result<_, FieldError> {
+        let (flow, of_flow) = follows::without(&flow?);
+        left_out.extend(of_flow);
+        Ok((Prepared::new(&flow, &Responses::new())?, flow))
+    });
     let (flow, silent) = match flow {
         Some(Ok(flow)) => (Some(flow), None),
         Some(Err(error)) => (None, Some(error)),
@@ -91,6 +100,7 @@ pub fn investigate(
     let others: Vec<f64> = trace_p.into_iter().chain(flow_p).collect();
     let found = angles(campaign, &responses(campaign), base, settings, |p| holm(p, &others), later)?;
     let Some(mut document) = found else { return Ok(None) };
+    document.left_out = left_out;
     let all: Vec<f64> = [document.p_value].into_iter().chain(others).collect();
     document.p_value = all.iter().map(|&p| holm(p, &without(&all, p))).fold(1.0, f64::min);
     let corrected = |p: f64| holm(p, &without(&all, p));
@@ -105,6 +115,8 @@ pub fn investigate(
     if let Some((traces, screening)) = screened {
         add_traces(&mut document, report(traces, &screening, corrected(screening.p_value)));
     }
+    let left_out = words::left_out(&document.left_out);
+    document.sentence = [document.sentence, left_out].join(" ").trim_end().to_owned();
     Ok(Some(document))
 }
 
@@ -125,18 +137,26 @@ fn without(all: &[f64], p: f64) -> Vec<f64> {
 
 /// Add what one more channel says to a document.
 fn add(document: &mut Report, heard: Heard) {
-    let Heard { verdict, sentence, findings, causes, ambiguous_between, unexplained, experiment } = heard;
-    let (was_found, is_found) = (document.verdict != Verdict::NoDiscrepancy, verdict != Verdict::NoDiscrepancy);
-    let leads = is_found && !was_found;
-    // A cause that was claimed must be of a channel in which something was found.
+    let Heard { what, verdict, sentence, findings, causes, ambiguous_between, unexplained, experiment } = heard;
+    let leads = strength(verdict) > strength(document.verdict);
+    // What was claimed must be of a channel in which it was found, and beside a claim there is no hint.
     if leads {
         document.causes.clear();
+        document.findings.clear();
     }
-    if is_found || !was_found {
+    let no_more = |what: &str| format!("{what} show no more than a hint.");
+    let mut sentence = sentence;
+    if leads && document.verdict == Verdict::Hint {
+        document.gain = None;
+        document.sentence = no_more("Angles of repose");
+    } else if verdict == Verdict::Hint && !leads && document.verdict != Verdict::Hint {
+        sentence = no_more(what);
+    }
+    if strength(verdict) >= strength(document.verdict) {
         causes.into_iter().for_each(|cause| add_cause(&mut document.causes, cause));
+        document.findings.extend(findings);
     }
     document.causes.sort_by(|a, b| b.inclusion_probability.total_cmp(&a.inclusion_probability));
-    document.findings.splice(if leads { 0..0 } else { document.findings.len()..document.findings.len() }, findings);
     let new = ambiguous_between.into_iter().filter(|it| !document.ambiguous_between.contains(it));
     let new: Vec<String> = new.collect();
     document.ambiguous_between.extend(new);
@@ -175,7 +195,7 @@ fn add_cause(causes: &mut Vec<CauseReport>, cause: CauseReport) {
 /// Add what balance readings say to a document.
 fn add_traces(document: &mut Report, of_traces: TraceReport) {
     let TraceReport { channel, sentence, findings, causes, ambiguous_between, unexplained, .. } = of_traces;
-    let leads = channel.verdict != Verdict::NoDiscrepancy && document.verdict == Verdict::NoDiscrepancy;
+    let leads = strength(channel.verdict) > strength(document.verdict);
     // What was found comes first, each channel from its most probable cause on.
     match leads {
         true => document.evidence.splice(..0, of_traces.evidence).for_each(drop),
@@ -185,17 +205,28 @@ fn add_traces(document: &mut Report, of_traces: TraceReport) {
     document.untestable.extend(of_traces.untestable);
     let experiment = channel.suggested_experiment.clone();
     let verdict = channel.verdict;
-    add(document, Heard { verdict, sentence, findings, causes, ambiguous_between, unexplained, experiment });
+    let what = "Balance readings";
+    add(document, Heard { what, verdict, sentence, findings, causes, ambiguous_between, unexplained, experiment });
     document.traces = Some(channel);
+}
+
+/// Nothing, a hint, or something.
+fn strength(verdict: Verdict) -> u8 {
+    match verdict {
+        Verdict::NoDiscrepancy => 0,
+        Verdict::Hint => 1,
+        Verdict::Cause | Verdict::Ambiguous | Verdict::Unexplained => 2,
+    }
 }
 
 /// The verdict over two channels: what is open in one is open, and what has a name in one has it.
 fn both(one: Verdict, other: Verdict) -> Verdict {
-    use Verdict::{Ambiguous, Cause, NoDiscrepancy, Unexplained};
+    use Verdict::{Ambiguous, Cause, Hint, NoDiscrepancy, Unexplained};
     match [one, other] {
         of if of.contains(&Ambiguous) => Ambiguous,
         of if of.contains(&Cause) => Cause,
         of if of.contains(&Unexplained) => Unexplained,
+        of if of.contains(&Hint) => Hint,
         _ => NoDiscrepancy,
     }
 }
@@ -224,13 +255,15 @@ mod tests {
 
     #[test]
     fn what_is_open_in_one_channel_is_open() {
-        use Verdict::{Ambiguous, Cause, NoDiscrepancy, Unexplained};
+        use Verdict::{Ambiguous, Cause, Hint, NoDiscrepancy, Unexplained};
         for (one, other, expected) in [
             (NoDiscrepancy, NoDiscrepancy, NoDiscrepancy),
             (NoDiscrepancy, Cause, Cause),
             (Ambiguous, Cause, Ambiguous),
             (Unexplained, Cause, Cause),
             (Unexplained, NoDiscrepancy, Unexplained),
+            (Hint, NoDiscrepancy, Hint),
+            (Hint, Cause, Cause),
         ] {
             assert_eq!((both(one, other), both(other, one)), (expected, expected));
         }

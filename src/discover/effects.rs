@@ -1,6 +1,7 @@
 //! How large an effect is, on which powders, and its course over what was recorded.
 
 use super::campaign::{Campaign, Covariate, LEVELS_MAX, Values};
+use super::claim::{Told, is_told};
 use super::hypothesis::{Cause, Responses};
 use super::names;
 use super::posterior::Posterior;
@@ -8,61 +9,104 @@ use super::report::{Curve, Finding, PowderEffect};
 use super::scenario::{Conditions, Setting, extended, levels, percentile};
 use super::screen::Prepared;
 use crate::domain::FieldError;
+use std::cmp::Ordering;
 
+/// Shares of the runs that are below the ends between which an effect is told, and those of all that was seen.
+const PERCENTILES: [f64; 2] = [0.05, 0.95];
+const ENDS: [f64; 2] = [0.0, 1.0];
 /// Places of a course.
 const PLACES: usize = 21;
 /// Normal deviate that 90 % of values are within, on either side.
 const BAND: f64 = 1.645;
 
-/// The findings that these causes make: each one's effect on all powders and on each.
-pub(super) fn findings(
+/// These causes, each with its effect on all powders and on each.
+pub(super) fn told(campaign: &Campaign, responses: &Responses, causes: &[Cause]) -> Result<Vec<Told>, FieldError> {
+    let of = |cause: &Cause| Ok(Told { cause: cause.clone(), finding: finding(campaign, responses, cause)? });
+    causes.iter().map(of).collect()
+}
+
+/// The largest effect of a cause over its spans, one that is told from zero before any other.
+fn finding(campaign: &Campaign, responses: &Responses, cause: &Cause) -> Result<Option<Finding>, FieldError> {
+    let mut best: Option<Finding> = None;
+    for shares in [PERCENTILES, ENDS] {
+        for span in spans(campaign, cause, shares) {
+            let rank = |it: &Finding| (is_told(it.ci95, &it.unit), it.effect.abs());
+            let finding = over(campaign, responses, cause, span)?;
+            best =
+                best.into_iter().chain(finding).max_by(|a, b| rank(a).partial_cmp(&rank(b)).unwrap_or(Ordering::Equal));
+        }
+        // A step that few runs are past is beyond the percentiles; names have none.
+        let is_of_names = cause.covariates().iter().any(|name| levels(campaign, name).is_some());
+        if is_of_names || best.as_ref().is_none_or(|it| is_told(it.ci95, &it.unit)) {
+            break;
+        }
+    }
+    Ok(best)
+}
+
+/// The effect of a cause over one span; `None` where no powder was measured at both of two names, or no component of the posterior has the cause.
+fn over(
     campaign: &Campaign,
     responses: &Responses,
-    causes: &[Cause],
-) -> Result<Vec<Finding>, FieldError> {
-    let mut found = Vec::new();
-    for cause in causes {
-        let spans = spans(campaign, cause);
-        let mut best: Option<Finding> = None;
-        for (span, [low, high]) in spans {
-            let powders = 0..campaign.powders.len();
-            let runs: Vec<_> =
-                powders.clone().flat_map(|p| [(p, low.clone(), None), (p, high.clone(), None)]).collect();
-            let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0);
-            let (with_runs, first) = extended(campaign, session, &runs);
-            let prepared = Prepared::new(&with_runs, responses)?;
-            let posterior = Posterior::new(&prepared);
-            let pair = |powder: usize| (first + 2 * powder, first + 2 * powder + 1);
-            let of = |pairs: &[(usize, usize)]| {
-                let mixture = posterior.effect(cause, pairs)?;
-                let told = |change: f64| campaign.quantity.told(change);
-                Some((told(mixture.moments().0), mixture.interval(0.95).map(told)))
-            };
-            let Some((effect, ci95)) = of(&powders.clone().map(pair).collect::<Vec<_>>()) else { continue };
-            let by_powder: Vec<PowderEffect> = powders
-                .filter_map(|powder| {
-                    let (effect, ci95) = of(&[pair(powder)])?;
-                    Some(PowderEffect { powder: campaign.powders[powder].clone(), effect, ci95 })
-                })
-                .collect();
-            let shows = by_powder.iter().filter(|it| it.ci95[0] * it.ci95[1] > 0.0);
-            let finding = Finding {
-                channel: campaign.quantity.channel(),
-                covariate: covariate_of(cause),
-                powders: shows.map(|it| it.powder.clone()).collect(),
-                effect,
-                ci95,
-                unit: campaign.quantity.unit().to_owned(),
-                span,
-                by_powder,
-            };
-            if best.as_ref().is_none_or(|best| finding.effect.abs() > best.effect.abs()) {
-                best = Some(finding);
-            }
-        }
-        found.extend(best);
-    }
-    Ok(found)
+    cause: &Cause,
+    (span, ends): (String, [Conditions; 2]),
+) -> Result<Option<Finding>, FieldError> {
+    let powders = measured_with(campaign, &ends);
+    let [low, high] = &ends;
+    let runs: Vec<_> = powders.iter().flat_map(|&p| [(p, low.clone(), None), (p, high.clone(), None)]).collect();
+    let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0);
+    let (with_runs, first) = extended(campaign, session, &runs);
+    let prepared = Prepared::new(&with_runs, responses)?;
+    let posterior = Posterior::new(&prepared);
+    let pairs: Vec<(usize, usize)> = (0..powders.len()).map(|k| (first + 2 * k, first + 2 * k + 1)).collect();
+    let of = |pairs: &[(usize, usize)]| {
+        let mixture = posterior.effect(cause, pairs).filter(|_| !pairs.is_empty())?;
+        let told = |change: f64| campaign.quantity.told(change);
+        Some((told(mixture.moments().0), mixture.interval(0.95).map(told)))
+    };
+    let Some(average) = of(&pairs) else { return Ok(None) };
+    let on_powder = |(k, &powder): (usize, &usize)| {
+        let (effect, ci95) = of(&pairs[k..=k])?;
+        Some(PowderEffect { powder: campaign.powders[powder].clone(), effect, ci95 })
+    };
+    let by_powder: Vec<PowderEffect> = powders.iter().enumerate().filter_map(on_powder).collect();
+    let unit = campaign.quantity.unit();
+    let shows: Vec<&PowderEffect> = by_powder.iter().filter(|it| is_told(it.ci95, unit)).collect();
+    let (powder, (effect, ci95)) = match clearest(&shows).filter(|_| !is_told(average.1, unit)) {
+        Some(it) => (Some(it.powder.clone()), (it.effect, it.ci95)),
+        None => (None, average),
+    };
+    Ok(Some(Finding {
+        channel: campaign.quantity.channel(),
+        covariate: covariate_of(cause),
+        powders: shows.iter().map(|it| it.powder.clone()).collect(),
+        effect,
+        ci95,
+        unit: unit.to_owned(),
+        span,
+        powder,
+        by_powder,
+    }))
+}
+
+/// The powder whose effect is largest over the width of its interval.
+fn clearest<'a>(of: &[&'a PowderEffect]) -> Option<&'a PowderEffect> {
+    let clear = |it: &PowderEffect| it.effect.abs() / (it.ci95[1] - it.ci95[0]).max(f64::MIN_POSITIVE);
+    of.iter().copied().max_by(|a, b| clear(a).total_cmp(&clear(b)))
+}
+
+/// Powders on which a change between these ends was seen: of names, those that were measured with both.
+fn measured_with(campaign: &Campaign, ends: &[Conditions; 2]) -> Vec<usize> {
+    let is_at = |i: usize, (name, setting): (&String, &Setting)| match (campaign.values(name), setting) {
+        (Some(Values::Levels { of, .. }), Setting::Level(level)) => of[i] == Some(*level),
+        _ => true,
+    };
+    let measured = campaign.measured();
+    let was_at = |powder: usize, end: &Conditions| {
+        let mut runs = measured.iter().filter(|&&i| campaign.runs[i].powder == powder);
+        runs.any(|&i| end.iter().all(|at| is_at(i, at)))
+    };
+    (0..campaign.powders.len()).filter(|&powder| ends.iter().all(|end| was_at(powder, end))).collect()
 }
 
 /// The covariate of a cause; of an interaction, both.
@@ -71,8 +115,9 @@ pub(super) fn covariate_of(cause: &Cause) -> Option<String> {
     (!covariates.is_empty()).then(|| covariates.join(" and "))
 }
 
-/// From which conditions to which the effect of a cause is told, and how that reads. Of more than two names every pair; the largest counts.
-fn spans(campaign: &Campaign, cause: &Cause) -> Vec<(String, [Conditions; 2])> {
+/// From which conditions to which the effect of a cause is told, and how that reads: these shares of the runs are below. Of more than two names every pair;
+/// the largest counts.
+fn spans(campaign: &Campaign, cause: &Cause, shares: [f64; 2]) -> Vec<(String, [Conditions; 2])> {
     let covariates = cause.covariates();
     if let Some(names) = covariates.first().and_then(|name| levels(campaign, name)) {
         let at = |level: usize| Conditions::from([(covariates[0].to_owned(), Setting::Level(level))]);
@@ -84,12 +129,12 @@ fn spans(campaign: &Campaign, cause: &Cause) -> Vec<(String, [Conditions; 2])> {
         covariates.iter().filter_map(value).collect()
     };
     let words = |name: &&str| {
-        let [low, high] = [0.05, 0.95].map(|share| percentile(campaign, name, share).unwrap_or(0.0));
+        let [low, high] = shares.map(|share| percentile(campaign, name, share).unwrap_or(0.0));
         let (quantity, unit) = quantity(name);
         format!("from {} to {}{unit} {quantity}", rounded(low), rounded(high))
     };
     let span = covariates.iter().map(words).collect::<Vec<_>>().join(" and ");
-    if covariates.is_empty() { Vec::new() } else { vec![(span, [at(0.05), at(0.95)])] }
+    if covariates.is_empty() { Vec::new() } else { vec![(span, shares.map(at))] }
 }
 
 /// A number for a reader: three digits.

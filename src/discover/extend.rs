@@ -7,6 +7,7 @@
 use super::campaign::{Campaign, Values};
 use super::catalogue::Mechanism;
 use super::extension::{AtReference, Extended, Extension, Form, Hook, OnPowder, Through};
+use super::follows;
 use super::hypothesis::{Cause, Responses};
 use super::posterior::Posterior;
 use super::report::{Channel, ParameterReport, Report};
@@ -30,6 +31,7 @@ const FACTOR_MAX: f64 = 4.0;
 /// # Errors
 /// A campaign whose runs say nothing of their noise.
 pub fn extend(campaign: &Campaign, responses: &Responses, report: &Report) -> Result<Option<Extended>, FieldError> {
+    let (campaign, _) = &follows::without(campaign);
     let claimed = report.causes.iter().filter(|cause| cause.confidence_level > 1);
     let known = claimed.filter_map(|cause| Mechanism::ALL.into_iter().find(|it| it.name().0 == cause.mechanism));
     // What only flow times or balance readings depend on makes no angle.

@@ -7,7 +7,7 @@
 //! intervals   2000 resamples of the sessions that were left out
 //! ```
 
-use super::campaign::Campaign;
+use super::campaign::{Campaign, Quantity};
 use super::hypothesis::Responses;
 use super::investigate::SIGNIFICANCE;
 use super::posterior::{Posterior, Predicted};
@@ -86,7 +86,7 @@ pub(super) fn gain(
     for hidden in of_range {
         next(hidden, false, &mut range)?;
     }
-    let held_out = |scored: &[Hidden]| held_out(scored, settings.seed);
+    let held_out = |scored: &[Hidden]| held_out(scored, campaign.quantity, settings.seed);
     let log_score = log_score(&days, settings.seed);
     let within = |k: usize| {
         let inside = days.iter().filter(|it| it.errors[k].abs() <= BAND * it.sds[k]).count();
@@ -148,7 +148,7 @@ fn fold(
     Ok(hidden.iter().map(score).collect())
 }
 
-fn held_out(scored: &[Hidden], seed: u64) -> HeldOut {
+fn held_out(scored: &[Hidden], quantity: Quantity, seed: u64) -> HeldOut {
     let rmse = |of: &[&Hidden], k: usize| {
         (of.iter().map(|it| it.errors[k].powi(2)).sum::<f64>() / of.len().max(1) as f64).sqrt()
     };
@@ -157,7 +157,7 @@ fn held_out(scored: &[Hidden], seed: u64) -> HeldOut {
         rmse_before: rmse(&all, 0),
         rmse_after: rmse(&all, 1),
         ci95: resampled(scored, seed, |of| rmse(of, 0) - rmse(of, 1)),
-        unit: "deg".to_owned(),
+        unit: quantity.unit().to_owned(),
         n: scored.len() as u32,
     }
 }

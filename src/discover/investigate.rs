@@ -2,15 +2,17 @@
 
 use super::beside::Beside;
 use super::campaign::{Campaign, Run};
+use super::claim::{Claim, Proposal};
 use super::detectable::detectable;
-use super::effects::{curves, findings};
+use super::effects::{self, curves};
 use super::experiment::{experiment, settling};
+use super::follows;
 use super::held_out::{Stopped, gain};
 use super::hypothesis::{Cause, Responses};
 use super::law::law;
 use super::posterior::Posterior;
 use super::report::{
-    CauseReport, Curve, Evidence, Finding, FormClass, NullCheck, ParameterReport, Report, Row, Unexplained,
+    CauseReport, Curve, Evidence, Finding, FormClass, Gain, NullCheck, ParameterReport, Report, Row, Unexplained,
     UntestableReport, Verdict,
 };
 use super::response::amplitude;
@@ -69,25 +71,34 @@ pub(super) fn angles(
     let Some(screening) = screened else { return Ok(None) };
     let judgement = Judgement::of(&prepared, &posterior, corrected(screening.p_value));
     let mut report = blank(&screening, base);
-    report.verdict = judgement.verdict;
     report.evidence = evidence(&prepared, &screening, &posterior);
-    if step(0.3, "what this design would find") {
-        return Ok(None);
-    }
-    let explained = (report.verdict != Verdict::NoDiscrepancy).then_some(&posterior);
-    report.minimum_detectable = detectable(campaign, &prepared, &screening, explained, &settings);
     report.blind_spots =
         words::blind_spots(campaign.powders.len(), campaign.sessions() < campaign.runs.len(), &correlated(campaign));
-    if step(0.5, "how large the effect is") {
+    if step(0.3, "how large the effect is") {
         return Ok(None);
     }
+    let told = effects::told(campaign, responses, &judgement.told)?;
+    let fold = |done: f64| match step(0.35 + 0.4 * done, "leaving out days, powders and ranges, and searching again") {
+        true => ControlFlow::Break(()),
+        false => ControlFlow::Continue(()),
+    };
+    let gain = match worth(campaign, responses, &judgement, &settings, fold) {
+        Ok(gain) => gain,
+        Err(Stopped) => return Ok(None),
+    };
+    let claim = Claim::of(judgement.proposal, told, gain.as_ref().is_some_and(|gain| gain.accepted));
+    report.verdict = claim.verdict;
     let is_found = report.verdict != Verdict::NoDiscrepancy;
+    report.gain = gain.filter(|_| is_found);
+    if step(0.75, "what this design would find") {
+        return Ok(None);
+    }
+    let explained = judgement.proposal.is_found().then_some(&posterior);
+    report.minimum_detectable = detectable(campaign, &prepared, &screening, explained, &settings);
     report.rows = rows(campaign, &posterior, is_found);
     report.curves = if is_found { curves(campaign, responses)? } else { flat(curves(campaign, responses)?) };
-    if is_found {
-        report.findings = findings(campaign, responses, &judgement.told)?;
-    }
-    report.causes = causes(&prepared, &posterior, &report.findings, &judgement.told);
+    report.findings = claim.findings();
+    report.causes = causes(&prepared, &posterior, &claim);
     report.ambiguous_between = judgement.ambiguous_between();
     report.unexplained = judgement.unexplained().map(|covariate| match covariate {
         Some(covariate) => law(campaign, &prepared, covariate),
@@ -95,36 +106,36 @@ pub(super) fn angles(
             Unexplained { covariate: None, law: "a wander over the sessions".to_owned(), form_class: FormClass::Smooth }
         }
     });
-    if step(0.6, "the experiment that would tell most") {
+    if step(0.9, "the experiment that would tell most") {
         return Ok(None);
     }
     report.suggested_experiment = match (judgement.to_tell_apart(), judgement.ranked.first()) {
-        (Some(causes), _) => experiment(campaign, responses, &causes, report.verdict != Verdict::Ambiguous, &settings)?,
-        (None, Some((likeliest, _))) if !is_found => settling(campaign, &prepared, likeliest, settings.seed),
+        (Some(causes), _) if is_found => {
+            experiment(campaign, responses, &causes, report.verdict != Verdict::Ambiguous, &settings)?
+        }
+        (_, Some((likeliest, _))) if !is_found => settling(campaign, &prepared, likeliest, settings.seed),
         _ => None,
     };
-    if is_found {
-        let covariate = judgement.told.first().and_then(|cause| cause.covariates().first().copied());
-        let covariate = covariate.filter(|name| campaign.numbers(name).is_ok());
-        let fold = |done: f64| match step(0.7 + 0.3 * done, "leaving out days, powders and ranges, and searching again")
-        {
-            true => ControlFlow::Break(()),
-            false => ControlFlow::Continue(()),
-        };
-        report.gain = match gain(campaign, responses, covariate, &settings, fold) {
-            Ok(gain) => gain,
-            Err(Stopped) => return Ok(None),
-        };
-        if report.gain.as_ref().is_some_and(|gain| gain.accepted) {
-            let claimed = report.causes.iter_mut().filter(|it| it.inclusion_probability >= CLAIM);
-            claimed.for_each(|it| it.confidence_level = 2);
-        }
-    }
-    let law =
-        judgement.told.first().filter(|_| report.verdict == Verdict::Cause).and_then(|cause| posterior.law(cause));
-    report.sentence = words::sentence(&report, law);
+    let first = claim.told.first().filter(|_| report.verdict == Verdict::Cause);
+    report.sentence = words::sentence(&report, &claim, first.and_then(|it| posterior.law(&it.cause)));
     scatter(&mut report, campaign, &shifts, &settings)?;
     Ok(Some(report))
+}
+
+/// What is proposed is worth this on days left out; nothing where nothing is proposed, or nothing can be left out.
+pub(super) fn worth(
+    campaign: &Campaign,
+    responses: &Responses,
+    judgement: &Judgement,
+    settings: &Settings,
+    on_fold: impl FnMut(f64) -> ControlFlow<()>,
+) -> Result<Option<Gain>, Stopped> {
+    if !judgement.proposal.is_found() {
+        return Ok(None);
+    }
+    let covariate = judgement.told.first().and_then(|cause| cause.covariates().first().copied());
+    let covariate = covariate.filter(|name| campaign.numbers(name).is_ok());
+    gain(campaign, responses, covariate, settings, on_fold)
 }
 
 /// Add whether repeats scatter more in some conditions, or that it cannot be seen. It decides nothing: the simulator says nothing of it.
@@ -154,14 +165,15 @@ fn scatter(report: &mut Report, campaign: &Campaign, explained: &[f64], settings
 /// # Errors
 /// A campaign whose runs say nothing of their noise.
 pub fn predict(campaign: &Campaign, responses: &Responses) -> Result<Vec<Row>, FieldError> {
-    let prepared = Prepared::new(campaign, responses)?;
-    let rows = rows(campaign, &Posterior::new(&prepared), true);
+    let (campaign, _) = follows::without(campaign);
+    let prepared = Prepared::new(&campaign, responses)?;
+    let rows = rows(&campaign, &Posterior::new(&prepared), true);
     Ok(rows.into_iter().filter(|row| row.measured_deg.is_none()).collect())
 }
 
 /// What the posterior amounts to.
 pub(super) struct Judgement {
-    pub(super) verdict: Verdict,
+    pub(super) proposal: Proposal,
     /// The causes whose effects are told, most probable first.
     pub(super) told: Vec<Cause>,
     /// All causes, most probable first, with their inclusion probability.
@@ -179,16 +191,16 @@ impl Judgement {
             let probability = ranked.iter().find(|it| it.0 == *cause).map_or(0.0, |it| it.1);
             probability < CERTAIN && look_alike(prepared, posterior, cause).is_some()
         };
-        let verdict = match &top {
-            _ if p_value > SIGNIFICANCE => Verdict::NoDiscrepancy,
-            Some(Cause::Known(_)) if !claimed.is_empty() && !claimed.iter().any(has_look_alike) => Verdict::Cause,
-            Some(Cause::Unknown(_) | Cause::Unrecorded) if !claimed.is_empty() => Verdict::Unexplained,
-            _ => Verdict::Ambiguous,
+        let proposal = match &top {
+            _ if p_value > SIGNIFICANCE => Proposal::Nothing,
+            Some(Cause::Known(_)) if !claimed.is_empty() && !claimed.iter().any(has_look_alike) => Proposal::Cause,
+            Some(Cause::Unknown(_) | Cause::Unrecorded) if !claimed.is_empty() => Proposal::Unexplained,
+            _ => Proposal::Ambiguous,
         };
-        let told = match verdict {
-            Verdict::NoDiscrepancy => Vec::new(),
-            Verdict::Cause | Verdict::Unexplained => claimed,
-            Verdict::Ambiguous => {
+        let told = match proposal {
+            Proposal::Nothing => Vec::new(),
+            Proposal::Cause | Proposal::Unexplained => claimed,
+            Proposal::Ambiguous => {
                 let mut told: Vec<Cause> =
                     ranked.iter().take_while(|it| it.1 >= WORTH_TELLING).map(|it| it.0.clone()).collect();
                 if told.len() < 2 {
@@ -200,30 +212,30 @@ impl Judgement {
                 told
             }
         };
-        Self { verdict, told, ranked }
+        Self { proposal, told, ranked }
     }
 
     pub(super) fn ambiguous_between(&self) -> Vec<String> {
-        match self.verdict {
-            Verdict::Ambiguous => self.told.iter().map(|cause| cause.name().0).collect(),
+        match self.proposal {
+            Proposal::Ambiguous => self.told.iter().map(|cause| cause.name().0).collect(),
             _ => Vec::new(),
         }
     }
 
     /// The covariate of an unexplained departure, if one was recorded.
     pub(super) fn unexplained(&self) -> Option<Option<&str>> {
-        match (self.verdict, self.told.first()) {
-            (Verdict::Unexplained, Some(Cause::Unknown(covariate))) => Some(Some(covariate)),
-            (Verdict::Unexplained, _) => Some(None),
+        match (self.proposal, self.told.first()) {
+            (Proposal::Unexplained, Some(Cause::Unknown(covariate))) => Some(Some(covariate)),
+            (Proposal::Unexplained, _) => Some(None),
             _ => None,
         }
     }
 
     /// What an experiment should tell apart: the causes that it may be, or the one that it is and the next, if a setting differs.
     pub(super) fn to_tell_apart(&self) -> Option<Vec<&Cause>> {
-        let mut causes: Vec<&Cause> = match self.verdict {
-            Verdict::NoDiscrepancy => return None,
-            Verdict::Ambiguous => self.told.iter().collect(),
+        let mut causes: Vec<&Cause> = match self.proposal {
+            Proposal::Nothing => return None,
+            Proposal::Ambiguous => self.told.iter().collect(),
             _ => self.told.iter().take(1).collect(),
         };
         if causes.len() < 2 {
@@ -351,18 +363,20 @@ fn parameters(mechanism: super::Mechanism, finding: &Finding) -> Vec<ParameterRe
     std::iter::once(effect).chain(amplitude).collect()
 }
 
-fn causes(prepared: &Prepared, posterior: &Posterior<'_>, findings: &[Finding], told: &[Cause]) -> Vec<CauseReport> {
+/// Every cause of the catalogue; one that the simulator extended by it predicts better with is of level 2.
+fn causes(prepared: &Prepared, posterior: &Posterior<'_>, claim: &Claim) -> Vec<CauseReport> {
     let report = |cause: &Cause| {
         let Cause::Known(mechanism) = cause else { return None };
         let (name, family) = mechanism.name();
-        let finding = told.iter().position(|it| it == cause).and_then(|at| findings.get(at));
-        let parameters = finding.map_or(Vec::new(), |it| parameters(*mechanism, it));
+        let finding = claim.finding(cause);
+        let inclusion_probability = posterior.inclusion_of(cause);
+        let is_claimed = claim.is_worth_something && finding.is_some() && inclusion_probability >= CLAIM;
         Some(CauseReport {
             mechanism: name.to_owned(),
             family: family.to_owned(),
-            inclusion_probability: posterior.inclusion_of(cause),
-            confidence_level: 1,
-            parameters,
+            inclusion_probability,
+            confidence_level: if is_claimed { 2 } else { 1 },
+            parameters: finding.map_or(Vec::new(), |it| parameters(*mechanism, it)),
             powders: finding.map_or(Vec::new(), |it| it.powders.clone()),
         })
     };

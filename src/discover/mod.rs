@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! campaign.rs     what was measured, run by run, and under which conditions
+//! follows/        columns that follow from what was measured, and are left out
 //! catalogue.rs    the causes, and how strong each may have been in each run
 //! response.rs     what the simulator says of each cause
 //! signature.rs    from strengths to what the angles would show, up to its size
@@ -10,6 +11,7 @@
 //! screen.rs       is anything wrong, and what explains it best
 //! posterior.rs    one cause or two, and what that says of each run
 //! effects.rs      how large, on which powders        law.rs         the law of what no cause explains
+//! claim.rs        what of it may be claimed          sizes.rs       how far each powder is moved, in words
 //! held_out.rs     what it is worth on other days     detectable.rs  what this design would have found
 //! experiment.rs   what to measure next               scenario.rs    runs that nobody made
 //! extension.rs    an extended simulator as data  extend.rs      from what was found to one
@@ -29,12 +31,13 @@
 //! what is claimed has 0.8 of it, and no look-alike. What it is worth is a matter of days that were left out of the whole search.
 
 /// Grows when an investigation of the same campaign may come to another report.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 4;
 
 mod beside;
 pub mod campaign;
 mod catalogue;
 mod channels;
+mod claim;
 mod detectable;
 mod effects;
 mod experiment;
@@ -42,6 +45,7 @@ mod extend;
 pub mod extension;
 mod fit;
 mod flow;
+mod follows;
 mod held_out;
 mod hypothesis;
 mod investigate;
@@ -57,6 +61,7 @@ mod scatter;
 mod scenario;
 mod screen;
 mod signature;
+mod sizes;
 pub mod traces;
 mod words;
 
@@ -67,6 +72,7 @@ pub use campaign::{Campaign, Covariate, Quantity, Run, Values};
 pub use campaign::{LEVELS_MAX, repeats_of};
 pub use catalogue::{Family, Mechanism};
 pub use channels::investigate;
+pub use claim::is_told;
 pub use extend::extend;
 pub use extension::{Extended, FitSet};
 pub use fit::fit;

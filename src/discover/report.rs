@@ -42,6 +42,9 @@ pub struct Report {
     pub evidence: Vec<Evidence>,
     /// Causes of which this data cannot tell, and why.
     pub untestable: Vec<UntestableReport>,
+    /// Columns that were not judged because they follow from what was measured, in the order of the file.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<LeftOut>,
     /// How often as much is found where nothing is wrong: of angles, and of balance readings where there are no angles.
     pub null_check: NullCheck,
     /// What was measured beside the angle, by itself: flow times where there are any, and how far repeats scatter.
@@ -67,6 +70,11 @@ pub struct Report {
 }
 
 impl Report {
+    /// Whether what was found makes a better simulator: days left out are predicted better, and it is more than a hint.
+    pub fn is_worth_a_version(&self) -> bool {
+        self.verdict != Verdict::Hint && self.gain.as_ref().is_some_and(|gain| gain.accepted)
+    }
+
     /// A document that says nothing yet of what was judged with this p-value against this simulator.
     pub(super) fn blank(base: &str, p_value: f64, null_check: NullCheck) -> Self {
         Self {
@@ -85,6 +93,7 @@ impl Report {
             blind_spots: Vec::new(),
             evidence: Vec::new(),
             untestable: Vec::new(),
+            left_out: Vec::new(),
             null_check,
             beside: Vec::new(),
             traces: None,
@@ -119,6 +128,8 @@ pub enum Verdict {
     Ambiguous,
     /// Real, and nothing in the catalogue does it.
     Unexplained,
+    /// One cause of the catalogue by the evidence, but its effect is not told from zero, or days left out are not predicted better: no cause yet.
+    Hint,
 }
 
 /// Which measured quantity departs.
@@ -142,10 +153,10 @@ pub struct Finding {
     pub channel: Channel,
     /// With what it changes; absent if nobody recorded it.
     pub covariate: Option<String>,
-    /// Powders whose own 95 % interval leaves out zero; none of balance readings, which are judged over all weighings together.
+    /// Powders whose own 95 % interval leaves out zero, as it is printed; none of balance readings, which are judged over all weighings together.
     pub powders: Vec<String>,
     /// Change from the 5th to the 95th percentile of the covariate, on average over powders; of names, from the first to the last in the
-    /// alphabet, or between the two that differ most.
+    /// alphabet, or between the two that differ most; where that is printed as zero, between the ends of what was seen.
     pub effect: f64,
     /// 95 % interval.
     pub ci95: [f64; 2],
@@ -153,7 +164,10 @@ pub struct Finding {
     pub unit: String,
     /// From where to where.
     pub span: String,
-    /// The same of each powder.
+    /// The powder whose effect this is, where the average over powders, which may react in opposite ways, is not told from zero; absent: the average.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub powder: Option<String>,
+    /// The same of each powder; of names, of those that were measured with both.
     pub by_powder: Vec<PowderEffect>,
 }
 
@@ -297,7 +311,7 @@ pub struct HeldOut {
     pub rmse_after: f64,
     /// 95 % interval of the difference, before less after, over days.
     pub ci95: [f64; 2],
-    /// `deg`.
+    /// `deg`; of flow times `%`.
     pub unit: String,
     /// Runs left out.
     pub n: u32,
@@ -372,6 +386,15 @@ pub struct UntestableReport {
     pub reason: String,
 }
 
+/// A column that is no condition.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LeftOut {
+    /// Which.
+    pub column: String,
+    /// Why.
+    pub reason: String,
+}
+
 /// Balance readings, judged by themselves.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TraceChannel {
@@ -391,6 +414,9 @@ pub struct TraceChannel {
     pub null_check: NullCheck,
     /// What would tell most of the balance readings.
     pub suggested_experiment: Option<Experiment>,
+    /// Why what the spoon lets fall was not judged; absent where it was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unjudged: Option<String>,
 }
 
 /// What was measured beside the angle, judged by itself.
@@ -410,6 +436,9 @@ pub struct SideChannel {
     pub evidence: Vec<Evidence>,
     /// How often as much is found where nothing is wrong.
     pub null_check: NullCheck,
+    /// What its causes are worth on days left out; absent where no cause was proposed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gain: Option<Gain>,
 }
 
 /// Campaigns of the same design with nothing wrong.

@@ -1,15 +1,19 @@
 //! The report's sentences, made from its numbers.
 
 use super::campaign::Quantity;
+use super::claim::{Claim, Told};
 use super::effects::{quantity, rounded};
+use super::hypothesis::Cause;
 use super::names;
-use super::report::{CauseReport, Experiment, Finding, Gain, Report, Verdict};
+use super::report::{Experiment, Finding, Gain, LeftOut, Report, Verdict};
+use super::sizes::{ANGLES, FLOW, moved, size, sizes, whom};
 
 /// The one sentence that a reader sees first.
-pub(super) fn sentence(report: &Report, law: Option<&str>) -> String {
+pub(super) fn sentence(report: &Report, claim: &Claim, law: Option<&str>) -> String {
     let first = match report.verdict {
-        Verdict::NoDiscrepancy => nothing(report),
-        Verdict::Cause => cause(report, law),
+        Verdict::NoDiscrepancy => nothing(report, claim.passing.as_ref()),
+        Verdict::Cause => cause(report, claim, law),
+        Verdict::Hint => hint(report, claim),
         Verdict::Ambiguous => ambiguous(report),
         Verdict::Unexplained => unexplained(report),
     };
@@ -18,7 +22,7 @@ pub(super) fn sentence(report: &Report, law: Option<&str>) -> String {
     [first, gain, next].iter().filter(|text| !text.is_empty()).map(String::as_str).collect::<Vec<_>>().join(" ")
 }
 
-fn nothing(report: &Report) -> String {
+fn nothing(report: &Report, passing: Option<&Finding>) -> String {
     let smallest = report.minimum_detectable.iter().min_by(|a, b| a.effect_deg.total_cmp(&b.effect_deg));
     let would = smallest.map_or(String::new(), |it| {
         format!(
@@ -28,8 +32,17 @@ fn nothing(report: &Report) -> String {
         )
     });
     format!(
-        "No discrepancy is shown: evidence as strong arises by chance in {} % of such campaigns.{would}",
-        percent(report.p_value)
+        "No discrepancy is shown: evidence as strong arises by chance in {} % of such campaigns{}.{would}",
+        percent(report.p_value),
+        passing.map_or(String::new(), passing_by)
+    )
+}
+
+/// What evidence pointed at that is nothing.
+fn passing_by(finding: &Finding) -> String {
+    let with = finding.covariate.as_deref().map_or("something".to_owned(), |name| quantity(name).0);
+    format!(
+        ", but what it points at, {with}, has no effect that is told from zero, and days left out are not predicted better by it"
     )
 }
 
@@ -37,40 +50,48 @@ fn percent(share: f64) -> String {
     rounded(100.0 * share)
 }
 
-/// `+2.4° [1.6, 3.1]`
-fn sized(finding: &Finding) -> String {
-    let [low, high] = finding.ci95;
-    format!("{:+.1}° [{low:.1}, {high:.1}] {}", finding.effect, finding.span)
-}
-
-fn on(finding: &Finding, powders: usize) -> String {
-    let names: Vec<String> = finding.powders.iter().map(|it| it.replace('_', " ")).collect();
-    match names.as_slice() {
-        [] => "powders".to_owned(),
-        names if names.len() == powders => "all powders".to_owned(),
-        [one] => one.clone(),
-        [first @ .., last] => format!("{} and {last}", first.join(", ")),
-    }
-}
-
-fn cause(report: &Report, law: Option<&str>) -> String {
-    let claimed = report.causes.iter().filter(|it| it.inclusion_probability >= super::investigate::CLAIM);
-    let told: Vec<String> = claimed
-        .zip(&report.findings)
-        .map(|(cause, finding)| {
-            let powders = finding.by_powder.len();
-            let piles = if finding.effect > 0.0 { "steeper" } else { "flatter" };
-            let name = names::cause(&cause.mechanism);
-            let body = match is_of_levels(&cause.mechanism) {
-                false => format!("{name} makes {} pile {piles} than the simulation predicts", on(finding, powders)),
-                true => format!("{name} changes the angle of {} against the simulation", on(finding, powders)),
-            };
-            format!("{body}: {} (probability {:.0} %)", sized(finding), 100.0 * cause.inclusion_probability)
-        })
-        .collect();
+fn cause(report: &Report, claim: &Claim, law: Option<&str>) -> String {
+    let told = claim.told.iter().filter_map(|it| caused(it, report, "makes", "changes"));
+    let told = told.collect::<Vec<_>>().join("; and ");
     let law = law.filter(|law| !law.starts_with("one number for each"));
     let law = law.map_or(String::new(), |law| format!(" It grows most probably with {law}{}.", letters(report, law)));
-    format!("{}.{law}", told.join("; and "))
+    format!("{told}.{law}")
+}
+
+/// `Humidity makes salt pile steeper than the simulation predicts: salt +2.2° [1.5, 3.0] from 30 to 70 % relative humidity (probability 93 %)`
+fn caused(told: &Told, report: &Report, makes: &str, changes: &str) -> Option<String> {
+    let finding = told.finding.as_ref()?;
+    let Cause::Known(_) = &told.cause else {
+        let with = finding.covariate.as_deref().map_or("something".to_owned(), |name| quantity(name).0);
+        return Some(format!("the angle also goes with {with}: {}", sizes(finding)));
+    };
+    let mechanism = told.cause.name().0;
+    let known = report.causes.iter().find(|it| it.mechanism == mechanism)?;
+    let name = names::cause(&mechanism);
+    let body = match is_of_levels(&mechanism) {
+        false => format!("{name} {makes} {}", moved(finding, &ANGLES)),
+        true => {
+            let whom = whom(finding);
+            format!("{name} {changes} the angle of {whom} against the simulation: {}", sizes(finding))
+        }
+    };
+    Some(format!("{body} (probability {:.0} %)", 100.0 * known.inclusion_probability))
+}
+
+/// A cause that is none yet, and what it lacks.
+fn hint(report: &Report, claim: &Claim) -> String {
+    let lacks = match &report.gain {
+        _ if claim.told.iter().all(|it| it.finding.as_ref().and_then(size).is_none()) => {
+            "its effect is not told from zero"
+        }
+        Some(_) => "days left out are not predicted better by it",
+        None => "there are too few days to leave any out",
+    };
+    let told = claim.told.iter().filter_map(|it| caused(it, report, "may make", "may change"));
+    format!(
+        "A hint, and no cause yet, for {lacks}: {}.",
+        told.map(|it| names::lower(&it)).collect::<Vec<_>>().join("; and ")
+    )
 }
 
 /// What the letters of a law stand for: `, where h is the relative humidity`.
@@ -87,7 +108,7 @@ fn letters(report: &Report, law: &str) -> String {
 
 fn ambiguous(report: &Report) -> String {
     let names: Vec<String> = report.ambiguous_between.iter().map(|it| names::lower(&names::cause(it))).collect();
-    let size = report.findings.first().map_or(String::new(), |it| format!(": {}", sized(it)));
+    let size = report.findings.iter().find_map(size).map_or(String::new(), |size| format!(": {size}"));
     format!(
         "Something makes powders pile differently than the simulation predicts{size}, and these data cannot tell which of {} it is.",
         names.join(" or ")
@@ -100,7 +121,7 @@ fn unexplained(report: &Report) -> String {
         None => "Something that nobody recorded moves the angle of repose over the sessions; nothing that was recorded explains it."
             .to_owned(),
         Some(covariate) => {
-            let size = report.findings.first().map_or(String::new(), |it| format!(" ({})", sized(it)));
+            let size = report.findings.first().and_then(size).map_or(String::new(), |size| format!(" ({size})"));
             format!(
                 "The angle of repose depends on {}{size}, which no cause of the catalogue explains; its law: {}.",
                 quantity(covariate).0,
@@ -128,25 +149,18 @@ fn next(experiment: &Experiment, verdict: Verdict) -> String {
     format!("{opening}: {} ({:.0} minutes).", experiment.what, experiment.minutes)
 }
 
-/// `+12 % [8, 16] from 30 to 70 % relative humidity`, of what is told in percent.
-fn in_percent(finding: &Finding) -> String {
-    let [low, high] = finding.ci95;
-    format!("{:+.0} % [{low:.0}, {high:.0}] {}", finding.effect, finding.span)
-}
-
-/// What was measured beside the angle says, by itself; nothing of repeats that scatter alike.
+/// What was measured beside the angle says, by itself; nothing of repeats that scatter alike. `probability` is a cause's.
 pub(super) fn beside(
     measured: Quantity,
-    verdict: Verdict,
-    causes: &[CauseReport],
-    findings: &[Finding],
+    claim: &Claim,
+    probability: impl Fn(&Cause) -> f64,
     ambiguous_between: &[String],
     p_value: f64,
 ) -> String {
-    let finding = findings.first();
-    let size = finding.map_or(String::new(), |it| format!(": {}", in_percent(it)));
+    let finding = claim.told.iter().find_map(|it| it.finding.as_ref());
+    let size = finding.and_then(size).map_or(String::new(), |size| format!(": {size}"));
     let with = finding.and_then(|it| it.covariate.as_deref()).map_or("something".to_owned(), |name| quantity(name).0);
-    match (measured, verdict) {
+    match (measured, claim.verdict) {
         (Quantity::Scatter, Verdict::NoDiscrepancy) => String::new(),
         (Quantity::Scatter, _) => match finding {
             Some(_) => format!(
@@ -156,24 +170,17 @@ pub(super) fn beside(
             None => "How far repeats scatter wanders over the sessions, with nothing that was recorded.".to_owned(),
         },
         (_, Verdict::NoDiscrepancy) => format!(
-            "Flow times show no discrepancy: evidence as strong arises by chance in {} % of such campaigns.",
-            percent(p_value)
+            "Flow times show no discrepancy: evidence as strong arises by chance in {} % of such campaigns{}.",
+            percent(p_value),
+            claim.passing.as_ref().map_or(String::new(), passing_by)
         ),
-        (_, Verdict::Cause) => {
-            let claimed = causes.iter().filter(|it| it.inclusion_probability >= super::investigate::CLAIM);
-            let told = claimed.filter_map(|cause| {
-                let of = |it: &&Finding| cause.parameters.iter().any(|p| p.value == it.effect);
-                let finding = findings.iter().find(of)?;
-                let name = names::cause(&cause.mechanism);
-                let (powders, size) = (on(finding, finding.by_powder.len()), in_percent(finding));
-                let flow = if finding.effect > 0.0 { "more slowly" } else { "more quickly" };
-                let body = match is_of_levels(&cause.mechanism) {
-                    true => format!("{name} changes how long {powders} take to flow out"),
-                    false => format!("{name} makes {powders} flow out {flow} than usual"),
-                };
-                Some(format!("{body}: {size} (probability {:.0} %)", 100.0 * cause.inclusion_probability))
-            });
-            format!("{}.", told.collect::<Vec<_>>().join("; and "))
+        (_, Verdict::Cause | Verdict::Hint) => {
+            let told = claim.told.iter().filter_map(|it| flows(it, claim.verdict, &probability));
+            let told = told.collect::<Vec<_>>().join("; and ");
+            match claim.verdict {
+                Verdict::Cause => format!("{told}."),
+                _ => format!("Flow times give a hint, and no cause yet: {}.", names::lower(&told)),
+            }
         }
         (_, Verdict::Ambiguous) => {
             let names: Vec<String> = ambiguous_between.iter().map(|it| names::lower(&names::cause(it))).collect();
@@ -189,12 +196,35 @@ pub(super) fn beside(
     }
 }
 
+/// What a cause does to flow times.
+fn flows(told: &Told, verdict: Verdict, probability: impl Fn(&Cause) -> f64) -> Option<String> {
+    let finding = told.finding.as_ref()?;
+    let mechanism = told.cause.name().0;
+    let may = if verdict == Verdict::Cause { ["makes", "changes"] } else { ["may make", "may change"] };
+    let name = names::cause(&mechanism);
+    let body = match is_of_levels(&mechanism) {
+        true => format!("{name} {} how long {} take to flow out: {}", may[1], whom(finding), sizes(finding)),
+        false => format!("{name} {} {}", may[0], moved(finding, &FLOW)),
+    };
+    Some(format!("{body} (probability {:.0} %)", 100.0 * probability(&told.cause)))
+}
+
 /// Of a campaign that has too few repeats.
 pub(super) const NO_SCATTER: &str = "Whether repeats scatter more in some conditions than in others: too few powders were measured more than once on a day.";
 
 /// Whether a cause is a difference between names, which makes nothing steeper or slower by itself.
 fn is_of_levels(mechanism: &str) -> bool {
     ["method_bias", "operator", "batch", "base_friction"].contains(&mechanism)
+}
+
+/// Which columns were left out; nothing where none was.
+pub(super) fn left_out(columns: &[LeftOut]) -> String {
+    let names: Vec<String> = columns.iter().map(|it| quantity(&it.column).0).collect();
+    match names.as_slice() {
+        [] => String::new(),
+        [one] => format!("Left out, for it follows from what was measured and is no condition: {one}."),
+        all => format!("Left out, for they follow from what was measured and are no conditions: {}.", all.join(", ")),
+    }
 }
 
 /// What cannot be seen with this data.

@@ -36,10 +36,10 @@ pub(super) fn perform(context: &JobContext, spec: &InvestigationSpec) -> Result<
         return Err(error.into());
     }
     let mut report = report.map_err(|error| JobError::Fail(error.to_string()))?.ok_or(JobError::Stopped)?;
+    let accepted = report.is_worth_a_version();
     if let Some(numerics) = numerics {
         tell(&mut report, numerics);
     }
-    let accepted = report.gain.as_ref().is_some_and(|gain| gain.accepted);
     let version = accepted.then(|| spec.version());
     report.simulator_version.extended.clone_from(&version);
     let mut extended = match campaign.as_ref().filter(|_| accepted) {

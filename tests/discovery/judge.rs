@@ -15,6 +15,7 @@ const CLAIM: f64 = 0.8;
 /// What a report says, as far as it is judged.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Answer {
+    pub sentence: String,
     pub verdict: String,
     pub p_value: f64,
     /// With inclusion probability at least 0.8, under verdict `cause`.
@@ -27,7 +28,7 @@ pub struct Answer {
     pub form_class: Option<String>,
     /// Channel of each finding.
     pub channels: Vec<String>,
-    /// Of the first finding: effect and 95 % interval.
+    /// Of the first finding: effect and 95 % interval; of one that is told of a single powder none.
     pub effect: Option<(f64, [f64; 2])>,
     /// Of the first finding: what the effect is told over; of an interaction both columns, which change at once.
     pub over: Vec<String>,
@@ -161,12 +162,13 @@ impl Answer {
             causes.iter().filter(|it| verdict == "cause" && it["inclusion_probability"].as_f64().unwrap() >= CLAIM);
         let claimed = claimed.filter_map(|it| text(&it["mechanism"])).collect();
         let finding = report["findings"].get(0);
-        let effect = finding.map(|it| {
+        let effect = finding.filter(|it| it["powder"].is_null()).map(|it| {
             let ci = [0, 1].map(|k| it["ci95"][k].as_f64().unwrap());
             (it["effect"].as_f64().unwrap(), ci)
         });
         let experiment = &report["suggested_experiment"]["runs"];
         Self {
+            sentence: report["sentence"].as_str().unwrap().to_owned(),
             p_value: report["p_value"].as_f64().unwrap(),
             claimed,
             top: report["evidence"].get(0).and_then(|it| text(&it["cause"])).unwrap_or_default(),

@@ -5,6 +5,7 @@
 //! grains      heaps of another kind of simulator: springs and dashpots, rotation, rolling resistance
 //! heaps       campaigns of such heaps
 //! solver      defects in a copy of the solver's settings, under the job that the command runs
+//! own_doses   doses of FLIP's own benches, in which nothing can be wrong
 //! judge       the command, and what its answer is worth
 //! rates       M1 to M15 over many cases; report.rs prints them                                  trace_rates   M13
 //! campaigns   whole campaigns with simulated heaps and held-out gain, in the report alone
@@ -17,6 +18,7 @@ mod heaps;
 // The report asks for more of it.
 #[allow(dead_code)]
 mod judge;
+mod own_doses;
 mod rates;
 mod solver;
 mod trace_rates;

@@ -64,6 +64,8 @@ export function meaning(report: Report): string {
       return `${depart}, and the catalogue has a cause that explains how. A good explanation is not a proof: only an experiment that changes the cause is.`
     case 'ambiguous':
       return `${depart}, but this campaign cannot tell between ${listed(report.ambiguous_between.map((name) => lower(causeName(name)))) || 'several causes'}.${report.suggested_experiment ? ' The experiment below would tell most.' : ''}`
+    case 'hint':
+      return 'Evidence this strong is rare by chance, and points at one cause. But its effect is not told from zero, or days that were left out are not predicted better by it: nothing to act on before the experiment below.'
     case 'unexplained': {
       const law = report.unexplained
       const on = law?.covariate ? `It depends on ${lower(columnOf(law.covariate).label)}` : 'Nothing that was recorded explains it'

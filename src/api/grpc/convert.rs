@@ -45,7 +45,7 @@ same_names! {
     app::TrialPhase = TrialPhase { Search Verification }
     app::Order = Order { Curriculum Random Reverse DomainRandomisation }
     app::Preset = Preset { Flip Paper }
-    app::Verdict = Verdict { NoDiscrepancy Cause Ambiguous Unexplained }
+    app::Verdict = Verdict { NoDiscrepancy Cause Ambiguous Unexplained Hint }
 }
 
 /// Messages made from our structs: first the fields that move over as they are, then those that need a word.

@@ -43,6 +43,7 @@ pub fn html(report: &Report) -> String {
         sections::beside(report),
         traces::traces(report),
         gain::before_after(report),
+        sections::left_out(report),
         sections::blind_spots(report),
         sections::null_check(report),
         sections::experiment(report),
@@ -67,6 +68,7 @@ fn badge(verdict: Verdict) -> (&'static str, &'static str) {
         Verdict::Cause => ("cause", "Cause named"),
         Verdict::Ambiguous => ("doubt", "Cause not yet clear"),
         Verdict::Unexplained => ("doubt", "No known cause"),
+        Verdict::Hint => ("doubt", "A hint, no cause yet"),
     }
 }
 
@@ -128,6 +130,11 @@ fn meaning(report: &Report) -> String {
             let next =
                 if report.suggested_experiment.is_some() { " The experiment below would tell most." } else { "" };
             format!("{what} depart from the simulation, but these data cannot tell between {between}.{next}")
+        }
+        Verdict::Hint => {
+            "Evidence this strong is rare by chance, and points at one cause. But its effect is not told from zero, or days that were left out \
+             are not predicted better by it: nothing to act on before the experiment below."
+                .to_owned()
         }
         Verdict::Unexplained => {
             let law = report.unexplained.as_ref().map_or(String::new(), |it| {

@@ -6,8 +6,8 @@ use super::words::{
     cause, chance, column, column_with_unit, counted, decimals_of, duration, interval, level, lower, num, parameter,
     percent, signed, span, text, with_unit, words,
 };
-use crate::discover::Mechanism;
 use crate::discover::report::{CauseReport, Channel, Experiment, Finding, PowderEffect, Report, SideChannel, Verdict};
+use crate::discover::{Mechanism, is_told};
 
 /// Figures of residuals at most.
 const FIGURES_MAX: usize = 8;
@@ -208,8 +208,10 @@ pub fn by_powder(report: &Report) -> String {
         findings.iter().map(|finding| effect(of(finding), most(&finding.unit), &finding.unit)).collect()
     };
     let line = |name: &str, cells: &[String]| format!("<tr><th scope=\"row\">{name}</th>{}</tr>", cells.concat());
-    let average =
-        |finding: &Finding| Some(PowderEffect { powder: String::new(), effect: finding.effect, ci95: finding.ci95 });
+    let average = |finding: &Finding| match finding.powder {
+        None => Some(PowderEffect { powder: String::new(), effect: finding.effect, ci95: finding.ci95 }),
+        Some(_) => None,
+    };
     let rows: String = powders
         .iter()
         .map(|powder| {
@@ -269,7 +271,7 @@ fn effect(effect: Option<PowderEffect>, most: f64, unit: &str) -> String {
         (true, shade) => format!(" up{shade}"),
         (false, shade) => format!(" down{shade}"),
     };
-    let sure = if it.ci95[0] > 0.0 || it.ci95[1] < 0.0 { "sure" } else { "plain-effect" };
+    let sure = if is_told(it.ci95, unit) { "sure" } else { "plain-effect" };
     let number = with_unit(&signed(it.effect, 1), &text(unit));
     format!("<td class=\"{sure}{shade}\">{number} <span class=\"small\">{}</span></td>", interval(it.ci95, 1))
 }
@@ -282,6 +284,26 @@ pub fn blind_spots(report: &Report) -> String {
             "What these data cannot show",
             "Nothing is claimed of these, neither that they are there nor that they are not.",
             &format!("<ul class=\"plain\">{spots}</ul>"),
+        ),
+    }
+}
+
+/// Columns that are no conditions; nothing where there is none.
+pub fn left_out(report: &Report) -> String {
+    let rows: String = report
+        .left_out
+        .iter()
+        .map(|it| {
+            let reason = format!("<span class=\"left wrap\">{}</span>", text(&it.reason));
+            row(&text(&column_with_unit(&it.column)), &[reason])
+        })
+        .collect();
+    match rows.as_str() {
+        "" => rows,
+        rows => section(
+            "Columns that were left out",
+            "Conditions are what was there before a heap was poured. What was read off the heap afterwards explains its angle and causes nothing.",
+            &table("", &[">Column", ">Why"], rows),
         ),
     }
 }

@@ -5,8 +5,8 @@ use crate::discover::numerics::{Dependence, Varied};
 use crate::discover::reading::{ColumnRead, FileRead, LeftOut, NamedPowder, TakenAs};
 use crate::discover::report::{
     CauseReport, Channel, Coverage, Curve, Detectable, Evidence, Experiment, Finding, FormClass, Gain, HeldOut,
-    LogScore, NullCheck, Numerics, ParameterReport, PowderEffect, Row, SCHEMA_VERSION, SimulatorVersions, Unexplained,
-    UntestableReport, Verdict, WeighingGain,
+    LeftOut, LogScore, NullCheck, Numerics, ParameterReport, PowderEffect, Row, SCHEMA_VERSION, SimulatorVersions,
+    Unexplained, UntestableReport, Verdict, WeighingGain,
 };
 use crate::discover::{FitSet, Report};
 use std::collections::BTreeMap;
@@ -29,6 +29,7 @@ fn bare(verdict: Verdict) -> Report {
         blind_spots: Vec::new(),
         evidence: Vec::new(),
         untestable: Vec::new(),
+        left_out: Vec::new(),
         null_check: NullCheck { campaigns: 0, statistic: 0.0, threshold95: 0.0 },
         rows: Vec::new(),
         curves: Vec::new(),
@@ -68,6 +69,7 @@ fn full(verdict: Verdict, word: &str) -> Report {
             ci95: [1.6, 3.1],
             unit: owned(),
             span: owned(),
+            powder: None,
             by_powder: vec![
                 PowderEffect { powder: owned(), effect: 3.0, ci95: [2.0, 4.0] },
                 PowderEffect { powder: "salt".to_owned(), effect: -0.1, ci95: [-0.6, 0.4] },
@@ -118,6 +120,7 @@ fn full(verdict: Verdict, word: &str) -> Report {
             },
         ],
         untestable: vec![UntestableReport { mechanism: owned(), reason: owned() }],
+        left_out: vec![LeftOut { column: owned(), reason: owned() }],
         null_check: NullCheck { campaigns: 499, statistic: 9.5, threshold95: 3.1 },
         curves: vec![
             Curve {
@@ -167,7 +170,8 @@ fn full(verdict: Verdict, word: &str) -> Report {
     }
 }
 
-const VERDICTS: [Verdict; 4] = [Verdict::NoDiscrepancy, Verdict::Cause, Verdict::Ambiguous, Verdict::Unexplained];
+const VERDICTS: [Verdict; 5] =
+    [Verdict::NoDiscrepancy, Verdict::Cause, Verdict::Ambiguous, Verdict::Unexplained, Verdict::Hint];
 
 /// Every tag closes the one that was opened last.
 fn check_balance(page: &str) {

@@ -27,6 +27,10 @@ pub fn traces(report: &Report) -> String {
         "" => found,
         rows => table("", &[">From where to where", "Change", "95 % interval"], rows),
     };
+    let unjudged = it
+        .unjudged
+        .as_ref()
+        .map_or(String::new(), |why| format!("<p>What the spoon lets fall is not judged: {}.</p>", text(why)));
     let check = &it.null_check;
     let null = format!(
         "<h3>Null check</h3><p>Readings of this design were simulated {} times with nothing wrong, and the whole search was done on each. \
@@ -42,7 +46,7 @@ pub fn traces(report: &Report) -> String {
         "Balance readings",
         "What the balance showed during weighings, against the simulated spoon and balance. A powder's own response to the shakes is fitted, \
          so what counts is the course of readings after a shake, of shakes in a weighing, and of scatter.",
-        &format!("{shown}{found}{null}{own}"),
+        &format!("{shown}{unjudged}{found}{null}{own}"),
     )
 }
 

@@ -54,6 +54,8 @@ pub(super) struct Estimate {
     /// Share of what is more than noise that the cause explains: all of it as probably as nothing wanders beside it, else the share of the log
     /// evidence or of the squares that it gains alone, whichever is more.
     pub explained: f64,
+    /// Share of the squares that its best form leaves, with the most probable plain noise.
+    pub left: f64,
 }
 
 /// What one form says under one noise and amplitude.
@@ -172,6 +174,7 @@ fn estimate(noises: &[Noise], seen: &[Seen], h: usize, white: Option<f64>) -> Es
     let mut new = Estimate::default();
     // With the most probable plain noise: its log weight, what the cause explains of the squares, and what is more than noise.
     let (mut plain, mut is_plain) = ((f64::NEG_INFINITY, 0.0, 0.0), Vec::new());
+    new.left = 1.0;
     for (noise, seen) in noises.iter().zip(seen) {
         let log_prior = -(counts[usize::from(noise.is_wander)] as f64).ln();
         for &(fit, Sized { scale, shape, span }) in &seen.sizes[h] {
@@ -182,6 +185,7 @@ fn estimate(noises: &[Noise], seen: &[Seen], h: usize, white: Option<f64>) -> Es
             if !noise.is_wander && log_weight > plain.0 {
                 let more = white.map_or(f64::INFINITY, |white| seen.squares - white * seen.freedom);
                 plain = (log_weight, seen.squares - fit.left, more);
+                new.left = if seen.squares > 0.0 { (fit.left / seen.squares).clamp(0.0, 1.0) } else { 1.0 };
             }
         }
     }

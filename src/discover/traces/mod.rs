@@ -39,4 +39,6 @@ mod tests;
 pub use catalogue::TraceMechanism;
 pub use readings::{Kind, Reading, Traces, Weighing};
 pub use report::WANDER;
-pub use screen::{Effect as TraceEffect, Parameter, Settings, TraceCause, TraceJudged, TraceScreening, screen_traces};
+pub use screen::{
+    Effect as TraceEffect, Parameter, Settings, TraceCause, TraceJudged, TraceScreening, Unjudged, screen_traces,
+};

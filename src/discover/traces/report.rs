@@ -1,5 +1,6 @@
 //! What a document has of balance readings.
 
+use super::super::claim::{self, Proposal, is_told};
 use super::super::investigate::{CERTAIN, CLAIM, SIGNIFICANCE, WORTH_TELLING};
 use super::super::report::{
     CauseReport, Channel, Evidence, Finding, FormClass, NullCheck, ParameterReport, TraceChannel, Unexplained,
@@ -31,7 +32,9 @@ pub(in super::super) struct TraceReport {
 
 /// What a screening amounts to; `corrected` is its p-value, given what else is judged.
 pub(in super::super) fn report(traces: &Traces, screening: &TraceScreening, corrected: f64) -> TraceReport {
-    let (verdict, told) = judge(screening, corrected);
+    let (proposal, told) = judge(screening, corrected);
+    let has_effect = told.first().and_then(|it| it.effect.as_ref()).is_some_and(|it| is_told(it.ci95, it.unit));
+    let verdict = claim::verdict(proposal, has_effect, true);
     let is_control = |kind: Kind| kind != Kind::Dose;
     let controls = traces.weighings.iter().filter(|weighing| is_control(weighing.kind)).count();
     let known = |judged: &&TraceJudged| matches!(judged.mechanism, TraceCause::Known(_));
@@ -46,6 +49,7 @@ pub(in super::super) fn report(traces: &Traces, screening: &TraceScreening, corr
         shakes: screening.looked_at[1],
         null_check: NullCheck::of(&screening.null, screening.statistic),
         suggested_experiment: experiment,
+        unjudged: screening.unjudged.as_ref().map(|it| it.why.clone()),
     };
     TraceReport {
         sentence: words::sentence(&told, &channel),
@@ -75,11 +79,11 @@ pub(super) fn name(cause: TraceCause) -> &'static str {
     }
 }
 
-/// The verdict, and the causes that are told of, most probable first.
-fn judge(screening: &TraceScreening, corrected: f64) -> (Verdict, Vec<&TraceJudged>) {
+/// What the evidence proposes, and the causes that are told of, most probable first.
+fn judge(screening: &TraceScreening, corrected: f64) -> (Proposal, Vec<&TraceJudged>) {
     let judged = &screening.judged;
     let Some(top) = judged.first().filter(|_| corrected <= SIGNIFICANCE) else {
-        return (Verdict::NoDiscrepancy, Vec::new());
+        return (Proposal::Nothing, Vec::new());
     };
     let wander = judged.iter().find(|it| it.mechanism == TraceCause::Unknown).map_or(0.0, |it| it.log_evidence);
     let over = |it: &TraceJudged| it.log_evidence - wander.max(0.0);
@@ -89,8 +93,8 @@ fn judge(screening: &TraceScreening, corrected: f64) -> (Verdict, Vec<&TraceJudg
     };
     let look_alike = judged[1..].iter().find(is_close);
     if top.probability >= CLAIM && look_alike.is_none() {
-        let verdict = if top.mechanism == TraceCause::Unknown { Verdict::Unexplained } else { Verdict::Cause };
-        return (verdict, vec![top]);
+        let proposal = if top.mechanism == TraceCause::Unknown { Proposal::Unexplained } else { Proposal::Cause };
+        return (proposal, vec![top]);
     }
     let mut told: Vec<&TraceJudged> = judged.iter().take_while(|it| it.probability >= WORTH_TELLING).collect();
     if told.len() < 2 {
@@ -98,7 +102,7 @@ fn judge(screening: &TraceScreening, corrected: f64) -> (Verdict, Vec<&TraceJudg
         told.extend(look_alike.or(judged.get(1)));
     }
     told.truncate(3);
-    (Verdict::Ambiguous, told)
+    (Proposal::Ambiguous, told)
 }
 
 impl TraceJudged {
@@ -129,6 +133,7 @@ fn finding(judged: &TraceJudged) -> Option<Finding> {
         ci95: effect.ci95,
         unit: effect.unit.to_owned(),
         span: effect.span.clone(),
+        powder: None,
         by_powder: Vec::new(),
     })
 }

@@ -26,7 +26,7 @@ use rayon::prelude::*;
 /// How much powders or sessions may differ in a cause, over what they share.
 const DIFFERENCES: [f64; 2] = [0.3, 1.0];
 /// Share of structure that a cause must explain, the rest being wander, for what it leaves to be called white.
-const EXPLAINED_MIN: f64 = 0.5;
+pub(super) const EXPLAINED_MIN: f64 = 0.5;
 /// Most averaged readings of all simulations together: some ten matrices of so many numbers are held at once.
 const SIMULATED_ROWS_MAX: usize = 20_000_000;
 /// Odds before any data of what wanders, and of an actuator: a curved response of the spoon looks like one.
@@ -112,6 +112,17 @@ pub struct TraceScreening {
     pub null: Vec<f64>,
     /// Readings and shakes that were looked at.
     pub looked_at: [u32; 2],
+    /// Why masses of shakes were not judged, where they were not.
+    pub unjudged: Option<Unjudged>,
+}
+
+/// Masses of shakes that follow no formula, so that only the simulator itself could say what it would have let fall.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Unjudged {
+    /// Why.
+    pub why: String,
+    /// Simulated doses that it would take: as many sets of all of them as make one in twenty.
+    pub doses: u32,
 }
 
 impl TraceCause {
@@ -163,23 +174,40 @@ pub fn screen_traces(traces: &Traces, settings: &Settings) -> Result<TraceScreen
         .map(|k| plan.seen(&simulate::readings(&design, plan.masses, &scatter, settings.seed, k)))
         .collect();
     let all: Vec<&Seen> = std::iter::once(&measured).chain(&simulated).collect();
+    let shake_scatter = plan.masses.map(|_| shakes::scatter(&measured.0[Level::Shakes as usize], &shake_noises));
     let shake_noises: Vec<Noise> = shake_noises.into_iter().map(|it| it.noise).collect();
-    let levels = [
+    let mut levels = [
         plan.judge(Level::Readings, &reading_noises, &all),
         plan.judge(Level::Shakes, &shake_noises, &all),
         plan.judge(Level::Scatter, &plan.scatter_noises(), &all),
     ];
-    if levels.iter().all(Option::is_none) {
+    let of_shakes = levels[Level::Shakes as usize].as_ref().zip(shake_scatter);
+    let unjudged = of_shakes.and_then(|(judged, scatter)| shakes::unlike(&design, scatter, judged));
+    if unjudged.is_some() {
+        levels[Level::Shakes as usize] = None;
+    }
+    if levels.iter().all(Option::is_none) && unjudged.is_none() {
         let message = "leave nothing to judge: no two readings follow the same shake, and too few shakes were counted";
         return Err(FieldError::new("traces", message));
     }
     for (mechanism, _) in &plan.known {
         if !levels.iter().flatten().any(|level| level.causes.iter().any(|(judged, _)| judged == mechanism)) {
-            untestable.push((*mechanism, "has no range in which it could act".to_owned()));
+            let why = unjudged.as_ref().filter(|_| mechanism.level() == Level::Shakes);
+            untestable
+                .push((*mechanism, why.map_or("has no range in which it could act", |it| it.why.as_str()).to_owned()));
         }
     }
     untestable.sort_by_key(|(mechanism, _)| TraceMechanism::ALL.iter().position(|known| known == mechanism));
-    Ok(plan.conclude(&levels, untestable, all.len()))
+    let concluded = plan.conclude(&levels, untestable, all.len());
+    let is_judged = levels.iter().any(Option::is_some);
+    Ok(match is_judged {
+        true => TraceScreening { unjudged, ..concluded },
+        // With nothing to judge there is no evidence, of whatever wanders either.
+        false => {
+            let null = vec![0.0; concluded.null.len()];
+            TraceScreening { unjudged, p_value: 1.0, judged: Vec::new(), statistic: 0.0, null, ..concluded }
+        }
+    })
 }
 
 /// What each level sees of one set of readings.
@@ -378,7 +406,7 @@ impl Plan<'_> {
         judged.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         let p_value = (1 + as_large) as f64 / count as f64;
         let looked_at = [self.design.times_s.len() as u32, self.design.shakes.len() as u32];
-        TraceScreening { p_value, judged, untestable, white, statistic: here, null, looked_at }
+        TraceScreening { p_value, judged, untestable, white, statistic: here, null, looked_at, unjudged: None }
     }
 
     /// How large a cause is over what it goes with.

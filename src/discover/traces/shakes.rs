@@ -9,11 +9,22 @@
 //! ever less makes what looks like any cause of the spoon. A pitch that was not recorded may have grown from shake to shake: a trend stands for it.
 
 use super::design::Design;
-use super::noise::Masses;
+use super::level::Verdict;
+use super::noise::{Masses, ShakeNoise};
+use super::readings::Kind;
+use super::screen::{EXPLAINED_MIN, Unjudged};
 use nalgebra::{DMatrix, DVector};
 
 /// Fewest shakes beyond the columns of the response that say anything.
 const SPARE_MIN: usize = 12;
+
+/// Scatter of log mass around the response and the best of all causes from which there is no law: half of the shakes then let fall less than two thirds, or
+/// more than one and a half times, of what they should.
+const SCATTER_MAX: f64 = 0.6;
+/// Log evidence of masses that wander from which the response is none.
+const WANDER_MAX: f64 = 3.0;
+/// Sets of simulated doses of which this one would be the first of twenty.
+const SETS: usize = 19;
 
 impl Masses {
     /// Masses as they are judged, around the response.
@@ -47,6 +58,42 @@ pub(super) fn response(design: &Design) -> Option<Masses> {
     // A shake is expected to let something fall.
     let nominal_mg = fitted.iter().map(|z| (width_mg * z.sinh()).max(0.2 * width_mg)).collect();
     Some(Masses { width_mg, level_sd_mg, nominal_mg, fixed })
+}
+
+/// Why there is no law around which shakes could be judged, if there is none: a simulator's spoon has an onset, empties and packs by itself, and where its
+/// shakes follow no law of amplitude and pitch only the simulator could say what they should have let fall.
+/// `scatter`: of log mass around the response, as [`scatter`] has it.
+pub(super) fn unlike(design: &Design, scatter: f64, judged: &Verdict) -> Option<Unjudged> {
+    let left = judged.estimates.iter().map(|it| it.left).fold(1.0, f64::min);
+    let scatter = scatter * left.sqrt();
+    let wander = judged.wander[0];
+    let is_caused =
+        judged.causes.iter().zip(&judged.estimates).any(|(it, of)| it.1[0] > wander && of.explained >= EXPLAINED_MIN);
+    let doses = (SETS * design.logs.iter().filter(|log| log.kind == Kind::Dose).count()) as u32;
+    let how = if scatter > SCATTER_MAX {
+        format!("scatter by a factor of {:.1}", scatter.exp())
+    } else if wander > WANDER_MAX && !is_caused {
+        "wander".to_owned()
+    } else {
+        return None;
+    };
+    let why = format!(
+        "masses of shakes {how} around any law of amplitude and pitch; what a simulated spoon would let fall takes {doses} simulated doses"
+    );
+    Some(Unjudged { why, doses })
+}
+
+/// Scatter of log mass by plain noise, as probable as the masses make it.
+pub(super) fn scatter(seen: &[f64], noises: &[ShakeNoise]) -> f64 {
+    let seen = DMatrix::from_column_slice(seen.len(), 1, seen);
+    let of = |it: &ShakeNoise| {
+        let squares = it.noise.model.apply(&seen).norm_squared();
+        (it.noise.model.log_null(squares), (squares / it.noise.model.freedom).sqrt())
+    };
+    let all: Vec<(f64, f64)> = noises.iter().filter(|it| !it.noise.is_wander).map(of).collect();
+    let best = all.iter().map(|it| it.0).fold(f64::NEG_INFINITY, f64::max);
+    let weight = |log: f64| libm::exp(log - best);
+    all.iter().map(|&(log, sd)| weight(log) * sd).sum::<f64>() / all.iter().map(|it| weight(it.0)).sum::<f64>()
 }
 
 /// Columns of the response in log mass, `[shakes, p]`, each covariate with mean 0 and SD 1.

@@ -1,6 +1,8 @@
 //! What a document says of balance readings, made from its numbers, and the controls that would prove a cause.
 
+use super::super::claim::is_told;
 use super::super::report::{Experiment, TraceChannel, Verdict};
+use super::super::sizes;
 use super::{Kind, TraceCause, TraceJudged, TraceMechanism, TraceScreening, Traces};
 use std::collections::BTreeMap;
 
@@ -166,26 +168,24 @@ fn changed(cause: TraceCause) -> &'static str {
 }
 
 fn sized(judged: &TraceJudged) -> String {
-    let Some(effect) = &judged.effect else { return String::new() };
-    let decimals = if effect.unit == "%" { 0 } else { 2 };
-    let [low, high] = effect.ci95;
-    format!(
-        ": {}{:+.decimals$} {} [{low:.decimals$}, {high:.decimals$}] {}",
-        changed(judged.mechanism),
-        effect.value,
-        effect.unit,
-        effect.span
-    )
+    let Some(effect) = judged.effect.as_ref().filter(|it| is_told(it.ci95, it.unit)) else { return String::new() };
+    format!(": {}{} {}", changed(judged.mechanism), sizes::sized(effect.value, effect.ci95, effect.unit), effect.span)
 }
 
 /// What balance readings say, in one sentence or two.
 pub(super) fn sentence(told: &[&TraceJudged], channel: &TraceChannel) -> String {
+    let unjudged = channel.unjudged.as_ref();
+    let unjudged = unjudged.map_or(String::new(), |why| format!("What the spoon lets fall is not judged: {why}."));
     let first = match (channel.verdict, told) {
         (Verdict::Cause, [one, ..]) => format!(
             "Balance readings depart from the simulated bench, because {}{} (probability {:.0} %).",
             spoken(one.mechanism),
             sized(one),
             100.0 * one.probability
+        ),
+        (Verdict::Hint, [one, ..]) => format!(
+            "A hint, and no cause yet: balance readings may depart from the simulated bench, because {}, but that changes nothing that is told from zero.",
+            spoken(one.mechanism)
         ),
         (Verdict::Ambiguous, [one, ..]) => {
             let names: Vec<&str> = told.iter().map(|judged| spoken(judged.mechanism)).collect();
@@ -201,11 +201,17 @@ pub(super) fn sentence(told: &[&TraceJudged], channel: &TraceChannel) -> String 
         }
         _ => {
             let chance = 100.0 * channel.p_value;
-            return format!(
-                "Balance readings show no discrepancy: evidence as strong arises by chance in {chance:.0} % of such weighings."
-            );
+            let shown = match told.is_empty() && channel.p_value >= 1.0 && channel.unjudged.is_some() {
+                true => String::new(),
+                false => format!(
+                    "Balance readings show no discrepancy: evidence as strong arises by chance in {chance:.0} % of such weighings."
+                ),
+            };
+            let parts = [shown, unjudged];
+            return parts.iter().filter(|it| !it.is_empty()).map(String::as_str).collect::<Vec<_>>().join(" ");
         }
     };
+    let first = [first, unjudged].join(" ").trim_end().to_owned();
     let opening =
         if channel.verdict == Verdict::Ambiguous { "What would tell them apart" } else { "What would prove it" };
     match &channel.suggested_experiment {
