@@ -28,6 +28,17 @@ pub enum Parity {
     Even,
 }
 
+impl Parity {
+    /// As in `8N1`.
+    pub fn letter(self) -> char {
+        match self {
+            Self::None => 'N',
+            Self::Odd => 'O',
+            Self::Even => 'E',
+        }
+    }
+}
+
 /// How a serial port is set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]

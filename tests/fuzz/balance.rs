@@ -43,6 +43,11 @@ const WORDS: &[&str] = &[
     "\u{663}",
     "\u{6}",
     "  100.0000",
+    "100,000[0]",
+    "[0]",
+    "ST,GS,",
+    "lb:oz",
+    "OFF",
 ];
 
 pub const MT_SICS: Target = line("mt_sics", |bytes| check(bytes, mt_sics::parse, print_mt_sics));
@@ -80,19 +85,23 @@ fn check(bytes: &[u8], parse: Parse, print: Print) -> Result<Seen, String> {
 
 /// The mass is finite, and its digits stand in the line.
 fn check_weight(line: &[u8], weight: &Weight) -> Result<(), String> {
+    let bytes = line.len();
     let unit = weight.unit.unwrap_or(Unit::Gram);
     let (mg, place_mg) = (weight.number.mg(unit), weight.number.last_place_mg(unit));
     if !(mg.is_finite() && place_mg.is_finite() && place_mg > 0.0) {
         return Err(format!("{mg} mg in steps of {place_mg} mg"));
     }
     let digits = shown(weight).trim_start_matches('-').to_owned();
+    // A comma is a point, and the last digit may stand in brackets.
+    let line: Vec<u8> =
+        line.iter().filter(|byte| !b"[]".contains(byte)).map(|byte| if *byte == b',' { b'.' } else { *byte }).collect();
     let is_in_line = line.windows(digits.len()).any(|window| window == digits.as_bytes());
     let is_negative_in_line = line.contains(&b'-');
     if !is_in_line || (mg < 0.0 && !is_negative_in_line) {
         return Err(format!("{mg} mg are not what the line shows, {digits} is not in it"));
     }
-    if weight.width > line.len() {
-        return Err(format!("its number ends at byte {} of {}", weight.width, line.len()));
+    if weight.width > bytes {
+        return Err(format!("its number ends at byte {} of {bytes}", weight.width));
     }
     Ok(())
 }

@@ -4,7 +4,7 @@ use super::super::Common;
 use super::super::failure::Failure;
 use crate::domain::FieldError;
 use crate::hardware::balance::Dialect;
-use crate::hardware::balance::probe::{Probe, probe, usual_settings};
+use crate::hardware::balance::probe::{Attempt, Probe, probe, usual_settings};
 use crate::hardware::line::{Parity, Serial};
 use crate::hardware::wire::{Direction, Exchange, Tap};
 use std::path::PathBuf;
@@ -15,7 +15,7 @@ pub(super) struct Arguments {
     /// Where the balance is plugged in: a path, as `/dev/ttyUSB0`, or `tcp://host:port`.
     #[arg(long, value_name = "PORT")]
     port: String,
-    /// Bits per second; with it only this setting is tried [default: the usual settings, one after the other].
+    /// Bits per second; with it only this setting is tried [default: 1200 to 115200 with 8N1, 7E1, 8O1 and 7O1, one after the other, for 90 s at most].
     #[arg(long, value_name = "N")]
     baud: Option<u32>,
     /// Data bits beside `--baud`, 7 or 8.
@@ -47,14 +47,23 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         Some(baud) => vec![Serial { baud, data_bits: arguments.data_bits, parity: arguments.parity }.checked()?],
         None => usual_settings(),
     };
-    let found = probe(&arguments.port, &settings, Tap::none());
+    let found = probe(&arguments.port, &settings, Tap::none(), |attempt| tell(&arguments.port, &attempt));
     if let Some(file) = &arguments.out {
         std::fs::write(file, transcript(&found.transcript))?;
     }
     common.print(&found, || text(&arguments.port, &found))?;
     match found.dialect {
         Some(_) => Ok(()),
+        None if found.transcript.is_empty() => Err(Failure::Found("the port cannot be opened".to_owned())),
         None => Err(Failure::Found("no balance answered in a dialect that FLIP knows".to_owned())),
+    }
+}
+
+/// A line on stderr for each setting, where there are several.
+fn tell(port: &str, Attempt { number, of, serial }: &Attempt) {
+    if *of > 1 {
+        let Serial { baud, data_bits, parity } = serial;
+        eprintln!("flip: {number} of {of}: asking {port} at {baud} bits/s {data_bits}{}1", parity.letter());
     }
 }
 

@@ -4,6 +4,8 @@
 //! > Q             < ST,+00123.456  g      stable        < OL,+9999999E+19   overload
 //!                 < US,+00123.451  g      moving        < OL,-9999999E+19   underload
 //!                                                       < EC,E01 not a command, EC,E02 not ready, other errors
+//!                 < ST,GS,+  12.345 g      gross or net (NT) said as well, as indicators do
+//!                 < QT,+00000123 PC        counts pieces: not weighed by
 //! > T, Z          < nothing, or ACK
 //! > ?TN, ?SN      < words
 //! ```
@@ -12,14 +14,14 @@
 //!
 //! Not verified on a device: everything here is from memory, the error numbers and the questions for model and serial number above all.
 
-use super::reply::{Condition, Reply, Said, Unreadable, printable, weight};
+use super::reply::{Condition, Reply, Said, Unreadable, foreign, is_standby, printable, weight};
 use super::value::Decimal;
 use super::{Command, Commands, Wants};
 
-/// Bytes of header and comma.
-const HEADER_BYTES: usize = 3;
 /// Bytes of the sign and number: more on balances with more digits.
 const NUMBER_BYTES: std::ops::RangeInclusive<usize> = 9..=11;
+/// And of one whose last digit stands in brackets.
+const BRACKETED_BYTES: std::ops::RangeInclusive<usize> = 9..=13;
 /// Bytes of the unit.
 const UNIT_BYTES: usize = 3;
 
@@ -28,6 +30,8 @@ pub(super) const COMMANDS: Commands = Commands {
     stable: Some(Command { bytes: b"S\r\n", answer: None, wants: Wants::Reading }),
     tare: Command { bytes: b"T\r\n", answer: None, wants: Wants::Done },
     zero: Command { bytes: b"Z\r\n", answer: None, wants: Wants::Done },
+    tare_at_once: None,
+    zero_at_once: None,
     acknowledges: false,
     barrier: None,
     model: &[Command { bytes: b"?TN\r\n", answer: None, wants: Wants::Words }],
@@ -44,12 +48,20 @@ pub fn parse(line: &[u8]) -> Result<Reply, Unreadable> {
         return Ok(Reply { to: None, said: Said::Done });
     }
     let text = printable(line)?;
+    if is_standby(text) {
+        return Ok(Reply::condition(Condition::Standby));
+    }
     let Some((header, rest)) = text.split_once(',') else {
         let is_words = text.starts_with(|first: char| first.is_ascii_alphanumeric());
         return if is_words { Ok(Reply::text(text)) } else { Err(Unreadable) };
     };
+    let before = header.len() + 1;
     match header {
-        "ST" | "US" => Ok(Reply { to: None, said: mass(text, header == "ST")? }),
+        "ST" | "US" | "S" | "U" => {
+            let stable = header.starts_with('S');
+            Ok(Reply { to: None, said: mass(rest, before, stable).or_else(|_| foreign(rest))? })
+        }
+        "QT" => Ok(Reply { to: None, said: foreign(rest)? }),
         "OL" if rest == "+9999999E+19" => Ok(Reply::condition(Condition::Overload)),
         "OL" if rest == "-9999999E+19" => Ok(Reply::condition(Condition::Underload)),
         "EC" => Ok(Reply::condition(error(rest))),
@@ -58,14 +70,27 @@ pub fn parse(line: &[u8]) -> Result<Reply, Unreadable> {
     }
 }
 
-fn mass(text: &str, stable: bool) -> Result<Said, Unreadable> {
-    let end = text.len().saturating_sub(UNIT_BYTES);
-    let number = text.get(HEADER_BYTES..end).filter(|number| number.starts_with(['+', '-'])).ok_or(Unreadable)?;
-    if !NUMBER_BYTES.contains(&number.len()) {
+/// The mass behind a header of so many bytes.
+fn mass(rest: &str, before: usize, stable: bool) -> Result<Said, Unreadable> {
+    if let Some((kind, number)) = rest.split_once(',').filter(|(kind, _)| ["GS", "NT", "G", "N"].contains(kind)) {
+        return loose_mass(number, before + kind.len() + 1, stable);
+    }
+    let end = rest.len().saturating_sub(UNIT_BYTES);
+    let number = rest.get(..end).filter(|number| number.starts_with(['+', '-'])).ok_or(Unreadable)?;
+    let allowed = if number.ends_with(']') { BRACKETED_BYTES } else { NUMBER_BYTES };
+    if !allowed.contains(&number.len()) {
         return Err(Unreadable);
     }
     let number = Decimal::parse(number.as_bytes()).ok_or(Unreadable)?;
-    weight(number, text[end..].trim_start().as_bytes(), stable, end)
+    weight(number, rest[end..].trim_start().as_bytes(), stable, before + end)
+}
+
+/// The same of an indicator, whose columns are narrower: the unit begins with the first letter.
+fn loose_mass(rest: &str, before: usize, stable: bool) -> Result<Said, Unreadable> {
+    let unit = rest.find(|c: char| c.is_ascii_alphabetic()).ok_or(Unreadable)?;
+    let number = rest[..unit].trim_end();
+    let said = Decimal::parse(number.as_bytes()).ok_or(Unreadable)?;
+    weight(said, rest[unit..].trim_end().as_bytes(), stable, before + number.len())
 }
 
 fn error(number: &str) -> Condition {

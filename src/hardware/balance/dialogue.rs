@@ -1,6 +1,6 @@
 //! Questions and answers over one wire: which line answers what, and how to get back into step.
 
-use super::reply::{Reply, Said};
+use super::reply::{Condition, Reply, Said};
 use super::{Command, DEVICE, Dialect, Wants, faulted, garbled};
 use crate::hardware::DeviceError;
 use crate::hardware::line::Line;
@@ -23,11 +23,30 @@ pub(super) struct Dialogue {
     chatty: bool,
     /// An answer may be under way that nobody waits for.
     behind: bool,
+    /// The balance has answered the question whose answer is no reading, be it by refusing it.
+    keeps_step: bool,
+}
+
+/// What came after that question.
+enum After {
+    /// Its answer.
+    Words,
+    /// The balance does not know it, and says so.
+    Refusal,
+    /// Lines, none of which answers it.
+    Lines,
+    /// Nothing.
+    Nothing,
 }
 
 impl Dialogue {
     pub(super) fn new(line: Line, dialect: Dialect, limit: Duration) -> Self {
-        Self { line, dialect, limit, chatty: true, behind: true }
+        Self { line, dialect, limit, chatty: true, behind: true, keeps_step: false }
+    }
+
+    /// The balance answers the question whose answer is no reading.
+    pub(super) fn keeps_step(&self) -> bool {
+        self.keeps_step
     }
 
     /// One question and its answer, with the line that it was read from.
@@ -57,23 +76,59 @@ impl Dialogue {
         Ok(())
     }
 
+    /// Answers keep their order: what was under way has come when the question whose answer is no reading is answered, or refused. A balance that was
+    /// never heard to answer it must have been quiet for as long as an answer may take.
     fn catch_up(&mut self) -> Result<(), DeviceError> {
         self.line.discard_input()?;
         let Some(barrier) = self.dialect.commands().barrier else { return self.wait_for_quiet() };
         self.line.send(barrier.bytes)?;
+        match self.after(barrier)? {
+            After::Words => self.keeps_step = true,
+            After::Refusal => {
+                self.keeps_step = true;
+                self.hear_refusals_out()?;
+            }
+            _ if self.keeps_step => return Err(DeviceError::Silent { device: DEVICE }),
+            After::Lines => self.wait_for_quiet()?,
+            After::Nothing => {}
+        }
+        Ok(())
+    }
+
+    fn after(&mut self, barrier: Command) -> Result<After, DeviceError> {
         let until = Instant::now() + self.limit;
+        let mut after = After::Nothing;
         for _ in 0..LINES_MAX {
-            let line = self.line.receive(until.saturating_duration_since(Instant::now()))?;
-            let Ok(reply) = self.dialect.parse(&line) else { continue };
-            let is_answer = match barrier.answer {
-                Some(_) => reply.to.as_deref() == barrier.answer,
-                None => matches!(reply.said, Said::Text(_)),
+            let line = match self.receive(barrier, until.saturating_duration_since(Instant::now())) {
+                Err(DeviceError::Silent { .. }) => return Ok(after),
+                line => line?,
             };
-            if is_answer {
-                return Ok(());
+            after = After::Lines;
+            let Ok(reply) = self.dialect.parse(&line) else { continue };
+            match (barrier.answer, reply.to.as_deref()) {
+                (Some(answer), Some(to)) if answer == to => return Ok(After::Words),
+                (None, _) if matches!(reply.said, Said::Text(_)) => return Ok(After::Words),
+                (_, None) if is_refusal(&reply.said) => return Ok(After::Refusal),
+                _ => {}
             }
         }
-        Err(DeviceError::Silent { device: DEVICE })
+        Ok(after)
+    }
+
+    /// A refusal does not say what it refuses: the first may be that of an earlier question.
+    fn hear_refusals_out(&mut self) -> Result<(), DeviceError> {
+        let mut until = Instant::now() + CHATTER;
+        for _ in 0..LINES_MAX {
+            match self.line.receive(until.saturating_duration_since(Instant::now())) {
+                Err(DeviceError::Silent { .. }) => return Ok(()),
+                Ok(line) if self.dialect.parse(&line).is_ok_and(|reply| is_refusal(&reply.said)) => {
+                    until = Instant::now() + CHATTER;
+                }
+                Ok(_) | Err(DeviceError::Garbled { .. }) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
     }
 
     fn wait_for_quiet(&mut self) -> Result<(), DeviceError> {
@@ -109,7 +164,7 @@ impl Dialogue {
     fn next_for(&mut self, command: Command, limit: Duration) -> Result<(Reply, Vec<u8>), DeviceError> {
         let until = Instant::now() + limit;
         for _ in 0..LINES_MAX {
-            let raw = self.line.receive(until.saturating_duration_since(Instant::now()))?;
+            let raw = self.receive(command, until.saturating_duration_since(Instant::now()))?;
             let reply = self.dialect.parse(&raw).map_err(|_| garbled(&raw))?;
             if is_for(command, &reply) {
                 return Ok((reply, raw));
@@ -117,6 +172,22 @@ impl Dialogue {
         }
         Err(DeviceError::Silent { device: DEVICE })
     }
+
+    /// The next line that is not our own command: some wires and balances send back what they hear.
+    fn receive(&mut self, command: Command, limit: Duration) -> Result<Vec<u8>, DeviceError> {
+        let until = Instant::now() + limit;
+        loop {
+            let line = self.line.receive(until.saturating_duration_since(Instant::now()))?;
+            if !command.is_echoed_by(&line) {
+                return Ok(line);
+            }
+        }
+    }
+}
+
+/// The balance cannot do what it was asked, whatever that was.
+fn is_refusal(said: &Said) -> bool {
+    matches!(said, Said::Condition(Condition::Unknown | Condition::Fault(_)))
 }
 
 /// This line may answer this question.

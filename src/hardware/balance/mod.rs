@@ -5,7 +5,8 @@
 //! * A number is returned only from an undamaged frame, in mg, g or kg, that came after the question. Everything else is an error that says what to do.
 //! * Nothing stale: what came unasked is discarded before each question. After an answer that failed to come, and before the first question, the driver asks
 //!   for something that cannot be taken for a reading (the serial number, the version) and waits until that answer has come, because answers keep their
-//!   order. A&D has no such question that is known for sure: there the wire must have been quiet for as long as an answer may take.
+//!   order; a refusal is an answer. A&D has no such question that is known for sure, and some balances answer none: there the wire must have been quiet for
+//!   as long as an answer may take.
 //! * Lines that come unasked (auto-print, the print key) look like answers in most dialects. When the driver has seen one, it listens on for
 //!   0.3 s after each answer and takes the last line, which is at least as new as the answer.
 //! * Frames carry no checksum. A frame of another width than the first ones is damaged. A frame in another unit or with other decimals than the last is asked
@@ -15,6 +16,7 @@
 
 pub mod aandd;
 mod dialogue;
+mod identity;
 pub mod mt_sics;
 pub mod ohaus;
 pub mod probe;
@@ -22,22 +24,28 @@ pub mod reply;
 pub mod sbi;
 mod settings;
 #[cfg(test)]
+mod terse_tests;
+#[cfg(test)]
 mod tests;
 pub mod value;
 mod wait;
+mod window;
 
+pub use identity::Identity;
 pub use settings::{Dialect, Settings, StableBy};
 
 use super::DeviceError;
 use super::clock::Clock;
 use super::line::Line;
+use super::settle::Shown;
 use super::wire::{Tap, shown};
 use dialogue::Dialogue;
 use reply::{Condition, Reply, Said, Weight};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
-use value::Unit;
+use value::{Fit, Unit};
 use wait::Patience;
+use window::Window;
 
 /// As messages name it.
 const DEVICE: &str = "the balance";
@@ -55,6 +63,13 @@ pub(crate) struct Command {
     wants: Wants,
 }
 
+impl Command {
+    /// This line is the command itself, come back.
+    pub(crate) fn is_echoed_by(self, line: &[u8]) -> bool {
+        line == self.bytes.trim_ascii_end()
+    }
+}
+
 /// What kind of answer a question wants; lines of another kind that come meanwhile are passed over where they can be known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Wants {
@@ -70,6 +85,9 @@ pub(crate) struct Commands {
     stable: Option<Command>,
     tare: Command,
     zero: Command,
+    /// The same without the balance waiting until it is stable, where the dialect can say that.
+    tare_at_once: Option<Command>,
+    zero_at_once: Option<Command>,
     /// Taring and zeroing are answered.
     acknowledges: bool,
     /// A question whose answer cannot be taken for a reading.
@@ -92,19 +110,6 @@ pub struct Sample {
     pub raw: String,
 }
 
-/// Who a balance says it is, as far as its dialect tells.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct Identity {
-    /// From the dialect.
-    pub maker: String,
-    /// Model.
-    pub model: Option<String>,
-    /// Serial number.
-    pub serial: Option<String>,
-    /// Version of its software.
-    pub software: Option<String>,
-}
-
 /// Unit and decimals: the same in every undamaged frame until somebody changes the display.
 type Form = (Unit, i32);
 
@@ -118,6 +123,12 @@ pub struct Balance {
     form: Option<Form>,
     /// Of every frame, known from the first two that had the same form.
     width: Option<usize>,
+    /// What it showed lately, for balances that flag no reading stable.
+    window: Window,
+    /// Scatter of readings at rest, mg.
+    noise_mg: f64,
+    /// Optional questions that it did not answer.
+    silent_to: Vec<&'static [u8]>,
 }
 
 /// A reading is either a mass, or the balance's reason why there is none.
@@ -142,7 +153,16 @@ impl Balance {
             clock,
             form: None,
             width: None,
+            window: Window::default(),
+            noise_mg: 0.0,
+            silent_to: Vec::new(),
         })
+    }
+
+    /// The same balance where readings at rest scatter by so much, mg: by FLIP's own window a display finer than that would never stand.
+    #[must_use]
+    pub fn with_noise_mg(self, noise_mg: f64) -> Self {
+        Self { noise_mg, ..self }
     }
 
     /// What the display shows now. A balance that is not ready is asked again until `timeout_s` has passed.
@@ -184,7 +204,7 @@ impl Balance {
     /// [`DeviceError::Faulted`] if the reading is not stable, or does not come to zero within `stable_timeout_s`; else as [`Self::immediate`]. The balance may
     /// have tared, or may yet: tare again before anything is weighed.
     pub fn tare(&mut self) -> Result<Sample, DeviceError> {
-        self.bring_to_zero(self.commands.tare, "tare")
+        self.bring_to_zero(self.commands.tare, self.commands.tare_at_once, "tare")
     }
 
     /// Set the zero point, with an empty pan, and see that the display shows it; returns that reading.
@@ -192,26 +212,7 @@ impl Balance {
     /// # Errors
     /// As [`Self::tare`]; a balance with a vial on it may refuse.
     pub fn zero(&mut self) -> Result<Sample, DeviceError> {
-        self.bring_to_zero(self.commands.zero, "zero")
-    }
-
-    /// Who the balance says it is.
-    ///
-    /// # Errors
-    /// [`DeviceError::Silent`] if it tells nothing, else as [`Self::immediate`].
-    pub fn identify(&mut self) -> Result<Identity, DeviceError> {
-        let mut model = None;
-        for command in self.commands.model {
-            if model.is_none() {
-                model = self.words(*command)?;
-            }
-        }
-        let serial = self.commands.serial.map_or(Ok(None), |command| self.words(command))?;
-        let software = self.commands.software.map_or(Ok(None), |command| self.words(command))?;
-        if model.is_none() && serial.is_none() && software.is_none() {
-            return Err(DeviceError::Silent { device: DEVICE });
-        }
-        Ok(Identity { maker: maker(self.settings.dialect).to_owned(), model, serial, software })
+        self.bring_to_zero(self.commands.zero, self.commands.zero_at_once, "zero")
     }
 
     fn poll_until_stable(&mut self, patience: &Patience) -> Result<Sample, DeviceError> {
@@ -230,12 +231,16 @@ impl Balance {
         }
     }
 
-    fn bring_to_zero(&mut self, command: Command, verb: &str) -> Result<Sample, DeviceError> {
+    fn bring_to_zero(&mut self, command: Command, at_once: Option<Command>, verb: &str) -> Result<Sample, DeviceError> {
         let limit_s = self.settings.stable_timeout_s;
         if !self.stable(limit_s)?.stable {
-            return Err(faulted(format!("no stable reading to {verb} at: keep draughts and vibration away")));
+            return Err(faulted(format!("no stable reading to {verb} at: {}", self.why_unstable())));
         }
-        self.order(command, verb)?;
+        self.window.forget();
+        let by_window = at_once.filter(|_| self.settings.stable_by == StableBy::Window);
+        if !by_window.map_or(Ok(false), |command| self.order_at_once(command, verb))? {
+            self.order(command, verb)?;
+        }
         let patience = Patience::new(&self.clock, limit_s);
         loop {
             let sample = self.stable(limit_s)?;
@@ -249,6 +254,31 @@ impl Balance {
         }
     }
 
+    /// What to do about a balance whose readings are not flagged stable.
+    pub fn why_unstable(&self) -> String {
+        if self.settings.stable_by == StableBy::Window {
+            return "its numbers never stand: keep draughts and vibration away, or write the noise that is measured into readings.noise_mg".to_owned();
+        }
+        if self.window.stands_unflagged() {
+            let why = "this balance never flags a reading as stable although its numbers stand";
+            return format!(
+                "{why}: write stable_by = \"window\" under [balance] in the bench file, and FLIP's own window decides"
+            );
+        }
+        "close the draught shield, keep draughts and vibration away, and look at the balance's filter setting"
+            .to_owned()
+    }
+
+    /// Whether the balance did it; not where it does not know that order.
+    fn order_at_once(&mut self, command: Command, verb: &str) -> Result<bool, DeviceError> {
+        match self.dialogue.ask(command, seconds(self.settings.timeout_s)) {
+            Ok((Reply { said: Said::Condition(Condition::Unknown), .. }, _)) | Err(DeviceError::Silent { .. }) => {
+                Ok(false)
+            }
+            answer => obeyed(answer, verb).map(|()| true),
+        }
+    }
+
     /// Give an order; where the dialect answers orders, hear the answer. One that is damaged counts as none: the display tells.
     fn order(&mut self, command: Command, verb: &str) -> Result<(), DeviceError> {
         if !self.commands.acknowledges {
@@ -257,23 +287,18 @@ impl Balance {
             return Ok(());
         }
         let limit = seconds(self.settings.stable_timeout_s) + seconds(self.settings.timeout_s);
-        match self.dialogue.ask(command, limit) {
-            Ok((Reply { said: Said::Condition(Condition::NotReady), .. }, _)) => {
-                Err(faulted(format!("it refused to {verb}: not stable, or busy")))
-            }
-            Ok((Reply { said: Said::Condition(Condition::Overload | Condition::Underload), .. }, _)) => {
-                Err(faulted(format!("it refused to {verb}: too much or too little on the pan")))
-            }
-            Ok((Reply { said: Said::Condition(condition), .. }, _)) => Err(refusal(condition)),
-            Ok(_) | Err(DeviceError::Garbled { .. }) => Ok(()),
-            Err(error) => Err(error),
-        }
+        obeyed(self.dialogue.ask(command, limit), verb)
     }
 
     /// What "shows nothing" means: two of the display's last places, but at least 0.5 mg for a display of tenths, whose noise is that of the room.
     fn zero_mg_max(&self) -> f64 {
-        let last_place_mg = self.form.map_or(0.0, |(unit, decimals)| value::place_mg(unit, decimals));
-        (2.0 * last_place_mg).max(0.5)
+        (2.0 * self.step_mg()).max(0.5)
+    }
+
+    /// Step of the display, mg: that of the settings, or the last place that was shown.
+    fn step_mg(&self) -> f64 {
+        let last_place_mg = || self.form.map_or(0.0, |(unit, decimals)| value::place_mg(unit, decimals));
+        self.settings.readability_mg.unwrap_or_else(last_place_mg)
     }
 
     /// One reading from an undamaged frame in the form of the last, or the reason why there is none.
@@ -295,22 +320,20 @@ impl Balance {
             Said::Condition(condition) => return Ok(Seen::None(condition)),
             Said::Done | Said::Text(_) => return Err(garbled(&raw)),
         };
-        let Some(unit) = weight.unit.or(self.unit_of_moving(&weight)) else {
-            return Ok(Seen::None(Condition::NotReady));
+        let Some(unit) = weight.unit.or(self.unit_of_moving(&weight)).or(self.unit_by_step(&weight)) else {
+            return Ok(Seen::None(Condition::NoUnit));
         };
         let form = (unit, weight.number.decimals());
-        if let Some(step_mg) =
-            self.settings.readability_mg.filter(|step| !is_same(weight.number.last_place_mg(unit), *step))
-        {
-            let got = format!("{} (the last place should be {step_mg} mg)", shown(&raw));
-            return Err(DeviceError::Garbled { device: DEVICE, got });
-        }
+        self.settings.readability_mg.map_or(Ok(()), |step_mg| in_steps_of(step_mg, &weight, unit, &raw))?;
         if self.width.is_some_and(|width| width != weight.width) || self.form.replace(form) != Some(form) {
             return Err(garbled(&raw));
         }
         self.width = Some(weight.width);
-        let mass_mg = weight.number.mg(unit);
-        Ok(Seen::Mass(Sample { t_s: self.clock.now_s(), mass_mg, stable: weight.stable, raw: shown(&raw) }))
+        let (t_s, mass_mg) = (self.clock.now_s(), weight.number.mg(unit));
+        let one = Shown { t_s, mass_mg, flag: weight.stable };
+        let stands = self.window.hear(one, self.step_mg().max(self.noise_mg));
+        let stable = if self.settings.stable_by == StableBy::Window { stands } else { weight.stable };
+        Ok(Seen::Mass(Sample { t_s, mass_mg, stable, raw: shown(&raw) }))
     }
 
     /// The unit of a frame without one: that of the last frame, if the number has its form.
@@ -319,25 +342,18 @@ impl Balance {
         (decimals == weight.number.decimals()).then_some(unit)
     }
 
-    /// The words that answer a question; `None` if the balance does not know it, or says nothing.
-    fn words(&mut self, command: Command) -> Result<Option<String>, DeviceError> {
-        let limit = seconds(self.settings.timeout_s);
-        let answer = match self.dialogue.ask(command, limit) {
-            Err(DeviceError::Garbled { .. }) => self.dialogue.ask(command, limit),
-            answer => answer,
-        };
-        match answer {
-            Ok((Reply { said: Said::Text(text), .. }, _)) if !text.is_empty() => Ok(Some(text)),
-            Ok(_) | Err(DeviceError::Silent { .. }) => Ok(None),
-            Err(error) => Err(error),
-        }
+    /// The unit in which the number's last place is the display's step, where no frame will ever carry one.
+    fn unit_by_step(&self, weight: &Weight) -> Option<Unit> {
+        let step_mg = self.settings.readability_mg.filter(|_| self.settings.stable_by == StableBy::Window)?;
+        let steps = |unit: &Unit| weight.number.is_in_steps_of(step_mg, *unit) != Fit::OtherPlace;
+        [Unit::Milligram, Unit::Gram, Unit::Kilogram].into_iter().find(steps)
     }
 }
 
 impl Condition {
     /// It may be over in a moment: worth asking again.
     fn passes(&self) -> bool {
-        matches!(self, Self::NotReady | Self::NotStable)
+        matches!(self, Self::NotReady | Self::NotStable | Self::NoUnit)
     }
 }
 
@@ -346,9 +362,20 @@ fn refusal(condition: Condition) -> DeviceError {
     faulted(match condition {
         Condition::Overload => "overload: take something off the pan".to_owned(),
         Condition::Underload => "underload: is the pan in place and free?".to_owned(),
-        Condition::NotReady => "not ready: it may be adjusting itself, or a person uses its keys".to_owned(),
+        Condition::NotReady => {
+            "not ready: it may be adjusting itself, or a person uses its keys, or it may be in standby: switch it on"
+                .to_owned()
+        }
+        Condition::NoUnit => {
+            "not ready: its readings carry no unit, as those that are not stable do; if it never flags one stable write stable_by = \"window\" and \
+             readability_mg under [balance] in the bench file"
+                .to_owned()
+        }
+        Condition::Standby => "its display is off: it is in standby, switch it on".to_owned(),
         Condition::NotStable => "no stable reading: keep draughts and vibration away".to_owned(),
-        Condition::Unknown => "it does not know a command: is the dialect right?".to_owned(),
+        Condition::Unknown => {
+            "it refuses a command that every balance of this dialect should know: is the dialect right?".to_owned()
+        }
         Condition::ForeignUnit(unit) => format!("it shows {unit}: set its unit to g or mg"),
         Condition::Fault(words) => words,
         Condition::Adjusting => {
@@ -356,6 +383,34 @@ fn refusal(condition: Condition) -> DeviceError {
             return DeviceError::Forbidden { device: DEVICE, cause };
         }
     })
+}
+
+/// What an order's answer says. One that is damaged counts as none: the display tells.
+fn obeyed(answer: Result<(Reply, Vec<u8>), DeviceError>, verb: &str) -> Result<(), DeviceError> {
+    match answer {
+        Ok((Reply { said: Said::Condition(Condition::NotReady), .. }, _)) => {
+            Err(faulted(format!("it refused to {verb}: not stable, or busy")))
+        }
+        Ok((Reply { said: Said::Condition(Condition::Overload | Condition::Underload), .. }, _)) => {
+            Err(faulted(format!("it refused to {verb}: too much or too little on the pan")))
+        }
+        Ok((Reply { said: Said::Condition(Condition::Unknown), .. }, _)) => {
+            Err(faulted(format!("it does not know how to {verb} by command, or must not")))
+        }
+        Ok((Reply { said: Said::Condition(condition), .. }, _)) => Err(refusal(condition)),
+        Ok(_) | Err(DeviceError::Garbled { .. }) => Ok(()),
+        Err(error) => Err(error),
+    }
+}
+
+/// A display that steps by so much shows no other numbers.
+fn in_steps_of(step_mg: f64, weight: &Weight, unit: Unit, raw: &[u8]) -> Result<(), DeviceError> {
+    let why = match weight.number.is_in_steps_of(step_mg, unit) {
+        Fit::Fits => return Ok(()),
+        Fit::OtherPlace => "the last place should be",
+        Fit::Between => "it should step by",
+    };
+    Err(DeviceError::Garbled { device: DEVICE, got: format!("{} ({why} {step_mg} mg)", shown(raw)) })
 }
 
 fn faulted(cause: String) -> DeviceError {
@@ -369,18 +424,4 @@ fn garbled(raw: &[u8]) -> DeviceError {
 /// A limit from settings or a caller.
 fn seconds(limit_s: f64) -> Duration {
     Duration::try_from_secs_f64(limit_s).unwrap_or(Duration::ZERO)
-}
-
-/// Equal but for the rounding of a setting that was written in decimal.
-fn is_same(a: f64, b: f64) -> bool {
-    (a - b).abs() <= 1e-9 * b.abs()
-}
-
-fn maker(dialect: Dialect) -> &'static str {
-    match dialect {
-        Dialect::MtSics => "Mettler-Toledo or compatible",
-        Dialect::Ohaus => "Ohaus",
-        Dialect::Sbi => "Sartorius or compatible",
-        Dialect::Aandd => "A&D",
-    }
 }

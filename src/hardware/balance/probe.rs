@@ -1,26 +1,37 @@
-//! Which balance is this? Asks in every dialect for a serial number and a reading, and keeps what came.
+//! Which balance is this? Asks in every dialect for a reading, at every usual setting of the port, and keeps what came.
 //!
 //! Nothing is sent that tares, zeroes, adjusts or sets anything. The order is that in which a wrong guess does least: words that other dialects refuse or
-//! ignore come first, escape sequences after them. At a wrong speed a balance hears noise, which it drops.
+//! ignore come first, escape sequences after them. At a wrong speed a balance hears noise, which it drops. Who the balance is is asked when its dialect is
+//! known; it need not answer.
 
-use super::reply::{Condition, Said};
-use super::{Command, DEVICE, Dialect, Identity, maker};
+use super::identity::maker;
+use super::reply::{Condition, Said, is_standby};
+use super::{Command, DEVICE, Dialect, Identity};
 use crate::hardware::DeviceError;
-use crate::hardware::line::{Line, Serial};
+use crate::hardware::line::{Line, Parity, Serial};
 use crate::hardware::wire::{Direction, Exchange, Tap};
 use serde::Serialize;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// How long an answer may take.
+/// How long an answer may take at a setting that balances leave the factory with, and everywhere once something came.
 const ANSWER: Duration = Duration::from_millis(500);
+/// How long it may take at another setting, beside the time that so many bits need on the wire.
+const GLANCE: Duration = Duration::from_millis(220);
+/// A question and a frame, with their start, parity and stop bits.
+const FRAME_BITS: u32 = 300;
 /// How long the whole probe may take, however many settings are to be tried.
-const PROBE: Duration = Duration::from_secs(60);
+const PROBE: Duration = Duration::from_secs(90);
 /// Lines that are read after one question.
 const LINES_MAX: usize = 8;
 
 /// The order of asking.
 const ORDER: [Dialect; 4] = [Dialect::MtSics, Dialect::Ohaus, Dialect::Aandd, Dialect::Sbi];
+
+/// Speeds of balances, bits per second, the likeliest first.
+const SPEEDS: [u32; 8] = [9600, 19_200, 2400, 4800, 1200, 38_400, 57_600, 115_200];
+/// Data bits and parities of balances, the likeliest first.
+const FRAMINGS: [(u8, Parity); 4] = [(8, Parity::None), (7, Parity::Even), (8, Parity::Odd), (7, Parity::Odd)];
 
 /// What was found out.
 #[derive(Debug, Clone, Serialize)]
@@ -37,10 +48,11 @@ pub struct Probe {
     pub notes: Vec<String>,
 }
 
-/// How ports of balances are usually set, the likeliest first.
+/// How ports of balances are usually set, the likeliest first: as they leave the factory, then every usual speed and framing.
 pub fn usual_settings() -> Vec<Serial> {
+    let others = SPEEDS.iter().flat_map(|&baud| FRAMINGS.map(|(data_bits, parity)| Serial { baud, data_bits, parity }));
     let mut usual = Vec::new();
-    for serial in Dialect::ALL.map(Dialect::factory_serial) {
+    for serial in Dialect::ALL.map(Dialect::factory_serial).into_iter().chain(others) {
         if !usual.contains(&serial) {
             usual.push(serial);
         }
@@ -48,27 +60,61 @@ pub fn usual_settings() -> Vec<Serial> {
     usual
 }
 
-/// Ask at each of these settings in each dialect, until one answers; for a TCP address once, whatever the settings.
-pub fn probe(port: &str, settings: &[Serial], tap: Tap) -> Probe {
+/// What a probe is about to try.
+#[derive(Debug, Clone, Copy)]
+pub struct Attempt {
+    /// From 1.
+    pub number: usize,
+    /// Of so many.
+    pub of: usize,
+    /// With this setting.
+    pub serial: Serial,
+}
+
+/// Ask at each of these settings in each dialect, until one answers; for a TCP address once, whatever the settings. `progress` hears of each setting before
+/// it is tried.
+pub fn probe(port: &str, settings: &[Serial], tap: Tap, mut progress: impl FnMut(Attempt)) -> Probe {
     let (tap, transcript) = recording(tap);
-    let tried = if port.starts_with("tcp://") { &settings[..settings.len().min(1)] } else { settings };
+    let is_tcp = port.starts_with("tcp://");
+    let settings = if is_tcp { &settings[..settings.len().min(1)] } else { settings };
     let mut found = Probe { dialect: None, identity: None, serial: None, transcript: Vec::new(), notes: Vec::new() };
+    let (mut tried, mut refused) = (Vec::new(), Vec::new());
     let until = Instant::now() + PROBE;
-    for serial in tried {
-        if found.dialect.is_some() {
+    for (k, serial) in settings.iter().enumerate() {
+        if found.dialect.is_some() || Instant::now() >= until {
             break;
         }
-        if Instant::now() >= until {
-            found.notes.push("not every setting was tried: the probe took too long".to_owned());
-            break;
-        }
-        if let Err(error) = probe_at(port, serial, &tap, &mut found) {
-            found.notes.push(error.to_string());
+        progress(Attempt { number: k + 1, of: settings.len(), serial: *serial });
+        match probe_at(port, serial, &tap, &mut found) {
+            Ok(()) => tried.push(*serial),
+            Err(error @ DeviceError::Lost { .. }) if tried.is_empty() && !is_setting(&error) => {
+                found.notes.push(format!("{error}: {}", error.advice()));
+                return found;
+            }
+            Err(error) => refused.push((*serial, error)),
         }
     }
     found.transcript = std::mem::take(&mut *transcript.lock().unwrap_or_else(PoisonError::into_inner));
-    found.notes.push(summary(&found));
+    found.notes.extend(refusals(&refused));
+    found.notes.push(summary(&found, is_tcp, &tried, settings.len() - refused.len()));
     found
+}
+
+/// The port is there and does not take this setting: a pseudo-terminal knows no parity, an adapter not every speed.
+fn is_setting(error: &DeviceError) -> bool {
+    let words = error.to_string();
+    words.contains("did not apply") || words.contains("Invalid argument")
+}
+
+/// Each reason once, with the settings that it stands for.
+fn refusals(refused: &[(Serial, DeviceError)]) -> Vec<String> {
+    let mut causes: Vec<String> = refused.iter().map(|(_, error)| error.to_string()).collect();
+    causes.sort();
+    causes.dedup();
+    let with = |cause: &String| -> Vec<Serial> {
+        refused.iter().filter(|(_, error)| error.to_string() == *cause).map(|it| it.0).collect()
+    };
+    causes.iter().map(|cause| format!("not tried, {}: {cause}", listed(&with(cause)))).collect()
 }
 
 /// Hand on what passes, and keep it.
@@ -87,12 +133,15 @@ fn recording(tap: Tap) -> (Tap, Arc<Mutex<Vec<Exchange>>>) {
 
 fn probe_at(port: &str, serial: &Serial, tap: &Tap, found: &mut Probe) -> Result<(), DeviceError> {
     let mut line = Line::open(DEVICE, port, serial, tap.clone())?;
+    let is_factory = Dialect::ALL.map(Dialect::factory_serial).contains(serial);
+    let wire = Duration::from_secs_f64(f64::from(FRAME_BITS) / f64::from(serial.baud.max(1)));
+    let mut wait = if is_factory { ANSWER } else { ANSWER.min(GLANCE + wire) };
     for dialect in ORDER {
         let commands = dialect.commands();
-        let serial_number = first_words(&mut line, dialect, commands.serial.as_slice())?;
-        if weighs(&mut line, dialect, commands.immediate)? {
-            let model = first_words(&mut line, dialect, commands.model)?;
-            let software = first_words(&mut line, dialect, commands.software.as_slice())?;
+        if weighs(&mut line, dialect, commands.immediate, &mut wait)? {
+            let mut told = |commands: &[Command]| first_words(&mut line, dialect, commands);
+            let (model, serial_number) = (told(commands.model)?, told(commands.serial.as_slice())?);
+            let software = told(commands.software.as_slice())?;
             let maker = maker(dialect).to_owned();
             (found.dialect, found.serial) = (Some(dialect), Some(*serial));
             found.identity = Some(Identity { maker, model, serial: serial_number, software });
@@ -116,7 +165,7 @@ fn first_words(line: &mut Line, dialect: Dialect, commands: &[Command]) -> Resul
 /// The words that answer a question in this dialect.
 fn words(line: &mut Line, dialect: Dialect, command: Command) -> Result<Option<String>, DeviceError> {
     let mut text = None;
-    hear(line, dialect, command, |said| {
+    hear(line, dialect, command, &mut { ANSWER }, |said| {
         if let Said::Text(words) = said {
             text = Some(words).filter(|words| !words.is_empty());
         }
@@ -126,12 +175,12 @@ fn words(line: &mut Line, dialect: Dialect, command: Command) -> Result<Option<S
 }
 
 /// The answer is a reading in this dialect, or a reason for none that no other dialect gives in these words.
-fn weighs(line: &mut Line, dialect: Dialect, command: Command) -> Result<bool, DeviceError> {
+fn weighs(line: &mut Line, dialect: Dialect, command: Command, wait: &mut Duration) -> Result<bool, DeviceError> {
     let mut weighs = false;
-    hear(line, dialect, command, |said| {
+    hear(line, dialect, command, wait, |said| {
         weighs = match said {
             Said::Weight(_) => true,
-            Said::Condition(condition) => condition != Condition::Unknown,
+            Said::Condition(condition) => !matches!(condition, Condition::Unknown | Condition::Standby),
             Said::Done | Said::Text(_) => false,
         };
         weighs
@@ -139,24 +188,30 @@ fn weighs(line: &mut Line, dialect: Dialect, command: Command) -> Result<bool, D
     Ok(weighs)
 }
 
-/// Ask, and look at what comes until something suits or nothing comes.
+/// Ask, and look at what comes until something suits or nothing comes. Where something comes, answers are waited for longer from then on.
 fn hear(
     line: &mut Line,
     dialect: Dialect,
     command: Command,
+    wait: &mut Duration,
     mut suits: impl FnMut(Said) -> bool,
 ) -> Result<(), DeviceError> {
     line.discard_input()?;
     line.send(command.bytes)?;
-    let until = Instant::now() + ANSWER;
+    let until = Instant::now() + *wait;
     for _ in 0..LINES_MAX {
         let raw = match line.receive(until.saturating_duration_since(Instant::now())) {
             Ok(raw) => raw,
             Err(DeviceError::Silent { .. } | DeviceError::Garbled { .. }) => return Ok(()),
             Err(error) => return Err(error),
         };
+        if command.is_echoed_by(&raw) {
+            continue;
+        }
+        *wait = ANSWER;
         let Ok(reply) = dialect.parse(&raw) else { continue };
-        let for_another = command.answer.is_some() && reply.to.as_deref() != command.answer;
+        // A refusal names no command.
+        let for_another = command.answer.is_some() && reply.to.is_some() && reply.to.as_deref() != command.answer;
         if !for_another && suits(reply.said) {
             return Ok(());
         }
@@ -164,12 +219,72 @@ fn hear(
     Ok(())
 }
 
-fn summary(found: &Probe) -> String {
-    match found.dialect {
-        Some(dialect) => format!("{} answers; FLIP's part of it: {}", dialect.name(), dialect.verified()),
-        None if found.transcript.iter().any(|exchange| exchange.direction == Direction::Received) => {
-            "something came, but no reading in a dialect that FLIP knows: see the transcript".to_owned()
+fn summary(found: &Probe, is_tcp: bool, tried: &[Serial], settings: usize) -> String {
+    if let Some(dialect) = found.dialect {
+        return format!("{} answers; FLIP's part of it: {}", dialect.name(), dialect.verified());
+    }
+    let sent: Vec<&str> = texts(found, Direction::Sent).map(|text| text.trim_end_matches("\\r\\n")).collect();
+    let with = if is_tcp { String::new() } else { format!(" with {}", listed(tried)) };
+    let left = settings - tried.len();
+    let left = if left > 0 { format!("; {left} more were not tried, for want of time") } else { String::new() };
+    let other = if is_tcp {
+        "the port number, and how the converter's own port is set"
+    } else {
+        "and the balance's interface menu; another setting is tried with --baud N --data-bits N --parity NAME"
+    };
+    if texts(found, Direction::Received).next().is_none() {
+        return format!(
+            "nothing came{with}{left}: switch the balance on (it may be in standby), check the cable, {other}"
+        );
+    }
+    if texts(found, Direction::Received).any(is_standby) {
+        return format!("it is in standby{with}: switch it on and probe again");
+    }
+    if texts(found, Direction::Received).all(|text| sent.contains(&text)) {
+        return format!(
+            "nothing but our own questions came back{with}{left}: is the cable plugged into the balance, and is it on? Check {other}"
+        );
+    }
+    format!("something came{with}{left}, but no reading in a dialect that FLIP knows: see the transcript")
+}
+
+fn texts(found: &Probe, direction: Direction) -> impl Iterator<Item = &str> {
+    found
+        .transcript
+        .iter()
+        .filter(move |exchange| exchange.direction == direction)
+        .map(|exchange| exchange.text.as_str())
+}
+
+/// `9600, 19200 bits/s 8N1; 2400 bits/s 7E1`: speeds by framing.
+fn listed(settings: &[Serial]) -> String {
+    let mut framings: Vec<(u8, Parity)> = Vec::new();
+    for serial in settings {
+        if !framings.contains(&(serial.data_bits, serial.parity)) {
+            framings.push((serial.data_bits, serial.parity));
         }
-        None => "nothing came: check power, cable, port and the balance's interface menu".to_owned(),
+    }
+    let part = |&(data_bits, parity): &(u8, Parity)| {
+        let with = |serial: &&Serial| (serial.data_bits, serial.parity) == (data_bits, parity);
+        let mut speeds: Vec<u32> = settings.iter().filter(with).map(|serial| serial.baud).collect();
+        speeds.sort_unstable();
+        let speeds = speeds.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
+        format!("{speeds} bits/s {data_bits}{}1", parity.letter())
+    };
+    framings.iter().map(part).collect::<Vec<_>>().join("; ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_usual_speed_is_tried_with_every_usual_framing_the_factorys_first() {
+        let usual = usual_settings();
+        assert_eq!(usual[0], Serial::default());
+        assert_eq!(usual.len(), SPEEDS.len() * FRAMINGS.len());
+        let told = listed(&usual);
+        assert!(told.starts_with("1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200 bits/s 8N1; "), "{told}");
+        assert!(["8O1", "7E1", "7O1"].iter().all(|framing| told.contains(framing)), "{told}");
     }
 }

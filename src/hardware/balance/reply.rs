@@ -48,8 +48,12 @@ pub enum Condition {
     NotReady,
     /// The balance waited for a stable mass in vain.
     NotStable,
+    /// A number without a unit, as some dialects send it while it is not stable, before any came with one.
+    NoUnit,
     /// An adjustment is running.
     Adjusting,
+    /// The display is off.
+    Standby,
     /// The balance does not know the command, or cannot carry it out.
     Unknown,
     /// The display shows a unit that FLIP does not weigh in.
@@ -78,13 +82,33 @@ pub(super) fn weight(number: Decimal, unit: &[u8], stable: bool, width: usize) -
     if let Some(unit) = Unit::named(unit) {
         return Ok(Said::Weight(Weight { number, unit: Some(unit), stable, width }));
     }
-    let is_name = !unit.is_empty()
-        && unit.len() <= 5
-        && unit.iter().all(|byte| byte.is_ascii_alphabetic() || b"%/".contains(byte));
-    if !is_name {
+    if !is_unit(unit) {
         return Err(Unreadable);
     }
     Ok(Said::Condition(Condition::ForeignUnit(String::from_utf8_lossy(unit).into_owned())))
+}
+
+/// A frame whose number cannot be read, as `12:07.50 lb:oz` has one, still says its unit: refused by name where it is none that FLIP weighs in.
+pub(super) fn foreign(frame: &str) -> Result<Said, Unreadable> {
+    let mut words = frame.split_ascii_whitespace().rev();
+    let (unit, number) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
+    let has_digit = number.bytes().any(|byte| byte.is_ascii_digit());
+    if !has_digit || !is_unit(unit.as_bytes()) || Unit::named(unit.as_bytes()).is_some() {
+        return Err(Unreadable);
+    }
+    Ok(Said::Condition(Condition::ForeignUnit(unit.to_owned())))
+}
+
+/// At most five letters, or what stands between them: `%`, `lb:oz`.
+fn is_unit(name: &[u8]) -> bool {
+    let starts = name.first().is_some_and(|byte| byte.is_ascii_alphabetic() || *byte == b'%');
+    starts && name.len() <= 5 && name.iter().all(|byte| byte.is_ascii_alphabetic() || b"%/:".contains(byte))
+}
+
+/// A balance whose display is off says so in one of these ways, if it says anything.
+pub(super) fn is_standby(words: &str) -> bool {
+    let words = words.trim().to_ascii_uppercase();
+    ["OFF", "STANDBY", "STAND-BY", "STAND BY", "DISPLAY OFF"].contains(&words.as_str())
 }
 
 /// The line as text if it is printable ASCII.

@@ -6,16 +6,18 @@
 //!                 < N     +  52.1873      the unit is left out while the mass is not stable
 //!                 < Stat         High     overload (H); Low (L); Cal.Int. (C); Err 54
 //! > ESC T, ESC V  < nothing               tare, zero
-//! > ESC x1_       < QUINTIX224-1S         model; x2_ serial number, x3_ software
+//!                 < N     +12.000[0] g    a verified balance's auxiliary digit in brackets
+//! > ESC x1_       < QUINTIX224-1S         model; x2_ serial number, x3_ software; not every balance answers
 //! ```
 //!
-//! Only frames without identification or with `N` are readings: blocks of gross, tare and net are read for their net. Frames do not say what they answer,
+//! Only frames without identification or with `N` are readings: blocks of gross, tare and net are read for their net. Blanks at a frame's end may be missing
+//! behind a unit. Frames do not say what they answer,
 //! nor whether auto-print sent them: the driver takes the last of several. With auto-print on, `ESC P` may switch it off. `ESC T` tares on old and new
 //! balances alike.
 //!
 //! Source: frames as in the weighing notes (interface descriptions of Entris II, Quintix, GC), tested against an independent simulator.
 
-use super::reply::{Condition, Reply, Said, Unreadable, Weight, printable, weight};
+use super::reply::{Condition, Reply, Said, Unreadable, Weight, foreign, is_standby, printable, weight};
 use super::value::Decimal;
 use super::{Command, Commands, Wants};
 
@@ -25,12 +27,16 @@ const FRAME_BYTES: usize = 14;
 const NAME_BYTES: usize = 6;
 /// Bytes of sign and number.
 const NUMBER_BYTES: usize = 10;
+/// By so many bytes a number whose last digit stands in brackets, and its frame, may be longer.
+const BRACKET_BYTES: usize = 2;
 
 pub(super) const COMMANDS: Commands = Commands {
     immediate: Command { bytes: b"\x1bP\r\n", answer: None, wants: Wants::Reading },
     stable: None,
     tare: Command { bytes: b"\x1bT\r\n", answer: None, wants: Wants::Done },
     zero: Command { bytes: b"\x1bV\r\n", answer: None, wants: Wants::Done },
+    tare_at_once: None,
+    zero_at_once: None,
     acknowledges: false,
     barrier: Some(Command { bytes: b"\x1bx1_\r\n", answer: None, wants: Wants::Words }),
     model: &[Command { bytes: b"\x1bx1_\r\n", answer: None, wants: Wants::Words }],
@@ -44,47 +50,76 @@ pub(super) const COMMANDS: Commands = Commands {
 /// [`Unreadable`]
 pub fn parse(line: &[u8]) -> Result<Reply, Unreadable> {
     let text = printable(line)?;
-    let framed = [FRAME_BYTES, FRAME_BYTES + NAME_BYTES].contains(&text.len());
-    let (name, body) = if text.len() == FRAME_BYTES + NAME_BYTES { text.split_at(NAME_BYTES) } else { ("", text) };
-    if let Some(condition) = condition(body.trim()).filter(|_| framed || text.starts_with("Stat")) {
+    let frame = Frame::of(text);
+    if let Some(condition) = frame.as_ref().map_or_else(|| condition(text.trim()), |it| condition(it.body.trim())) {
         return Ok(Reply::condition(condition));
     }
-    let said = if framed && ["", "N"].contains(&name.trim_end()) { mass(body) } else { None };
+    let said = frame.filter(|it| ["", "N"].contains(&it.name.trim_end())).and_then(|it| it.mass());
     match said {
-        Some(said) => Ok(Reply { to: None, said: said? }),
-        None if looks_like_a_frame(text) => Err(Unreadable),
-        None => Ok(Reply::text(text)),
+        Some(Ok(said)) => Ok(Reply { to: None, said }),
+        None if !looks_like_a_frame(text) => Ok(Reply::text(text)),
+        _ => Ok(Reply { to: None, said: foreign(text)? }),
+    }
+}
+
+/// A line in its columns.
+struct Frame<'a> {
+    /// What the line is called; blank without identification.
+    name: &'a str,
+    /// Sign, number and unit, filled up with blanks.
+    body: String,
+    /// Blanks were missing at its end.
+    trimmed: bool,
+}
+
+impl<'a> Frame<'a> {
+    /// `None` if the line is too long for one.
+    fn of(text: &'a str) -> Option<Self> {
+        let bytes = FRAME_BYTES + if text.contains(']') { BRACKET_BYTES } else { 0 };
+        let (name, body) = match text.len() {
+            short if short <= bytes => ("", text),
+            long if long <= bytes + NAME_BYTES => text.split_at(NAME_BYTES),
+            _ => return None,
+        };
+        Some(Self { name, body: format!("{body:<FRAME_BYTES$}"), trimmed: body.len() < FRAME_BYTES })
+    }
+
+    /// The mass; `None` if sign and number are not where they belong.
+    fn mass(&self) -> Option<Result<Said, Unreadable>> {
+        let end = match self.body.find(']') {
+            Some(at) => Some(at + 1).filter(|end| (NUMBER_BYTES..=NUMBER_BYTES + BRACKET_BYTES).contains(end))?,
+            None => NUMBER_BYTES,
+        };
+        let (number, unit) = self.body.split_at_checked(end)?;
+        let (sign, number) = number.split_at_checked(1)?;
+        if ![" ", "+", "-"].contains(&sign) || number.ends_with(' ') {
+            return None;
+        }
+        let number = Decimal::parse(format!("{}{}", sign.trim(), number.trim_start()).as_bytes())?;
+        let unit = unit.strip_prefix(' ')?.trim_end();
+        match unit {
+            "" if self.trimmed => Some(Err(Unreadable)),
+            "" => Some(Ok(Said::Weight(Weight { number, unit: None, stable: false, width: end }))),
+            unit => Some(weight(number, unit.as_bytes(), true, end)),
+        }
     }
 }
 
 fn condition(body: &str) -> Option<Condition> {
+    let body = body.strip_prefix("Stat").map_or(body, str::trim);
     match body {
         "High" | "H" => Some(Condition::Overload),
         "Low" | "L" => Some(Condition::Underload),
         "- -" | "--" => Some(Condition::NotReady),
         "C" => Some(Condition::Adjusting),
+        "ES" | "EL" => Some(Condition::Unknown),
+        _ if is_standby(body) => Some(Condition::Standby),
         _ if body.starts_with("Cal.") => Some(Condition::Adjusting),
         _ if body.to_ascii_uppercase().starts_with("ERR") || body.ends_with(".ERR") => {
             Some(Condition::Fault(body.to_owned()))
         }
         _ => None,
     }
-}
-
-/// The mass of a body of [`FRAME_BYTES`]; `None` if sign and number are not where they belong.
-fn mass(body: &str) -> Option<Result<Said, Unreadable>> {
-    let (number, unit) = body.split_at_checked(NUMBER_BYTES)?;
-    let (sign, number) = number.split_at_checked(1)?;
-    if ![" ", "+", "-"].contains(&sign) || number.ends_with(' ') {
-        return None;
-    }
-    let number = Decimal::parse(format!("{}{}", sign.trim(), number.trim_start()).as_bytes())?;
-    let unit = unit.strip_prefix(' ')?.trim_end();
-    let said = match unit {
-        "" => Ok(Said::Weight(Weight { number, unit: None, stable: false, width: NUMBER_BYTES })),
-        unit => weight(number, unit.as_bytes(), true, NUMBER_BYTES),
-    };
-    Some(said)
 }
 
 /// A damaged frame must not pass as words: those of a balance hold no sign before a number and no unit behind one.

@@ -1,5 +1,6 @@
 //! Which balance is plugged in, and where.
 
+use super::value::{STEPS, is_same};
 use super::{Commands, aandd, mt_sics, ohaus, reply::Reply, reply::Unreadable, sbi};
 use crate::domain::{FieldError, bounded};
 use crate::hardware::line::{Parity, Serial};
@@ -95,6 +96,9 @@ pub enum StableBy {
     /// The balance's own command, which answers when stable: one exchange, but the answer to a question that was given up comes later and has to be waited
     /// for. A dialect without such a command polls.
     Command,
+    /// FLIP's own window over the readings decides, whatever the balance flags: for balances that never flag one stable. Taring is asked for at once then,
+    /// where the dialect can.
+    Window,
 }
 
 /// A balance on a port.
@@ -108,7 +112,7 @@ pub struct Settings {
     /// How a serial port is set. Default: as the dialect's balances leave the factory.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serial: Option<Serial>,
-    /// Last place of the display, mg. If given, frames with another one are taken for damaged. Default: whatever the balance shows.
+    /// Step of the display, mg: 1, 2 or 5 in its last place. If given, frames with another one are taken for damaged. Default: whatever the balance shows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub readability_mg: Option<f64>,
     /// How long one answer may take, s. Default 2.
@@ -151,9 +155,19 @@ impl Settings {
         }
         if let Some(readability) = self.readability_mg {
             bounded("readability_mg", readability, 0.0001, 10_000.0, "mg")?;
+            if !is_step(readability) {
+                let message = format!("must be 1, 2 or 5 in some decimal place, as 0.1, 0.5 or 2, got {readability}");
+                return Err(FieldError::new("readability_mg", message));
+            }
         }
         bounded("timeout_s", self.timeout_s, 0.05, 60.0, "s")?;
         bounded("stable_timeout_s", self.stable_timeout_s, 0.5, 600.0, "s")?;
         Ok(self)
     }
+}
+
+/// 1, 2 or 5 times a power of ten.
+fn is_step(readability_mg: f64) -> bool {
+    let place_mg = 10_f64.powf(readability_mg.log10().floor());
+    STEPS.into_iter().chain([10]).any(|step| is_same(step as f64 * place_mg, readability_mg))
 }

@@ -43,6 +43,20 @@ impl Unit {
     }
 }
 
+/// Steps in the last place of a display.
+pub const STEPS: [i64; 3] = [1, 2, 5];
+
+/// Whether a number suits a display's step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fit {
+    /// It does.
+    Fits,
+    /// Its last place is none in which the display steps.
+    OtherPlace,
+    /// It lies between two steps.
+    Between,
+}
+
 /// A number as it was shown, without blanks: `-12.340`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Decimal {
@@ -51,21 +65,39 @@ pub struct Decimal {
 }
 
 impl Decimal {
-    /// The number if this is a sign or none, blanks or none, and digits with at most one point: no exponent, no comma, no name of a number.
+    /// The number if this is a sign or none, blanks or none, and digits with at most one point: no exponent, no name of a number. A comma is a point: displays
+    /// are set to either and never group digits. The last digit may stand in brackets, as the auxiliary digit of a verified balance does.
     pub fn parse(text: &[u8]) -> Option<Self> {
         let (sign, rest) = match text.first()? {
             b'+' => ("", &text[1..]),
             b'-' => ("-", &text[1..]),
             _ => ("", text),
         };
-        let digits = std::str::from_utf8(rest).ok()?.trim_start_matches(' ');
-        let (whole, part) = digits.split_once('.').unwrap_or((digits, ""));
+        let digits = unbracketed(std::str::from_utf8(rest).ok()?.trim_start_matches(' '))?;
+        let (whole, part) = digits.split_once(['.', ',']).unwrap_or((&digits, ""));
         let count = whole.len() + part.len();
         let all_digits = whole.bytes().chain(part.bytes()).all(|byte| byte.is_ascii_digit());
         if whole.is_empty() || !all_digits || count > DIGITS_MAX {
             return None;
         }
-        Some(Self { text: format!("{sign}{digits}"), decimals: i32::try_from(part.len()).ok()? })
+        let text = format!("{sign}{}", digits.replace(',', "."));
+        Some(Self { text, decimals: i32::try_from(part.len()).ok()? })
+    }
+
+    /// The number in steps of `step_mg`, as a display shows it that steps by 1, 2 or 5 in its last place.
+    pub fn is_in_steps_of(&self, step_mg: f64, unit: Unit) -> Fit {
+        let last_place_mg = self.last_place_mg(unit);
+        match STEPS.into_iter().find(|step| is_same(*step as f64 * last_place_mg, step_mg)) {
+            None => Fit::OtherPlace,
+            Some(step) if self.in_last_places() % step == 0 => Fit::Fits,
+            Some(_) => Fit::Between,
+        }
+    }
+
+    /// The number without its point: `-12340` of `-12.340`.
+    pub fn in_last_places(&self) -> i64 {
+        // At most 15 digits.
+        self.text.replace('.', "").parse().unwrap_or_default()
     }
 
     /// The nearest number of mg; zero has no sign.
@@ -82,6 +114,18 @@ impl Decimal {
     pub fn decimals(&self) -> i32 {
         self.decimals
     }
+}
+
+/// `12.0000` of `12.000[0]`.
+fn unbracketed(digits: &str) -> Option<String> {
+    let Some((before, last)) = digits.split_once('[') else { return Some(digits.to_owned()) };
+    let last = last.strip_suffix(']').filter(|last| last.len() == 1)?;
+    Some(format!("{before}{last}"))
+}
+
+/// Equal but for the rounding of a setting that was written in decimal.
+pub fn is_same(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 1e-9 * b.abs()
 }
 
 /// One step in the last of so many decimals, mg.
@@ -114,6 +158,10 @@ mod tests {
             ("7", Milligram, 7.0),
             ("5.", Gram, 5000.0),
             ("0.0152873", Kilogram, 15_287.3),
+            ("12,0001", Gram, 12_000.1),
+            ("-0,0150", Gram, -15.0),
+            ("12.000[3]", Gram, 12_000.3),
+            ("-12,00[5]", Gram, -12_005.0),
             ("220.0000", Gram, 220_000.0),
         ] {
             assert_eq!(Decimal::parse(text.as_bytes()).map(|number| number.mg(unit)), Some(mg), "{text}");
@@ -145,6 +193,17 @@ mod tests {
     }
 
     #[test]
+    fn steps_of_one_two_and_five_in_the_last_place_are_known() {
+        let fit = |text: &str, step_mg: f64| Decimal::parse(text.as_bytes()).unwrap().is_in_steps_of(step_mg, Gram);
+        for text in ["12.0000", "12.0005", "-12.0010", "0.0000"] {
+            assert_eq!((fit(text, 0.5), fit(text, 0.1)), (Fit::Fits, Fit::Fits), "{text}");
+        }
+        assert_eq!((fit("12.0003", 0.5), fit("12.0003", 0.2)), (Fit::Between, Fit::Between));
+        assert_eq!((fit("12.0004", 0.2), fit("12.00[2]", 2.0)), (Fit::Fits, Fit::Fits));
+        assert_eq!((fit("12.000", 0.5), fit("12.0005", 1.0)), (Fit::OtherPlace, Fit::OtherPlace));
+    }
+
+    #[test]
     fn what_is_no_decimal_number_is_refused() {
         for text in [
             "",
@@ -155,7 +214,13 @@ mod tests {
             "1e5",
             "NaN",
             "inf",
-            "1,5",
+            "1,234.5",
+            "1,2,3",
+            "12.00[00]",
+            "12.000[]",
+            "12.000[0",
+            "12.0000]",
+            "1[2].0",
             "1.2.3",
             "0x10",
             "--1",

@@ -3,11 +3,13 @@
 use super::{Check, Findings, Found};
 use crate::hardware::DeviceError;
 use crate::hardware::balance::reply::Said;
-use crate::hardware::balance::{Balance, Identity, Sample, Settings};
+use crate::hardware::balance::value::{STEPS, is_same};
+use crate::hardware::balance::{Balance, Identity, Sample, Settings, StableBy};
 use crate::hardware::bench_file::BenchFile;
 use crate::hardware::clock::Clock;
 use crate::hardware::settle::{Settling, Shown, standing};
 use crate::hardware::wire::Tap;
+use std::collections::BTreeSet;
 
 /// How long the display is watched, s of bench time.
 const WATCH_S: f64 = 6.0;
@@ -24,6 +26,7 @@ pub(super) fn check(file: &BenchFile, clock: &Clock, tap: &Tap) -> Vec<Check> {
     let mut found = Findings::of("balance");
     let settings = &file.balance;
     let opened = Balance::open(settings, tap.clone(), clock.clone());
+    let opened = opened.map(|balance| balance.with_noise_mg(file.readings.noise_mg));
     let asked = format!("open {}", settings.port);
     let mut balance = match opened {
         Ok(balance) => balance,
@@ -37,24 +40,23 @@ pub(super) fn check(file: &BenchFile, clock: &Clock, tap: &Tap) -> Vec<Check> {
     let first = balance.immediate();
     found.add("reading", "what the display shows now", reading(settings, &first));
     let Ok(first) = first else {
-        found.skip(&["step", "stable", "rate", "noise", "drift", "life", "tare"], "it gives no reading");
+        found.skip(&["stable", "rate", "step", "noise", "drift", "life", "tare"], "it gives no reading");
         return found.checks;
     };
-    found.add("step", "the last place of the display, in mg", step(settings, &first));
-    stands(file, &mut balance, clock, &mut found);
+    stands(file, &mut balance, clock, &first, &mut found);
     found.add("tare", "tare, then the display", tare(&mut balance));
     found.checks
 }
 
 fn identity(told: Result<Identity, DeviceError>) -> Found {
+    let note = "some balances tell nothing of themselves: write its serial number down";
     match told {
+        Ok(identity) if identity.is_unknown() => Found::warning("it refuses to say who it is: identity unknown", note),
         Ok(Identity { maker, model, serial, software }) => {
             let told = [Some(maker), model, serial.map(|it| format!("serial {it}")), software];
             Found::ok(told.into_iter().flatten().collect::<Vec<_>>().join(", "))
         }
-        Err(error @ DeviceError::Silent { .. }) => {
-            Found::warning(error.to_string(), "some balances tell nothing of themselves: write its serial number down")
-        }
+        Err(DeviceError::Silent { .. }) => Found::warning("it does not say who it is: identity unknown", note),
         Err(error) => error.into(),
     }
 }
@@ -69,50 +71,67 @@ fn reading(settings: &Settings, first: &Result<Sample, DeviceError>) -> Found {
     }
 }
 
-/// The driver refuses readings of another step than the file's; without one there it cannot.
-fn step(settings: &Settings, first: &Sample) -> Found {
-    let shown_mg = last_place_mg(settings, first);
-    match (settings.readability_mg, shown_mg) {
-        (Some(step_mg), Some(shown_mg)) => Found::judged(
-            (shown_mg - step_mg).abs() <= 1e-9 * step_mg,
-            format!("{shown_mg} mg, {step_mg} mg in the bench file"),
+/// The driver refuses readings of another last place than the file's; whether that place steps by 1, 2 or 5 shows by the numbers.
+fn step(settings: &Settings, samples: &[Sample]) -> Found {
+    let Some((place_mg, step)) = shown_step(settings, samples) else {
+        let first = samples.first().map_or("", |sample| &sample.raw);
+        return Found::failed(format!("`{first}` shows no step"), "compare the dialect with the display");
+    };
+    // Three times a tenth is not 0.3, and 0.5 is written like that.
+    let shown_mg = (step.unwrap_or(1) as f64 * place_mg * 1e6).round() / 1e6;
+    let shown = match step {
+        Some(_) => format!("{shown_mg} mg by the numbers that it showed"),
+        None => format!("{shown_mg} mg in the last place, one number shown"),
+    };
+    match settings.readability_mg {
+        Some(step_mg) => Found::judged(
+            step.is_none() || is_same(shown_mg, step_mg),
+            format!("{shown}, {step_mg} mg in the bench file"),
             format!("write readability_mg = {shown_mg} into the bench file"),
         ),
-        (None, Some(shown_mg)) => Found::warning(
-            format!("{shown_mg} mg, nothing in the bench file"),
+        None => Found::warning(
+            format!("{shown}, nothing in the bench file"),
             format!("write readability_mg = {shown_mg} there, so that damaged readings are known"),
         ),
-        (_, None) => Found::failed(format!("`{}` shows no step", first.raw), "compare the dialect with the display"),
     }
 }
 
-fn last_place_mg(settings: &Settings, sample: &Sample) -> Option<f64> {
+/// The last place of the display, mg, and by how much it steps there; `None` for the latter where too few numbers were shown to tell.
+fn shown_step(settings: &Settings, samples: &[Sample]) -> Option<(f64, Option<i64>)> {
+    let places: Vec<(f64, i64)> = samples.iter().filter_map(|sample| in_last_places(settings, sample)).collect();
+    let place_mg = places.first()?.0;
+    let numbers: Vec<i64> = places.iter().filter(|it| it.0 == place_mg).map(|it| it.1).collect();
+    let changes = numbers.windows(2).filter(|pair| pair[0] != pair[1]).count();
+    let distinct: BTreeSet<i64> = numbers.iter().copied().collect();
+    let step = STEPS.into_iter().rev().find(|step| numbers.iter().all(|number| number % step == 0))?;
+    // Chance gives one number in five a last digit that a step of five would have, two in succession one time in 25.
+    let is_known = distinct.len() >= 2 && (step == 1 || distinct.len() >= 3 || changes >= 3);
+    Some((place_mg, Some(step).filter(|_| is_known)))
+}
+
+/// The last place of the display, mg, and the number in it.
+fn in_last_places(settings: &Settings, sample: &Sample) -> Option<(f64, i64)> {
     match settings.dialect.parse(sample.raw.as_bytes()).ok()?.said {
-        Said::Weight(weight) => Some(weight.number.last_place_mg(weight.unit?)),
+        Said::Weight(weight) => Some((weight.number.last_place_mg(weight.unit?), weight.number.in_last_places())),
         _ => None,
     }
 }
 
-/// Stable in time; then watched for a while: how often it answers, how it scatters, how it creeps.
-fn stands(file: &BenchFile, balance: &mut Balance, clock: &Clock, found: &mut Findings) {
-    let (limit_s, began_s) = (file.readings.stand_max_s, clock.now_s());
-    let stable = balance.stable(limit_s);
+/// Stable in time; then watched for a while: how often it answers, in which steps, how it scatters, how it creeps.
+fn stands(file: &BenchFile, balance: &mut Balance, clock: &Clock, first: &Sample, found: &mut Findings) {
     found.add(
         "stable",
-        format!("a stable reading within {limit_s} s"),
-        match stable {
-            Ok(sample) => Found::judged(
-                sample.stable,
-                format!("stable: {}, after {:.1} s", sample.stable, clock.now_s() - began_s),
-                "close the draught shield, keep the table still, and look at the balance's filter setting",
-            ),
-            Err(error) => error.into(),
-        },
+        format!("a stable reading within {} s", file.readings.stand_max_s),
+        stable(file, balance, clock),
     );
-    let (shown, failures) = watch(balance, clock);
+    let (mut samples, failures) = watch(balance, clock);
+    let shown: Vec<Shown> =
+        samples.iter().map(|it| Shown { t_s: it.t_s, mass_mg: it.mass_mg, flag: it.stable }).collect();
+    samples.push(first.clone());
     let step_mg = file.balance.readability_mg.unwrap_or(1.0);
     let asked = format!("readings for {WATCH_S} s, nothing moving");
     found.add("rate", asked.clone(), rate(&shown, failures.as_ref()));
+    found.add("step", asked.clone(), step(&file.balance, &samples));
     match standing(&Settling::new(step_mg), &shown) {
         Some(stood) => {
             found.add("noise", asked.clone(), noise(file.readings.noise_mg, step_mg, stood.scatter_mg));
@@ -126,6 +145,20 @@ fn stands(file: &BenchFile, balance: &mut Balance, clock: &Clock, found: &mut Fi
         format!("another number within {life_s} s, nothing moving"),
         life(life_s, &shown, balance, clock),
     );
+}
+
+fn stable(file: &BenchFile, balance: &mut Balance, clock: &Clock) -> Found {
+    let began_s = clock.now_s();
+    let sample = match balance.stable(file.readings.stand_max_s) {
+        Ok(sample) => sample,
+        Err(error) => return error.into(),
+    };
+    let by = if file.balance.stable_by == StableBy::Window { ", by FLIP's own window" } else { "" };
+    Found::judged(
+        sample.stable,
+        format!("stable: {}{by}, after {:.1} s", sample.stable, clock.now_s() - began_s),
+        balance.why_unstable(),
+    )
 }
 
 /// Does a display at rest ever show another number? One that does can prove that it is not stuck.
@@ -157,19 +190,19 @@ fn life(life_s: f64, shown: &[Shown], balance: &mut Balance, clock: &Clock) -> F
 }
 
 /// Readings as fast as they come, and the last that failed.
-fn watch(balance: &mut Balance, clock: &Clock) -> (Vec<Shown>, Option<DeviceError>) {
+fn watch(balance: &mut Balance, clock: &Clock) -> (Vec<Sample>, Option<DeviceError>) {
     let began_s = clock.now_s();
-    let (mut shown, mut failure, mut failures) = (Vec::new(), None, 0);
-    while clock.now_s() - began_s < WATCH_S && shown.len() < READINGS_MAX && failures < 3 {
+    let (mut samples, mut failure, mut failures) = (Vec::new(), None, 0);
+    while clock.now_s() - began_s < WATCH_S && samples.len() < READINGS_MAX && failures < 3 {
         match balance.immediate() {
-            Ok(Sample { t_s, mass_mg, stable, .. }) => shown.push(Shown { t_s, mass_mg, flag: stable }),
+            Ok(sample) => samples.push(sample),
             Err(error) => {
                 failure = Some(error);
                 failures += 1;
             }
         }
     }
-    (shown, failure)
+    (samples, failure)
 }
 
 fn rate(shown: &[Shown], failure: Option<&DeviceError>) -> Found {
@@ -211,6 +244,6 @@ fn drift(step_mg: f64, drift_mg_min: f64, seconds: f64) -> Found {
 fn tare(balance: &mut Balance) -> Found {
     match balance.tare() {
         Ok(sample) => Found::ok(format!("{} mg, stable", sample.mass_mg)),
-        Err(error) => Found::failed(error.to_string(), "nothing can be weighed without: look at the balance"),
+        Err(error) => Found::failed(error.to_string(), "nothing can be weighed without: do first what it says"),
     }
 }

@@ -170,15 +170,7 @@ impl Found {
 
 impl From<DeviceError> for Found {
     fn from(error: DeviceError) -> Self {
-        let advice = match error {
-            DeviceError::Silent { .. } => "check power, cables and the port's settings",
-            DeviceError::Garbled { .. } => {
-                "check the dialect, the port's settings and what the bench file says of the device"
-            }
-            DeviceError::Lost { .. } => "check the address in the bench file, and that nothing else uses it",
-            DeviceError::Faulted { .. } => "look at the device",
-            DeviceError::Forbidden { .. } => "do first what it says",
-        };
+        let advice = error.advice();
         Self::failed(error.to_string(), advice)
     }
 }

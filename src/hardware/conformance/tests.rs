@@ -6,18 +6,23 @@ use crate::emulate::balance as balances;
 use crate::emulate::gate as gates;
 use crate::emulate::gripper as grippers;
 use crate::emulate::lab::{Laboratory, Settings};
+use crate::emulate::port::{Port, Talker};
 
-/// What a busy machine keeps: the emulated dead-man is slower than a real one.
+/// What a busy machine keeps.
 const PATIENT: Bounds = Bounds {
     stop: Duration::from_millis(2000),
-    dead_man: Duration::from_millis(1500),
+    dead_man: Duration::from_millis(300),
     return_begins: Duration::from_millis(5000),
     states_hz: 20.0,
     ..Bounds::CONTRACT
 };
 
 fn laboratory(balance: balances::Settings, speed: f64) -> (Laboratory, Clock) {
-    let arm = arms::Settings { dead_man_ms: 1500, approach_s: 0.3, retract_s: 0.3, ..arms::Settings::DEFAULT };
+    laboratory_with(arms::Settings::DEFAULT.dead_man_ms, balance, speed)
+}
+
+fn laboratory_with(dead_man_ms: u32, balance: balances::Settings, speed: f64) -> (Laboratory, Clock) {
+    let arm = arms::Settings { dead_man_ms, approach_s: 0.3, retract_s: 0.3, ..arms::Settings::DEFAULT };
     let clock = Clock::fast(speed);
     let spoon = Box::new(FormulaSpoon::new(Flow { capacity_mg: 0.0, ..Flow::default() }, 1));
     (Laboratory::start(Settings { balance, arm, ..Settings::default() }, clock.clone(), spoon).unwrap(), clock)
@@ -78,6 +83,83 @@ fn what_is_wrong_with_a_balance_is_named() {
     assert_eq!(failed(&balance::check(&file, &clock, &Tap::none())), [("balance", "reading")]);
 }
 
+/// The checks of an MT-SICS balance that answers these commands so, and knows no other; `told` is added to its bench file.
+fn checked(told: &str, mut answer: impl FnMut(&str) -> Option<String> + Send + 'static) -> Vec<Check> {
+    struct Answers<F>(F);
+    impl<F: FnMut(&str) -> Option<String> + Send + 'static> Talker for Answers<F> {
+        fn hear(&mut self, bytes: &[u8], say: &mut dyn FnMut(&[u8])) {
+            for command in String::from_utf8_lossy(bytes).split_terminator("\r\n") {
+                say(format!("{}\r\n", (self.0)(command).unwrap_or_else(|| "ES".to_owned())).as_bytes());
+            }
+        }
+    }
+    let port = Port::pty(Answers(move |command: &str| answer(command))).unwrap();
+    let text = format!(
+        "[balance]\ndialect = \"mt_sics\"\nport = \"{}\"\nstable_timeout_s = 4\n{told}\n[arm]\nurl = \"http://h:1\"\n\
+         [readings]\nstand_max_s = 4\nlife_s = 2",
+        port.address()
+    );
+    balance::check(&BenchFile::parse(&text).unwrap(), &Clock::fast(4.0), &Tap::none())
+}
+
+/// Readings of a balance in these steps of its last place of 0.1 mg, going up and down by one, and its tare.
+fn weighs_in(step: i64, status: char) -> impl FnMut(&str) -> Option<String> + Send {
+    let (mut asked, mut tare) = (0, 0);
+    move |command: &str| {
+        asked += 1;
+        let gross = 91_000 + step * [0, 1, 0, -1][asked % 4];
+        let number = |tenths: i64| {
+            format!(
+                "{:>10}",
+                format!("{}{}.{:04}", if tenths < 0 { "-" } else { "" }, tenths.abs() / 10_000, tenths.abs() % 10_000)
+            )
+        };
+        match command {
+            "SI" => Some(format!("S {status} {} g", number(gross - tare))),
+            "T" => {
+                tare = 91_000;
+                Some(format!("T S {} g", number(tare)))
+            }
+            _ => None,
+        }
+    }
+}
+
+fn named<'a>(checks: &'a [Check], name: &str) -> &'a Check {
+    checks.iter().find(|check| check.name == name).unwrap()
+}
+
+#[test]
+fn a_balance_with_the_least_of_mt_sics_passes_and_its_identity_is_a_warning() {
+    let checks = checked("readability_mg = 0.1", weighs_in(1, 'S'));
+    assert_eq!(failed(&checks), [], "{checks:#?}");
+    assert_eq!(named(&checks, "identity").verdict, Verdict::Warning);
+    assert_eq!(named(&checks, "tare").verdict, Verdict::Ok);
+}
+
+#[test]
+fn a_display_that_steps_by_five_is_seen_by_its_numbers() {
+    let wrong = checked("readability_mg = 0.1", weighs_in(5, 'S'));
+    let step = named(&wrong, "step");
+    assert!(step.verdict == Verdict::Failed && step.came.starts_with("0.5 mg"), "{step:?}");
+    assert!(step.advice.as_ref().unwrap().contains("readability_mg = 0.5"), "{step:?}");
+    let right = checked("readability_mg = 0.5", weighs_in(5, 'S'));
+    assert_eq!(named(&right, "step").verdict, Verdict::Ok, "{right:#?}");
+    assert_eq!(named(&right, "reading").verdict, Verdict::Ok);
+}
+
+#[test]
+fn a_balance_that_never_flags_stable_is_told_as_such_and_passes_by_our_own_window() {
+    let without = checked("readability_mg = 0.1", weighs_in(1, 'D'));
+    for name in ["stable", "tare"] {
+        let check = named(&without, name);
+        let words = format!("{} {}", check.came, check.advice.clone().unwrap_or_default());
+        assert!(check.verdict == Verdict::Failed && words.contains("stable_by = \"window\""), "{check:?}");
+    }
+    let with = checked("readability_mg = 0.1\nstable_by = \"window\"", weighs_in(1, 'D'));
+    assert_eq!(failed(&with), [], "{with:#?}");
+}
+
 #[test]
 fn what_is_wrong_with_gripper_and_gate_is_named() {
     let (lab, _) = laboratory(fine(), 100.0);
@@ -120,7 +202,7 @@ fn what_is_wrong_with_an_arm_is_named() {
 
 #[test]
 fn an_arm_with_another_or_too_slow_a_dead_man_or_too_few_states_does_not_keep_the_contract() {
-    let (lab, _) = laboratory(fine(), 1.0);
+    let (lab, _) = laboratory_with(1500, fine(), 1.0);
     let looked = Looked::by("Ada", true, false).unwrap();
     let quick = Duration::from_millis(300);
     let strict = Bounds { dead_man: quick, return_begins: 2 * quick, states_hz: 1e4, ..PATIENT };
