@@ -1,9 +1,10 @@
 //! What an emulated arm knows, and which calls it accepts when: the contract's table as code.
 
+use super::dead_man::{DeadMan, Unrenewed};
 use super::fault::Fault;
 use crate::hardware::arm::proto::{self, Executed, Mode, Station};
 use std::sync::{Arc, OnceLock};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use tokio::sync::watch;
 use tonic::{Code, Status};
 
@@ -82,7 +83,7 @@ pub(super) struct Accepted {
 /// Who has control.
 pub(super) struct Lease {
     pub id: String,
-    pub renewed: Instant,
+    pub unrenewed: Unrenewed,
     /// Stop was called: this lease brings the spoon back and does nothing else.
     pub stopped: bool,
 }
@@ -170,7 +171,8 @@ impl Body {
             Mode::Idle => {
                 self.leases += 1;
                 let id = format!("lease {}", self.leases);
-                self.lease = Some(Lease { id: id.clone(), renewed: Instant::now(), stopped: false });
+                self.lease =
+                    Some(Lease { id: id.clone(), unrenewed: Unrenewed::since(Instant::now()), stopped: false });
                 (self.mode, self.accepted) = (Mode::Ready, None);
                 Ok(id)
             }
@@ -188,8 +190,8 @@ impl Body {
     }
 
     /// Renewals came too late.
-    pub(super) fn is_abandoned(&self, dead_man: Duration) -> bool {
-        self.lease.as_ref().is_some_and(|lease| lease.renewed.elapsed() > dead_man)
+    pub(super) fn is_abandoned(&mut self, dead_man: DeadMan) -> bool {
+        self.lease.as_mut().is_some_and(|lease| lease.unrenewed.is_over(dead_man, Instant::now()))
     }
 
     /// Whether a motion may begin, in the contract's order of checks; the first answer where it is a repeat.

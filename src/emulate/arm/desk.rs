@@ -1,6 +1,7 @@
 //! A driver process around any robot: the contract's calls, modes, leases and dead-man, without a word about how it moves.
 
 use super::body::{Answer, Asked, Body, Brake, End};
+use super::dead_man::DeadMan;
 use super::fault::Fault;
 use super::service::{Service, watch_over};
 use super::wires::Wires;
@@ -52,7 +53,7 @@ pub(super) enum Job {
 pub struct Desk {
     began: Instant,
     description: proto::Description,
-    dead_man: Duration,
+    dead_man: DeadMan,
     body: Mutex<Body>,
     jobs: Mutex<Sender<Job>>,
 }
@@ -62,7 +63,7 @@ impl Desk {
         self.body.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(super) fn dead_man(&self) -> Duration {
+    pub(super) fn dead_man(&self) -> DeadMan {
         self.dead_man
     }
 
@@ -207,7 +208,8 @@ pub struct Driver {
 }
 
 impl Driver {
-    /// Serve this robot, whose spoon is level and retracted, on a TCP address; port 0 takes a free one.
+    /// Serve this robot, whose spoon is level and retracted, on a TCP address; port 0 takes a free one. Without renewal for as long as `dead_man` by the
+    /// clock of the room its lease ends.
     ///
     /// # Errors
     /// The system has no port or thread left.
@@ -215,6 +217,15 @@ impl Driver {
         address: SocketAddr,
         description: proto::Description,
         dead_man: Duration,
+        robot: impl Robot,
+    ) -> std::io::Result<Self> {
+        Self::start(address, description, DeadMan { limit: dead_man, forgives: false }, robot)
+    }
+
+    pub(super) fn start(
+        address: SocketAddr,
+        description: proto::Description,
+        dead_man: DeadMan,
         mut robot: impl Robot,
     ) -> std::io::Result<Self> {
         let listener = TcpListener::bind(address)?;
@@ -241,6 +252,19 @@ impl Driver {
 
     pub(super) fn wires(&self) -> &Wires {
         &self.wires
+    }
+
+    /// Let the driver have no processor time for so long.
+    #[cfg(test)]
+    pub(super) fn hold_up(&self, held: Duration) {
+        let (say, hear) = channel();
+        if let Some(runtime) = &self.runtime {
+            runtime.spawn(async move {
+                std::thread::sleep(held);
+                let _ = say.send(());
+            });
+        }
+        let _ = hear.recv();
     }
 }
 

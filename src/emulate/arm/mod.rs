@@ -1,9 +1,11 @@
 //! An emulated arm: a driver process as `proto/flip/bench/v1/arm.proto` asks for, whose spoon follows the simulator or a formula.
 //!
-//! Motions take bench time by the clock of the [`Pan`]; the dead-man and late answers go by the clock of the room. Powder lands on the pan while
-//! the spoon is over the vial, evenly during the motion and a fall later; elsewhere it falls back into the container.
+//! Motions take bench time by the clock of the [`Pan`]; the dead-man and late answers go by the clock of the room, and what the machine had no time for is
+//! forgiven (`dead_man.rs`). Powder lands on the pan while the spoon is over the vial, evenly during the motion and a fall later; elsewhere it falls back
+//! into the container.
 
 mod body;
+mod dead_man;
 mod desk;
 mod fault;
 mod formula;
@@ -28,6 +30,7 @@ use crate::domain::{FieldError, bounded};
 use crate::hardware::arm::PROTOCOL_VERSION;
 use crate::hardware::arm::proto::{self, Station};
 use crate::hardware::clock::Clock;
+use dead_man::DeadMan;
 use motions::Emulated;
 use serde::{Deserialize, Serialize};
 use std::net::Ipv4Addr;
@@ -60,6 +63,8 @@ pub struct Settings {
     pub speed: f64,
     /// Range of the pitch. Default FLIP's own.
     pub pitch: PitchLimits,
+    /// It can fill its spoon and empty it. Default true.
+    pub scoops: bool,
     /// Limits of pitching.
     pub turn: TurnLimits,
     /// Limits of the shake. Default the published ones.
@@ -68,7 +73,8 @@ pub struct Settings {
     pub shake_mm_max: f64,
     /// From the spoon to the pan, s. Default 0.05.
     pub fall_s: f64,
-    /// Without renewal for so long, by the clock of the room, the arm levels, retracts and latches, ms. Default 300.
+    /// Without renewal for so long, by the clock of the room, the arm levels, retracts and latches, ms. Time in which the machine was too busy for the
+    /// emulator itself does not count. Default 300.
     pub dead_man_ms: u32,
 }
 
@@ -92,6 +98,7 @@ impl Settings {
         shake_deadband_mm: 0.3,
         speed: 0.95,
         pitch: PitchLimits::WIDE,
+        scoops: true,
         turn: TurnLimits::DEFAULT,
         shake: MotionLimits::PAPER,
         shake_mm_max: SHAKE_MM_MAX,
@@ -156,8 +163,8 @@ impl Settings {
                 acceleration_m_s2_max: self.shake.acceleration_m_s2,
                 jerk_m_s3_max: self.shake.jerk_m_s3,
             }),
-            can_scoop: true,
-            can_discard: true,
+            can_scoop: self.scoops,
+            can_discard: self.scoops,
             can_invert: true,
             is_emulated: true,
             latch_cause: String::new(),
@@ -220,9 +227,9 @@ impl Arm {
     /// The system has no port or thread left.
     pub fn start(settings: Settings, pan: Pan, spoon: Box<dyn Spoon>) -> std::io::Result<Self> {
         let lab = Arc::new(Laboratory { settings, pan, spoon: Mutex::new(spoon), events: Mutex::default() });
-        let dead_man = Duration::from_millis(settings.dead_man_ms.into());
+        let dead_man = DeadMan { limit: Duration::from_millis(settings.dead_man_ms.into()), forgives: true };
         let address = (Ipv4Addr::LOCALHOST, 0).into();
-        let driver = Driver::serve(address, settings.description(), dead_man, Emulated(lab.clone()))?;
+        let driver = Driver::start(address, settings.description(), dead_man, Emulated(lab.clone()))?;
         let url = format!("http://{}", driver.address());
         Ok(Self { lab, driver, url })
     }

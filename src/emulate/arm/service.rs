@@ -1,6 +1,7 @@
 //! The contract's calls, answered from what the desk knows.
 
 use super::body::{Asked, End, refused};
+use super::dead_man::{LOOK, Unrenewed};
 use super::desk::{Desk, Why};
 use super::fault::Fault;
 use crate::hardware::arm::proto::{self, Executed, Mode, arm_server};
@@ -15,8 +16,6 @@ use tonic::{Request, Response, Status};
 
 /// Between states, by the clock of the room: while it moves, and otherwise.
 const STATES: [Duration; 2] = [Duration::from_millis(5), Duration::from_millis(50)];
-/// Between two looks at whether a frozen answer may go, and whether the lease was renewed.
-const LOOK: Duration = Duration::from_millis(5);
 
 /// An answer, or why there is none.
 type Answered<T> = Result<Response<T>, Status>;
@@ -83,12 +82,12 @@ impl arm_server::Arm for Service {
             return Err(Status::invalid_argument("client: must say who asks"));
         }
         let lease_id = self.0.locked().acquire()?;
-        Ok(Response::new(proto::Lease { lease_id, dead_man_ms: self.0.dead_man().as_millis() as u32 }))
+        Ok(Response::new(proto::Lease { lease_id, dead_man_ms: self.0.dead_man().limit.as_millis() as u32 }))
     }
 
     async fn renew(&self, request: Request<proto::RenewRequest>) -> Answered<proto::RenewResponse> {
         let mut body = self.0.locked();
-        body.held_by(&request.into_inner().lease_id)?.renewed = Instant::now();
+        body.held_by(&request.into_inner().lease_id)?.unrenewed = Unrenewed::since(Instant::now());
         Ok(Response::new(proto::RenewResponse { mode: body.mode.into() }))
     }
 

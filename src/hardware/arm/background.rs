@@ -1,11 +1,12 @@
 //! What goes on beside an arm's calls: renewals of its lease, and the newest of its states.
 
+use super::proto::RenewResponse;
 use super::proto::{RenewRequest, State, StreamStateRequest};
 use super::remote::{Remote, forbidden, lost, refusal};
 use crate::hardware::DeviceError;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
-use tokio::task::JoinHandle;
+use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 use tonic::Code;
 
@@ -15,8 +16,10 @@ const STATE_AGE_MAX: Duration = Duration::from_secs(1);
 const STATE_FIRST: Duration = Duration::from_secs(1);
 /// Pause before states are asked for again.
 const RESUBSCRIBE: Duration = Duration::from_millis(100);
-/// How long one renewal may take: the next must still come in time.
-const RENEWAL_MAX: Duration = Duration::from_millis(100);
+/// How long one renewal may take. The next do not wait for it.
+const RENEWAL_MAX: Duration = Duration::from_secs(1);
+/// Renewals under way at most.
+const RENEWALS_MAX: usize = 8;
 
 /// A value that two threads share.
 type Shared<T> = Arc<Mutex<T>>;
@@ -80,8 +83,8 @@ impl Renewals {
     }
 }
 
-/// Renew until the driver says that the lease is gone, or nobody attends to the arm any more. Lost renewals are tried again: the driver's
-/// dead-man decides when it was too long.
+/// Renew until the driver says that the lease is gone, or nobody attends to the arm any more. Each renewal goes out in its time, whether or not the one
+/// before has been answered; lost ones are of no matter: the driver's dead-man decides when it was too long.
 async fn renew(
     remote: Remote,
     lease_id: String,
@@ -91,6 +94,7 @@ async fn renew(
 ) {
     let mut ticks = interval(every);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut under_way: JoinSet<Renewed> = JoinSet::new();
     loop {
         ticks.tick().await;
         if attended.is_over() {
@@ -98,16 +102,23 @@ async fn renew(
             *locked(&ended) = Some(forbidden(cause));
             return;
         }
-        let mut client = remote.client();
-        let request = RenewRequest { lease_id: lease_id.clone() };
-        if let Ok(Err(status)) = timeout(RENEWAL_MAX, client.renew(request)).await
-            && matches!(status.code(), Code::PermissionDenied | Code::FailedPrecondition)
-        {
-            *locked(&ended) = Some(refusal(&status));
-            return;
+        while let Some(renewed) = under_way.try_join_next() {
+            if let Ok(Ok(Err(status))) = renewed
+                && matches!(status.code(), Code::PermissionDenied | Code::FailedPrecondition)
+            {
+                *locked(&ended) = Some(refusal(&status));
+                return;
+            }
+        }
+        if under_way.len() < RENEWALS_MAX {
+            let (mut client, request) = (remote.client(), RenewRequest { lease_id: lease_id.clone() });
+            under_way.spawn(timeout(RENEWAL_MAX, async move { client.renew(request).await }));
         }
     }
 }
+
+/// What came of one renewal.
+type Renewed = Result<Result<tonic::Response<RenewResponse>, tonic::Status>, tokio::time::error::Elapsed>;
 
 /// The newest state of the arm.
 pub(super) struct States {

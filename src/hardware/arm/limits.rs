@@ -2,12 +2,12 @@
 
 use super::proto;
 use super::remote::{DEVICE, forbidden};
-use crate::domain::bench::{PitchLimits, SHAKE_MM_MAX};
+use crate::domain::bench::{PitchLimits, Reach, SHAKE_MM_MAX};
 use crate::domain::bounded;
 use crate::domain::motion::MotionLimits;
 use crate::hardware::DeviceError;
 
-/// The narrower of what the driver says and what FLIP ever asks for.
+/// What the driver says, within what an action may be at all.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
     /// Range of the pitch.
@@ -21,7 +21,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// What is left of the driver's own limits within FLIP's.
+    /// What is left of the driver's own limits: pitch within -90 to 90 deg, shakes within those of an action.
     ///
     /// # Errors
     /// [`DeviceError::Garbled`] when they are missing, not finite, not positive, or leave no level spoon.
@@ -38,10 +38,8 @@ impl Limits {
         if !positive.iter().all(|number| number.is_finite() && *number > 0.0) {
             return Err(garbled());
         }
-        let pitch = PitchLimits {
-            lower_deg: limits.pitch_deg_min.max(PitchLimits::WIDE.lower_deg),
-            upper_deg: limits.pitch_deg_max.min(PitchLimits::WIDE.upper_deg),
-        };
+        let theirs = PitchLimits { lower_deg: limits.pitch_deg_min, upper_deg: limits.pitch_deg_max };
+        let pitch = theirs.within(Reach::FULL.pitch);
         let numbers = limits.pitch_deg_min.is_finite() && limits.pitch_deg_max.is_finite();
         if !numbers || !(pitch.lower_deg..=pitch.upper_deg).contains(&0.0) {
             return Err(garbled());
@@ -93,16 +91,18 @@ mod tests {
     #[test]
     fn the_narrower_bound_counts() {
         let limits = Limits::narrowed(Some(&THEIRS)).unwrap();
-        assert_eq!(limits.pitch, PitchLimits { lower_deg: -10.0, upper_deg: 36.0 });
+        assert_eq!(limits.pitch, PitchLimits { lower_deg: -30.0, upper_deg: 36.0 });
+        let steep = proto::Limits { pitch_deg_max: 70.0, pitch_deg_min: -120.0, ..THEIRS };
+        assert_eq!(Limits::narrowed(Some(&steep)).unwrap().pitch, PitchLimits { lower_deg: -90.0, upper_deg: 70.0 });
         assert_eq!((limits.shake_mm_max, limits.motion), (SHAKE_MM_MAX, MotionLimits::PAPER));
     }
 
     #[test]
     fn numbers_out_of_bounds_or_no_numbers_are_refused_by_name() {
         let limits = Limits::narrowed(Some(&THEIRS)).unwrap();
-        for pitch in [-10.1, 36.1, f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        for pitch in [-30.1, 36.1, f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             assert!(
-                limits.pitch_deg(pitch).unwrap_err().to_string().contains("pitch_deg: must be a number from -10 to 36")
+                limits.pitch_deg(pitch).unwrap_err().to_string().contains("pitch_deg: must be a number from -30 to 36")
             );
         }
         for shake in [-0.1, 16.1, f64::NAN, f64::INFINITY] {

@@ -1,6 +1,6 @@
 //! The arm that holds the spoon, behind a driver process (`proto/flip/bench/v1/arm.proto`).
 //!
-//! Calls are synchronous and return when the motion is complete. A thread of the arm's own renews the lease, so that the driver levels and
+//! Calls are synchronous and return when the motion is complete. A thread and a connection of their own renew the lease, so that the driver levels and
 //! retracts the spoon by itself when this process dies; it ceases when the owner has not called for [`Deadlines::idle`], so that a thread that hangs counts
 //! as dead too. Whoever may have to stop the arm takes a [`Stopper`] beforehand.
 //!
@@ -26,9 +26,12 @@ use super::DeviceError;
 use super::wire::Tap;
 use background::{Attended, Renewals, States};
 use proto::arm_client::ArmClient;
-use remote::{DEVICE, Remote, forbidden};
-use std::time::Duration;
+use remote::{DEVICE, Remote, forbidden, latched, shortened};
+use std::time::{Duration, Instant};
 use tonic::transport::Channel;
+
+/// Between two looks at an arm that brings its spoon back.
+const RETURNING_LOOK: Duration = Duration::from_millis(20);
 
 /// The contract that this client speaks.
 pub const PROTOCOL_VERSION: u32 = 1;
@@ -60,6 +63,8 @@ impl Default for Deadlines {
 /// An arm. Dropping it gives control back, which levels and retracts the spoon.
 pub struct Arm {
     remote: Remote,
+    /// For renewals alone.
+    urgent: Remote,
     url: String,
     deadlines: Deadlines,
     description: Description,
@@ -85,9 +90,20 @@ impl Arm {
     pub fn connect(url: &str, tap: Tap, deadlines: Deadlines) -> Result<Self, DeviceError> {
         let remote = Remote::connect(url, tap, deadlines.call)?;
         let (description, limits) = described(&remote, deadlines)?;
+        let urgent = Remote::connect_first(url, deadlines.call)?;
         let states = States::watch(&remote);
         let attended = Attended::new(deadlines.idle);
-        Ok(Self { remote, url: url.to_owned(), deadlines, description, limits, states, attended, control: None })
+        Ok(Self {
+            remote,
+            urgent,
+            url: url.to_owned(),
+            deadlines,
+            description,
+            limits,
+            states,
+            attended,
+            control: None,
+        })
     }
 
     /// Who the arm said it is.
@@ -135,7 +151,7 @@ impl Arm {
     /// Take control, and keep it until [`Arm::release`], drop, or a fault.
     ///
     /// # Errors
-    /// [`DeviceError::Forbidden`] while somebody else has control or the arm is latched.
+    /// [`DeviceError::Forbidden`] while somebody else has control, [`DeviceError::Latched`] while the arm is latched.
     pub fn acquire(&mut self) -> Result<(), DeviceError> {
         self.attended.now();
         if self.control.as_ref().is_some_and(|control| control.renewals.ended().is_none()) {
@@ -144,8 +160,9 @@ impl Arm {
         self.control = None;
         let request = proto::AcquireRequest { client: format!("flip, process {}", std::process::id()) };
         let call = |mut client: ArmClient<Channel>| async move { client.acquire(request).await };
-        let lease = self.remote.ask("Acquire".to_owned(), self.deadlines.call, call)?;
-        let renewals = Renewals::start(&self.remote, &lease.lease_id, self.deadlines.renewal, &self.attended);
+        let lease = self.remote.ask("Acquire".to_owned(), self.deadlines.call, call);
+        let lease = lease.map_err(|error| self.explained(error))?;
+        let renewals = Renewals::start(&self.urgent, &lease.lease_id, self.deadlines.renewal, &self.attended);
         self.control = Some(Control { lease_id: lease.lease_id, sequence: 0, renewals });
         Ok(())
     }
@@ -160,7 +177,8 @@ impl Arm {
         self.attended.for_next(self.deadlines.motion);
         let request = proto::ReleaseRequest { lease_id: control.lease_id.clone() };
         let call = |mut client: ArmClient<Channel>| async move { client.release(request).await };
-        self.remote.ask("Release".to_owned(), self.deadlines.motion, call).map(drop)
+        let released = self.remote.ask("Release".to_owned(), self.deadlines.motion, call).map(drop);
+        released.map_err(|error| self.explained(error))
     }
 
     /// Bring the level spoon over the vial.
@@ -274,10 +292,11 @@ impl Arm {
         let control =
             self.control.as_mut().ok_or_else(|| forbidden("nobody has taken control: acquire the arm first"))?;
         if let Some(ended) = control.renewals.ended() {
-            return Err(ended);
+            return Err(self.explained(ended));
         }
         control.sequence += 1;
-        let ticket = proto::Ticket { lease_id: control.lease_id.clone(), sequence: control.sequence };
+        let deadline_ms = u32::try_from(limit.as_millis()).unwrap_or(u32::MAX);
+        let ticket = proto::Ticket { lease_id: control.lease_id.clone(), sequence: control.sequence, deadline_ms };
         let ask = || {
             let ticket = ticket.clone();
             self.remote.ask(format!("{} {what}", ticket.sequence), limit, |client| call(client, ticket))
@@ -291,7 +310,30 @@ impl Arm {
             self.stop_unanswered();
         }
         self.attended.now();
-        answer
+        answer.map_err(|error| self.explained(error))
+    }
+
+    /// Why the arm refused or failed, if it is latched: that says more than that its lease has ended.
+    fn explained(&self, error: DeviceError) -> DeviceError {
+        if !matches!(error, DeviceError::Forbidden { .. } | DeviceError::Faulted { .. }) {
+            return error;
+        }
+        let until = Instant::now() + self.deadlines.call;
+        loop {
+            let call = |mut client: ArmClient<Channel>| async move { client.describe(proto::DescribeRequest {}).await };
+            match self.remote.ask("Describe".to_owned(), self.deadlines.call, call) {
+                Ok(description) if !description.latch_cause.is_empty() => {
+                    return latched(shortened(&description.latch_cause));
+                }
+                // It brings the spoon back first, and is latched then, or not.
+                Ok(_) if self.is_returning() && Instant::now() < until => std::thread::sleep(RETURNING_LOOK),
+                _ => return error,
+            }
+        }
+    }
+
+    fn is_returning(&self) -> bool {
+        self.states.newest().is_ok_and(|state| matches!(state.mode(), Mode::Returning | Mode::Latched))
     }
 
     /// Nobody knows whether the spoon still moves: after Stop it does not, and this lease can but bring it back.

@@ -17,6 +17,8 @@ pub(super) const DEVICE: &str = "the arm";
 const TEXT_MAX: usize = 200;
 /// A connection over which nothing comes is asked for a sign of life so often, and given up after so long again.
 const ALIVE: Duration = Duration::from_secs(1);
+/// Priority of the thread that renews the lease: before all that computes, behind what the system needs.
+const FIRST: i32 = -15;
 /// How much later than the deadline an answer of our own thread may come.
 const GRACE: Duration = Duration::from_millis(500);
 
@@ -44,7 +46,17 @@ pub(super) struct Remote {
 impl Remote {
     /// Connect, with a thread of its own.
     pub(super) fn connect(url: &str, tap: Tap, limit: Duration) -> Result<Self, DeviceError> {
-        let thread = Builder::new_multi_thread().worker_threads(1).thread_name("arm").enable_all().build();
+        Self::connect_by(Builder::new_multi_thread().thread_name("arm"), url, tap, limit)
+    }
+
+    /// Connect, with a thread that goes before others where the system allows it.
+    pub(super) fn connect_first(url: &str, limit: Duration) -> Result<Self, DeviceError> {
+        let mut builder = Builder::new_multi_thread();
+        Self::connect_by(builder.thread_name("arm lease").on_thread_start(go_first), url, Tap::none(), limit)
+    }
+
+    fn connect_by(builder: &mut Builder, url: &str, tap: Tap, limit: Duration) -> Result<Self, DeviceError> {
+        let thread = builder.worker_threads(1).enable_all().build();
         let runtime = thread.map_err(|error| lost(error.to_string()))?;
         let handle = runtime.handle().clone();
         Self::open(Arc::new(Runtime(Some(runtime))), handle, url, tap, limit)
@@ -101,6 +113,11 @@ impl Remote {
     }
 }
 
+/// Renewals are a few bytes a second, and late ones end a dose. Without the right to it the thread stays as it is.
+fn go_first() {
+    let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), FIRST);
+}
+
 /// What `work` gives on the thread behind `handle`; `None` when the limit has passed. The caller may be on any thread, also on
 /// one that runs asynchronous code.
 fn wait<A: Send + 'static>(
@@ -124,7 +141,7 @@ pub(super) fn refusal(status: &Status) -> DeviceError {
     if status.source().is_some() {
         return lost(root(status));
     }
-    let text: String = status.message().chars().filter(|c| !c.is_control()).take(TEXT_MAX).collect();
+    let text = shortened(status.message());
     match status.code() {
         Code::DeadlineExceeded => silent(),
         Code::Unavailable | Code::Cancelled => lost(text),
@@ -132,10 +149,15 @@ pub(super) fn refusal(status: &Status) -> DeviceError {
         | Code::FailedPrecondition
         | Code::PermissionDenied
         | Code::ResourceExhausted
-        | Code::AlreadyExists
-        | Code::Unimplemented => forbidden(text),
+        | Code::AlreadyExists => forbidden(text),
+        Code::Unimplemented => DeviceError::Unsupported { device: DEVICE, cause: text },
         _ => DeviceError::Faulted { device: DEVICE, cause: text },
     }
+}
+
+/// A driver's text as it is passed on.
+pub(super) fn shortened(text: &str) -> String {
+    text.chars().filter(|c| !c.is_control()).take(TEXT_MAX).collect()
 }
 
 /// The innermost cause of an error: what the system said.
@@ -149,6 +171,10 @@ fn root(error: &dyn std::error::Error) -> String {
 
 pub(super) fn lost(cause: impl Into<String>) -> DeviceError {
     DeviceError::Lost { device: DEVICE, cause: cause.into() }
+}
+
+pub(super) fn latched(cause: String) -> DeviceError {
+    DeviceError::Latched { device: DEVICE, cause }
 }
 
 pub(super) fn silent() -> DeviceError {
