@@ -7,6 +7,7 @@ use super::{App, Error, Result};
 use crate::domain::conditions::{Conditions as Day, Under};
 use crate::domain::job::JobKind;
 use crate::domain::powder::PUBLISHED;
+use crate::domain::spoon::Spoon;
 use crate::domain::{FieldError, bounded};
 use crate::jobs::evaluate::{CONTROLLERS, EvaluationResult, rival, tuned_schedule};
 use crate::jobs::{Conditions, EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR};
@@ -50,6 +51,9 @@ pub struct EvaluationRequest {
     /// Shake as the bench's arm was measured to (`flip bench calibrate-shake`); default as the simulator does.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub as_calibrated: bool,
+    /// The spoon that doses; default FLIP's own, which holds some 40 mg.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spoon: Option<Spoon>,
     /// Seed; default 1.
     pub seed: Option<u64>,
     /// Extended version of the simulator, `sv-…`; default the base.
@@ -206,6 +210,10 @@ fn checked(request: &EvaluationRequest) -> Result<Conditions> {
     let conditions = Conditions::named(request.particles, &request.extensions).unwrap_or_else(|errors| {
         errors.into_iter().for_each(|error| check.refuse(&error.field, error.message));
         Conditions::default()
+    });
+    let conditions = conditions.with_spoon(request.spoon.unwrap_or_default()).unwrap_or_else(|error| {
+        check.refuse(&error.field, error.message);
+        conditions
     });
     check.done()?;
     Ok(conditions)

@@ -6,6 +6,8 @@ use super::{App, Error, Result};
 use crate::domain::FieldError;
 use crate::domain::conditions::{Conditions, Patch, Under};
 use crate::domain::job::JobKind;
+use crate::domain::spoon::Spoon;
+use crate::jobs::spoon::measured;
 use crate::jobs::train::{Extended, Level, Order, PAPER_LEVELS_DEG, Preset, SETS_PER_LEVEL, Settings, TrainingResult};
 use crate::jobs::{JobSpec, SIMULATOR, TrainingSpec};
 use crate::policy;
@@ -58,6 +60,9 @@ pub struct TrainingRequest {
     /// Shake as the bench's arm was measured to (`flip bench calibrate-shake`); default as the simulator does. The surrogate does not know the difference.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub as_calibrated: bool,
+    /// The spoon that doses; default FLIP's own, which holds some 40 mg. The surrogate does not know the difference.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spoon: Option<Spoon>,
 }
 
 /// A training: its job, its levels, and once it has succeeded its policy.
@@ -103,6 +108,9 @@ impl App {
         let mut settings = settings_of(&request)?;
         if let Some(from) = &request.from {
             self.check_predecessor(from, &settings).await?;
+        }
+        if let Some(spoon) = &request.spoon {
+            settings.spoon = measured(spoon, settings.spoon)?;
         }
         if request.as_calibrated {
             settings.spoon = settings.spoon.as_executed(&self.shakes().await?);

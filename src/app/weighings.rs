@@ -9,7 +9,7 @@ use crate::domain::conditions::Conditions;
 use crate::domain::seed::derive;
 use crate::domain::weighing::{Asked, OnOverdose, WeighRequest};
 use crate::domain::{FieldError, bounded};
-use crate::jobs::bench::{WAITING_MAX, spoon_holds_mg};
+use crate::jobs::bench::WAITING_MAX;
 use crate::policy::shipped;
 use crate::store::bench::Latch;
 use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
@@ -123,7 +123,8 @@ impl App {
         let under = extended.map(|it| it.0);
         let simulator = under.as_ref().map(|under| under.simulator.as_str());
         let sets = self.store().sets_under(&powder, simulator, every).await?.items;
-        let Some(capacity_mg) = spoon_holds_mg(sets.iter().map(|set| &set.parameters)) else {
+        let bench = self.jobs_or_refuse()?.bench();
+        let Some(capacity_mg) = bench.spoon_holds_mg(sets.iter().map(|set| &set.parameters)) else {
             let advice = format!(
                 "{} or POST /v1/calibrations, and weigh when it has succeeded",
                 without_sets(&powder, simulator)
@@ -131,9 +132,13 @@ impl App {
             return Err(Error::conflict("calibration_missing", advice));
         };
         if target_mg > capacity_mg {
+            let own = match bench.kind() == BenchKind::Devices && bench.spoon_is_usual() {
+                true => ", or write what yours holds under [spoon] in the bench file",
+                false => "",
+            };
             let advice = format!(
                 "must be at most {capacity_mg:.1} mg, which is what the spoon holds of `{powder}`, got {target_mg} mg: \
-                 weigh it in portions"
+                 weigh it in portions{own}"
             );
             return Err(FieldError::new("target.value", advice).into());
         }

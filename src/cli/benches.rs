@@ -3,6 +3,7 @@
 use super::failure::Failure;
 use crate::app::{Functions, LaboratorySettings, Options, emulated_bench, file_bench};
 use crate::domain::FieldError;
+use crate::domain::spoon::{FilledBy, Spoon};
 use crate::hardware::bench_file::BenchFile;
 use std::path::Path;
 
@@ -26,9 +27,20 @@ impl BenchArguments {
         let bench = match self.bench.as_str() {
             "simulated" => None,
             "emulated" => Some(emulated_bench(LaboratorySettings::default())),
-            file => Some(file_bench(read("bench", Path::new(file))?)),
+            file => {
+                let file = read("bench", Path::new(file))?;
+                remind(&file);
+                Some(file_bench(file))
+            }
         };
         Ok(Options { functions: Functions { bench, ..Functions::default() }, ..Options::default() })
+    }
+}
+
+/// A person is told what nobody else does.
+fn remind(file: &BenchFile) {
+    if file.spoon.filled_by == FilledBy::Hand {
+        eprintln!("flip: this bench's arm does not fill its spoon: fill it by hand before each dose begins");
     }
 }
 
@@ -39,4 +51,9 @@ pub(super) fn read(field: &str, path: &Path) -> Result<BenchFile, Failure> {
         FieldError::new(field, format!("must be {kinds}a file that can be read; {}: {error}", path.display()))
     })?;
     Ok(BenchFile::parse(&text)?)
+}
+
+/// The spoon of the bench file at this path, if there is one.
+pub(super) fn spoon(file: Option<&Path>) -> Result<Option<Spoon>, Failure> {
+    file.map(|file| read("bench", file).map(|bench| bench.spoon)).transpose()
 }

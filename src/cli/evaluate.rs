@@ -1,6 +1,7 @@
 //! `flip evaluate`: a policy's errors on the simulated bench beside those of other controllers.
 
 use super::Common;
+use super::benches::spoon;
 use super::calibrate::{Target, calibrate};
 use super::failure::Failure;
 use super::parameters;
@@ -15,6 +16,7 @@ use crate::app::{
 use crate::domain::conditions::Under;
 use crate::domain::powder::{PUBLISHED, PUBLISHED_DOSES_OVERALL_MG, published_mae_mg};
 use serde::Serialize;
+use std::path::PathBuf;
 
 /// Arguments of `flip evaluate`.
 #[derive(Debug, clap::Args)]
@@ -49,6 +51,9 @@ pub(super) struct Arguments {
     /// Shake as the bench's arm was measured to (`flip bench calibrate-shake`).
     #[arg(long)]
     as_calibrated: bool,
+    /// Bench file whose spoon doses [default: FLIP's own spoon].
+    #[arg(long, value_name = "FILE")]
+    bench: Option<PathBuf>,
     #[command(flatten)]
     extended: SimulatorArguments,
 }
@@ -101,6 +106,7 @@ async fn evaluate(app: &App, common: &Common, arguments: &Arguments) -> Result<E
         particles: arguments.particles,
         extensions: parameters::amplitudes(&arguments.extension)?,
         as_calibrated: arguments.as_calibrated,
+        spoon: spoon(arguments.bench.as_deref())?,
         simulator: arguments.extended.simulator.clone(),
         conditions: arguments.extended.conditions()?,
         seed: Some(common.seed),

@@ -1,6 +1,7 @@
 //! `flip train`: a policy learned on simulated powders.
 
 use super::Common;
+use super::benches::spoon;
 use super::calibrate::{Target, calibrate};
 use super::failure::Failure;
 use super::session::with_app;
@@ -12,6 +13,7 @@ use crate::domain::FieldError;
 use crate::domain::conditions::Under;
 use clap::ValueEnum;
 use serde::Serialize;
+use std::path::PathBuf;
 
 /// Angles of the published curriculum's levels, degrees.
 const PAPER_LEVELS_DEG: [f64; 3] = [28.0, 33.0, 37.0];
@@ -45,6 +47,9 @@ pub(super) struct Arguments {
     /// Shake as the bench's arm was measured to by `flip bench calibrate-shake`.
     #[arg(long)]
     as_calibrated: bool,
+    /// Bench file whose spoon doses; the fast model does not know the difference [default: FLIP's own spoon].
+    #[arg(long, value_name = "FILE")]
+    bench: Option<PathBuf>,
     #[command(flatten)]
     extended: SimulatorArguments,
 }
@@ -97,6 +102,7 @@ pub(super) struct Timing {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let began = std::time::Instant::now();
     let conditions = arguments.extended.conditions()?;
+    let spoon = spoon(arguments.bench.as_deref())?;
     let request = |order: OrderFlag, seed: u64| TrainingRequest {
         order: order.into(),
         preset: arguments.preset.into(),
@@ -108,6 +114,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         simulator: arguments.extended.simulator.clone(),
         conditions: conditions.clone(),
         as_calibrated: arguments.as_calibrated,
+        spoon,
     };
     let document = |training: Training, seed: u64| {
         let result = training.result.ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?;

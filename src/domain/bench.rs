@@ -95,6 +95,34 @@ impl PitchLimits {
     pub const PAPER: Self = Self { lower_deg: -10.0, upper_deg: 36.0 };
     /// FLIP's default: cohesive powders do not leave the spoon below 36 deg.
     pub const WIDE: Self = Self { lower_deg: -10.0, upper_deg: 50.0 };
+
+    /// What both allow; empty, with the upper below the lower, where that is nothing.
+    #[must_use]
+    pub fn within(self, other: Self) -> Self {
+        Self { lower_deg: self.lower_deg.max(other.lower_deg), upper_deg: self.upper_deg.min(other.upper_deg) }
+    }
+}
+
+/// What an arm can do with its spoon.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reach {
+    /// Range of the pitch.
+    pub pitch: PitchLimits,
+    /// Largest amplitude of a shake, mm.
+    pub shake_mm_max: f64,
+}
+
+impl Reach {
+    /// No bound but those of an action.
+    pub const FULL: Self =
+        Self { pitch: PitchLimits { lower_deg: -90.0, upper_deg: 90.0 }, shake_mm_max: SHAKE_MM_MAX };
+
+    /// What it can do of this range of pitch; `None` where that is no dosing: the spoon is never level, never tips down, or never shakes.
+    pub fn of(&self, pitch: PitchLimits) -> Option<Self> {
+        let pitch = pitch.within(self.pitch);
+        let can_dose = pitch.lower_deg <= pitch.upper_deg && pitch.upper_deg > 0.0 && self.shake_mm_max >= SHAKE_MM_MIN;
+        can_dose.then_some(Self { pitch, ..*self })
+    }
 }
 
 /// The mass that was tared.

@@ -11,6 +11,7 @@ pub mod pile;
 pub mod powder;
 pub mod powder_name;
 pub mod seed;
+pub mod spoon;
 pub mod timestamp;
 pub mod weighing;
 

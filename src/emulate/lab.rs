@@ -1,15 +1,19 @@
 //! A whole laboratory that is not there: balance, arm, gripper and gate around one vial, each on its own wire.
 
-use super::arm::{self, Arm, Spoon};
+use super::arm::{self, Arm, Spoon as Powder};
 use super::balance::{self, Balance, Socket};
 use super::gate::{self, EmulatedGate, Slide};
 use super::gripper::{EmulatedGripper, Fingers};
 use super::pan::Pan;
 use super::port::Port;
+use crate::domain::spoon::Spoon;
 use crate::hardware::balance as driver;
 use crate::hardware::bench_file::{ArmAddress, BenchFile, PortAddress, Readings};
 use crate::hardware::clock::Clock;
 use serde::{Deserialize, Serialize};
+
+/// Longest time of a motion, s of the room: one that is simulated takes long on a busy machine.
+const MOTION_S: f64 = 120.0;
 
 /// What a laboratory is like.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -63,7 +67,7 @@ impl Laboratory {
     ///
     /// # Errors
     /// The system has no pseudo-terminal, port or thread left.
-    pub fn start(settings: Settings, clock: Clock, spoon: Box<dyn Spoon>) -> std::io::Result<Self> {
+    pub fn start(settings: Settings, clock: Clock, spoon: Box<dyn Powder>) -> std::io::Result<Self> {
         let pan = Pan::holding(settings.vial.mass_mg, clock.clone());
         let balance = Balance::start(settings.balance.clone(), pan.clone(), Socket::Pty)?;
         let arm = Arm::start(settings.arm, pan.clone(), spoon)?;
@@ -83,7 +87,8 @@ impl Laboratory {
                 readability_mg: Some(balance.readability_mg),
                 ..driver::Settings::new(balance.dialect, self.balance.address())
             },
-            arm: ArmAddress { url: self.arm.url().to_owned() },
+            arm: ArmAddress { url: self.arm.url().to_owned(), motion_s: Some(MOTION_S) },
+            spoon: Spoon::default(),
             gripper: address(&self.gripper),
             gate: address(&self.gate),
             readings: Readings { noise_mg: balance.noise_mg, ..self.settings.readings },
@@ -91,7 +96,7 @@ impl Laboratory {
     }
 
     /// An empty vial in place of what stands on the balance, and another spoon in the arm's hand.
-    pub fn prepare(&self, spoon: Box<dyn Spoon>) {
+    pub fn prepare(&self, spoon: Box<dyn Powder>) {
         self.pan.add_mg(self.settings.vial.mass_mg - self.pan.final_load_mg());
         self.arm.set_spoon(spoon);
     }

@@ -8,14 +8,22 @@
 //!
 //! [arm]
 //! url = "http://127.0.0.1:50061" # a driver process, proto/flip/bench/v1/arm.proto
+//! motion_s = 30                  # longest time of one motion; the driver is told
+//!
+//! [spoon]                        # in the arm's hand; may be absent
+//! capacity_mg = 60               # what one filling brings; or the bowl: length_mm, width_mm, depth_mm
+//! filled_by = "arm"              # or "hand": a person or a station fills it before each dose
 //!
 //! [gripper]                      # that holds the spoon; may be absent
 //! port = "/dev/ttyUSB1"
 //! ```
 
+use super::arm::Deadlines;
 use super::balance;
+use crate::domain::spoon::Spoon;
 use crate::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
+use std::time::Duration;
 
 /// A bench.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -31,6 +39,9 @@ pub struct BenchFile {
     /// The gate under the funnel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gate: Option<PortAddress>,
+    /// The spoon in the arm's hand.
+    #[serde(default, skip_serializing_if = "Spoon::is_usual")]
+    pub spoon: Spoon,
     /// How readings are taken.
     #[serde(default)]
     pub readings: Readings,
@@ -42,6 +53,18 @@ pub struct BenchFile {
 pub struct ArmAddress {
     /// `http://host:port`.
     pub url: String,
+    /// Longest time of one motion, s; the driver is told. Default 30.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion_s: Option<f64>,
+}
+
+impl ArmAddress {
+    /// How long its answers may take.
+    pub fn deadlines(&self) -> Deadlines {
+        let usual = Deadlines::default();
+        let motion = self.motion_s.and_then(|s| Duration::try_from_secs_f64(s).ok()).unwrap_or(usual.motion);
+        Deadlines { motion, idle: usual.idle.max(motion), ..usual }
+    }
 }
 
 /// Where a device is plugged in.
@@ -94,6 +117,8 @@ impl BenchFile {
         if !self.arm.url.starts_with("http://") {
             return Err(FieldError::new("arm.url", "must be http://host:port of the arm's driver process"));
         }
+        bounded("arm.motion_s", self.arm.motion_s.unwrap_or(30.0), 1.0, 600.0, "s")?;
+        self.spoon = self.spoon.checked().map_err(within("spoon"))?;
         for (part, address) in [("gripper", &self.gripper), ("gate", &self.gate)] {
             if address.as_ref().is_some_and(|it| it.port.trim().is_empty()) {
                 return Err(FieldError::new(format!("{part}.port"), "must be a path, as /dev/ttyUSB1"));
@@ -131,6 +156,9 @@ mod tests {
             (LEAST.replace("[arm]\nurl", "[arm]\nurll"), "urll"),
             (format!("{LEAST}[gripper]\nport = \"\"\n"), "gripper.port"),
             (format!("{LEAST}[readings]\nsettle_max_s = 0.0\n"), "readings.settle_max_s"),
+            (format!("{LEAST}motion_s = 0.1\n"), "arm.motion_s"),
+            (format!("{LEAST}[spoon]\ncapacity_mg = -1.0\n"), "spoon.capacity_mg"),
+            (format!("{LEAST}[spoon]\nlength_mm = 12.0\n"), "spoon.width_mm"),
             (format!("{LEAST}[readings]\nlife_s = -1.0\n"), "readings.life_s"),
             (format!("{LEAST}[kettle]\n"), "kettle"),
         ] {

@@ -21,7 +21,7 @@ mod error;
 
 pub use error::DeviceError;
 
-use crate::domain::bench::{Action, Reading, Standing, Tare};
+use crate::domain::bench::{Action, Reach, Reading, Standing, Tare};
 
 /// A balance under a spoon on an arm. Every call returns when the motion or the reading is complete.
 pub trait Bench {
@@ -81,6 +81,11 @@ pub trait Bench {
     /// # Errors
     /// The arm failed: a person must look.
     fn discard(&mut self) -> Result<(), DeviceError>;
+
+    /// What the arm can do: a dose keeps within it.
+    fn reach(&self) -> Reach {
+        Reach::FULL
+    }
 
     /// Pitch of the spoon now, degrees, positive is tip down.
     fn pitch_deg(&self) -> f64;

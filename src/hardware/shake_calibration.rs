@@ -4,7 +4,7 @@
 //! one of them is wrong. States come 100 to 200 times in a second, so that the stream's amplitude is a little low.
 
 use super::DeviceError;
-use super::arm::{Arm, Deadlines};
+use super::arm::Arm;
 use super::bench_file::BenchFile;
 use super::conformance::Looked;
 use super::conformance::raw::{Raw, Seen};
@@ -125,7 +125,7 @@ pub fn calibrate(
         let cause = "a person must look that the spoon is empty, and say so".to_owned();
         return Err(DeviceError::Forbidden { device: "the arm", cause }.into());
     }
-    let mut arm = Arm::connect(&file.arm.url, tap.clone(), Deadlines::default())?;
+    let mut arm = Arm::connect(&file.arm.url, tap.clone(), file.arm.deadlines())?;
     let raw = Raw::connect(&file.arm.url, &Tap::none())?;
     let states = raw.watch();
     arm.acquire()?;

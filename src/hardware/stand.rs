@@ -2,7 +2,7 @@
 //! comes to lie. The camera is not part of it: frames come from whoever takes them.
 
 use super::DeviceError;
-use super::arm::{Arm, Deadlines, Stopper};
+use super::arm::{Arm, Stopper};
 use super::bench_file::BenchFile;
 use super::clock::Clock;
 use super::gate::{Gate, Opening};
@@ -75,7 +75,7 @@ impl Stand {
             cause: "the bench file names none: add [gate] with its port".to_owned(),
         })?;
         let gate = Gate::open(&port.port, tap.clone())?;
-        let mut arm = Arm::connect(&file.arm.url, tap.clone(), Deadlines::default())?;
+        let mut arm = Arm::connect(&file.arm.url, tap.clone(), file.arm.deadlines())?;
         arm.acquire()?;
         Ok(Self { gate, arm, clock })
     }

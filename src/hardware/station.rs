@@ -8,8 +8,9 @@ use super::gripper::{Gripper, fault_words};
 use super::settle::{Settling, Shown, settled, standing};
 use super::wire::Tap;
 use super::{Bench, DeviceError};
-use crate::domain::bench::{Action, Reading, Standing, Tare};
+use crate::domain::bench::{Action, PitchLimits, Reach, Reading, Standing, Tare};
 use crate::domain::bench_check::ShakeCalibration;
+use crate::domain::spoon::FilledBy;
 use std::collections::BTreeMap;
 
 /// Bench time between two questions to the balance, s: its frames are a tenth or two apart.
@@ -18,6 +19,8 @@ const ASK_EVERY_S: f64 = 0.05;
 const PITCH_DEG_MIN: f64 = 1e-6;
 /// A vial may weigh this much less than the one that was tared before, mg.
 const LIGHTER_MG_MAX: f64 = 2000.0;
+/// Of a bench whose arm does not scoop.
+const BY_HAND: &str = "filled by a person or a station before each dose, for the arm does not";
 /// Largest step of a display that is weighed by, mg, where the file does not say.
 const STEP_MG_DEFAULT: f64 = 1.0;
 
@@ -26,6 +29,8 @@ pub struct Station {
     balance: Balance,
     arm: Arm,
     gripper: Option<Gripper>,
+    /// The arm fills the spoon; else somebody has, before the dose.
+    fills: bool,
     clock: Clock,
     readings: Readings,
     settling: Settling,
@@ -53,7 +58,7 @@ impl Station {
         clock: Clock,
         tap: &Tap,
     ) -> Result<Self, DeviceError> {
-        Self::open_within(Deadlines::default(), file, shakes, clock, tap)
+        Self::open_within(file.arm.deadlines(), file, shakes, clock, tap)
     }
 
     /// The same with other deadlines for the arm: for benches whose motions take their time, and for emulated ones, whose motions take none.
@@ -67,19 +72,21 @@ impl Station {
         clock: Clock,
         tap: &Tap,
     ) -> Result<Self, DeviceError> {
-        let balance = Balance::open(&file.balance, tap.clone(), clock.clone())?;
+        let balance = Balance::open(&file.balance, tap.clone(), clock.clone())?.with_noise_mg(file.readings.noise_mg);
         let mut gripper = file.gripper.as_ref().map(|it| Gripper::open(&it.port, tap.clone())).transpose()?;
         let mut arm = Arm::connect(&file.arm.url, tap.clone(), deadlines)?;
         if let Some(gripper) = &mut gripper {
             require_spoon(gripper)?;
         }
         arm.acquire()?;
+        let fills = file.spoon.filled_by != FilledBy::Hand && arm.description().can_scoop;
         let step_mg = file.balance.readability_mg.unwrap_or(STEP_MG_DEFAULT).max(file.readings.noise_mg);
         let began_s = clock.now_s();
         Ok(Self {
             balance,
             arm,
             gripper,
+            fills,
             clock,
             readings: file.readings,
             settling: Settling::new(step_mg),
@@ -116,7 +123,22 @@ impl Station {
         let arm = self.arm.description();
         let arm = format!("{}, serial {}", arm.name, arm.serial);
         let gripper = self.gripper.as_ref().map(|_| ("gripper".to_owned(), "Robotiq 2F-85".to_owned()));
-        Ok([("balance".to_owned(), balance), ("arm".to_owned(), arm)].into_iter().chain(gripper).collect())
+        let spoon = (!self.fills).then(|| ("spoon".to_owned(), BY_HAND.to_owned()));
+        let roles = [("balance".to_owned(), balance), ("arm".to_owned(), arm)];
+        Ok(roles.into_iter().chain(gripper).chain(spoon).collect())
+    }
+
+    /// Fill the spoon, where the arm does.
+    fn fill(&mut self) -> Result<(), DeviceError> {
+        if !self.fills {
+            return Ok(());
+        }
+        match self.arm.scoop() {
+            // It promised more than it can.
+            Err(DeviceError::Unsupported { .. }) => self.fills = false,
+            filled => drop(filled?),
+        }
+        Ok(())
     }
 
     fn moved(&mut self) {
@@ -166,7 +188,7 @@ fn require_spoon(gripper: &mut Gripper) -> Result<(), DeviceError> {
 
 impl Bench for Station {
     fn approach(&mut self) -> Result<(), DeviceError> {
-        self.arm.scoop()?;
+        self.fill()?;
         if let Some(gripper) = &mut self.gripper {
             require_spoon(gripper)?;
         }
@@ -242,7 +264,9 @@ impl Bench for Station {
         if let Some(gripper) = &mut self.gripper {
             require_spoon(gripper)?;
         }
-        let pitch_deg = self.pitch_deg + action.incline_change_deg;
+        // What was allowed is within its limits, but for the rounding of a sum.
+        let PitchLimits { lower_deg, upper_deg } = self.arm.limits().pitch;
+        let pitch_deg = (self.pitch_deg + action.incline_change_deg).clamp(lower_deg, upper_deg);
         if action.incline_change_deg.abs() > PITCH_DEG_MIN {
             self.pitch_deg = self.arm.pitch(pitch_deg)?.pitch_deg;
             self.moved();
@@ -277,8 +301,19 @@ impl Bench for Station {
     }
 
     fn discard(&mut self) -> Result<(), DeviceError> {
-        self.arm.discard()?;
-        Ok(())
+        if !self.arm.description().can_discard {
+            return Ok(());
+        }
+        match self.arm.discard() {
+            // What is left stays in the spoon, as with an arm that says so beforehand.
+            Err(DeviceError::Unsupported { .. }) => Ok(()),
+            emptied => emptied.map(drop),
+        }
+    }
+
+    fn reach(&self) -> Reach {
+        let limits = self.arm.limits();
+        Reach { pitch: limits.pitch, shake_mm_max: limits.shake_mm_max }
     }
 
     fn pitch_deg(&self) -> f64 {

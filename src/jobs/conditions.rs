@@ -1,8 +1,10 @@
 //! The spoon of an evaluation: grains and mechanisms that a policy may never have met.
 
+use super::spoon::{measured, simulated};
 use crate::domain::bench_check::ShakeCalibration;
 use crate::domain::motion::MotionLimits;
 use crate::domain::parameters::ParameterSet;
+use crate::domain::spoon::Spoon;
 use crate::domain::{FieldError, bounded};
 use crate::sim::dispense;
 use crate::sim::mechanisms::Extensions;
@@ -26,13 +28,16 @@ pub struct Conditions {
     /// Limits of a shake as the bench's arm executes it; absent: those of the simulator.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shake: Option<MotionLimits>,
+    /// The spoon; absent: FLIP's own.
+    #[serde(default, skip_serializing_if = "Spoon::is_usual")]
+    pub spoon: Spoon,
 }
 
 impl Default for Conditions {
     /// Those of ordinary weighings and of trainings.
     fn default() -> Self {
         let spoon = dispense::Settings::default();
-        Self { particles: spoon.particles, extensions: spoon.extensions, shake: None }
+        Self { particles: spoon.particles, extensions: spoon.extensions, shake: None, spoon: Spoon::default() }
     }
 }
 
@@ -55,6 +60,15 @@ impl Conditions {
             }
         }
         if errors.is_empty() { Ok(conditions) } else { Err(errors) }
+    }
+
+    /// The same with another spoon.
+    ///
+    /// # Errors
+    /// `spoon.…`: it cannot be, or cannot be simulated.
+    pub fn with_spoon(self, spoon: Spoon) -> Result<Self, FieldError> {
+        measured(&spoon, dispense::Settings { particles: self.particles, ..dispense::Settings::default() })?;
+        Ok(Self { spoon, ..self })
     }
 
     /// Shakes as the arm was measured to execute them.
@@ -81,13 +95,16 @@ impl Conditions {
     pub fn spoon(&self) -> dispense::Settings {
         let usual = dispense::Settings::default();
         let shake = self.shake.unwrap_or(usual.shake);
-        dispense::Settings { particles: self.particles, extensions: self.extensions, shake, ..usual }
+        let settings = dispense::Settings { particles: self.particles, extensions: self.extensions, shake, ..usual };
+        // It was tried when the spoon was given.
+        simulated(&self.spoon, settings).unwrap_or(settings)
     }
 
     /// What the spoon holds, whichever of these sets is the powder, mg; `None` without sets.
     pub fn spoon_holds_mg<'a>(&self, sets: impl Iterator<Item = &'a ParameterSet>) -> Option<f64> {
         let spoon = self.spoon();
-        sets.map(|set| dispense::capacity_mg(set, &spoon)).reduce(f64::min)
+        let holds_mg = sets.map(|set| dispense::capacity_mg(set, &spoon)).reduce(f64::min)?;
+        Some(self.spoon.capacity_mg.map_or(holds_mg, |capacity_mg| capacity_mg.min(holds_mg)))
     }
 }
 

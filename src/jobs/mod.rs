@@ -28,6 +28,7 @@ mod queue;
 mod reconcile;
 pub mod repose;
 mod spec;
+pub mod spoon;
 mod stop;
 pub mod train;
 mod worker;

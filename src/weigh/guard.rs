@@ -22,6 +22,8 @@ const LOWER_DEG: f64 = 1.0;
 pub struct Limits {
     /// Range of the spoon's pitch.
     pub pitch: PitchLimits,
+    /// Largest amplitude of a shake, mm. Default 16.
+    pub shake_mm_max: f64,
     /// Steps before the weighing ends.
     pub steps_max: u32,
     /// Bench time before the weighing ends, s.
@@ -64,6 +66,7 @@ impl Limits {
     pub fn new(pitch: PitchLimits, steps_max: u32) -> Self {
         Self {
             pitch,
+            shake_mm_max: SHAKE_MM_MAX,
             steps_max,
             seconds_max: f64::INFINITY,
             fall_mg_max: Self::FALL_MG_MAX,
@@ -142,6 +145,23 @@ pub enum Halt {
     /// The balance shows the target or more: nothing may be added.
     #[error("the balance shows the target")]
     TargetReached,
+    /// Arm and policy have no range in common in which powder could be dosed.
+    #[error(
+        "the arm tilts its spoon from {arm_lower_deg} to {arm_upper_deg} deg and shakes it by up to {shake_mm_max} mm, the policy doses from {lower_deg} to \
+         {upper_deg} deg: no dose is possible with both, take another policy or widen the limits that the arm's driver describes"
+    )]
+    OutOfReach {
+        /// Of the arm, degrees.
+        arm_lower_deg: f64,
+        /// Of the arm, degrees.
+        arm_upper_deg: f64,
+        /// Of the arm, mm.
+        shake_mm_max: f64,
+        /// Of the policy, degrees.
+        lower_deg: f64,
+        /// Of the policy, degrees.
+        upper_deg: f64,
+    },
     /// Every step is spent.
     #[error("every step is spent")]
     StepsSpent,
@@ -297,7 +317,7 @@ fn is_blocked(limits: &Limits, falls: &[Fall]) -> bool {
     let Some(first) = falls.len().checked_sub(limits.blocked_shakes) else { return false };
     let gave_nothing = |fall: &Fall| {
         fall.pitch_deg > limits.pitch.upper_deg - AT_THE_END_DEG
-            && fall.shake_mm >= FULL * SHAKE_MM_MAX
+            && fall.shake_mm >= FULL * limits.shake_mm_max
             && fall.mass_mg < limits.readability_mg - 1e-9
     };
     limits.blocked_shakes > 0 && falls[first..].iter().all(gave_nothing)
@@ -318,7 +338,7 @@ fn deaf(limits: &Limits, falls: &[Fall]) -> Option<usize> {
 fn bounded(limits: &Limits, pitch_deg: f64, proposed: Action) -> Action {
     let change = proposed.incline_change_deg.clamp(-INCLINE_CHANGE_DEG_MAX, INCLINE_CHANGE_DEG_MAX);
     let pitch = (pitch_deg + change).clamp(limits.pitch.lower_deg, limits.pitch.upper_deg);
-    Action { incline_change_deg: pitch - pitch_deg, shake_mm: proposed.shake_mm.clamp(0.0, SHAKE_MM_MAX) }
+    Action { incline_change_deg: pitch - pitch_deg, shake_mm: proposed.shake_mm.clamp(0.0, limits.shake_mm_max) }
 }
 
 /// The first of these whose forecast leaves room: the action, gentler ones at its pitch, the gentlest ones at lower pitches.

@@ -25,7 +25,7 @@ pub mod silence;
 pub use event::{Decision, Event, Phase};
 pub use result::{Accuracy, Weighed, minimum_weight_mg, repeatability_mg, uncertainty_mg};
 
-use crate::domain::bench::{Action, Reading, Standing, Tare, Tick};
+use crate::domain::bench::{Action, Reach, Reading, Standing, Tare, Tick};
 use crate::domain::weighing::Outcome;
 use crate::hardware::{Bench, DeviceError};
 use crate::policy::{Controller, Episode, Observation, Rules};
@@ -140,7 +140,7 @@ struct Loop<'a, B, F> {
     must_look: bool,
 }
 
-/// Weigh `order` on `bench` with `controller`, within the frame it was made for.
+/// Weigh `order` on `bench` with `controller`, within the frame it was made for and what the arm can do; where these have nothing in common nothing moves.
 ///
 /// `on_event` hears of every phase, decision and tick before the motion that follows it; where it breaks, the spoon is levelled and taken away and
 /// nothing else moves. `stop` is looked at before every motion. The spoon is level and away when this returns, unless
@@ -155,6 +155,7 @@ pub fn weigh(
     stop: &AtomicBool,
 ) -> Weighed {
     let start_s = bench.elapsed_s();
+    let reach = bench.reach();
     let mut weighing = Loop {
         bench,
         order,
@@ -169,8 +170,14 @@ pub fn weigh(
         shaken_s: Vec::new(),
         must_look: false,
     };
-    let dosed = weighing.careful(|it| it.begin().and_then(|()| it.dose(controller, rules)));
-    let ended = weighing.withdraw(dosed);
+    let ended = match reach.of(rules.pitch) {
+        Some(reach) => {
+            let dosed = weighing.careful(|it| it.begin().and_then(|()| it.dose(controller, rules, &reach)));
+            weighing.withdraw(dosed)
+        }
+        // Nothing has moved, and nothing has to.
+        None => End::of(out_of_reach(&reach, rules)),
+    };
     let ended = weighing.read_finally(ended);
     let seconds = weighing.bench.elapsed_s() - weighing.start_s;
     let ended = weighing.discard(ended);
@@ -249,13 +256,15 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     }
 
     /// The steps from the tare until something ends them.
-    fn dose(&mut self, controller: &Controller, rules: &Rules) -> Result<End, Halted> {
+    fn dose(&mut self, controller: &Controller, rules: &Rules, reach: &Reach) -> Result<End, Halted> {
+        // The narrower of what the policy was made for and what the arm can do.
+        let rules = &Rules { pitch: reach.pitch, ..*rules };
         let tared_s = self.bench.elapsed_s();
         let readability_mg = self.order.readability_mg;
         let Settings { seconds_max, forecast, strict, .. } = *self.settings;
         let usual = Limits::new(rules.pitch, rules.steps_max);
         let usual = if strict { usual } else { usual.lenient() };
-        let limits = Limits { seconds_max, readability_mg, forecast, ..usual };
+        let limits = Limits { seconds_max, readability_mg, forecast, shake_mm_max: reach.shake_mm_max, ..usual };
         self.tell(&Event::Phase(Phase::Dosing))?;
         let (mut now, mut moved_s, mut shaken) = (self.bench.read()?, tared_s, false);
         self.record(0, tared_s, Action::default(), now)?;
@@ -433,6 +442,16 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             }
             (ended, _) => ended,
         }
+    }
+}
+
+fn out_of_reach(arm: &Reach, rules: &Rules) -> Halt {
+    Halt::OutOfReach {
+        arm_lower_deg: arm.pitch.lower_deg,
+        arm_upper_deg: arm.pitch.upper_deg,
+        shake_mm_max: arm.shake_mm_max,
+        lower_deg: rules.pitch.lower_deg,
+        upper_deg: rules.pitch.upper_deg,
     }
 }
 

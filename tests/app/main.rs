@@ -4,6 +4,7 @@ mod calibration;
 mod harness;
 mod investigation;
 mod ledger;
+mod limits;
 mod registry;
 mod simulator;
 mod training;

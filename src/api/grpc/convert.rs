@@ -11,6 +11,7 @@ use crate::domain::observable::{Observable, Observation};
 use crate::domain::parameters::{Parameter, ParameterSet};
 use crate::domain::pile::Angle;
 use crate::domain::powder::{Flowability, Method};
+use crate::domain::spoon::Spoon;
 use crate::domain::weighing::{Outcome, WeighingState};
 use prost_types::Timestamp;
 
@@ -406,6 +407,17 @@ pub fn given<T>(items: Vec<T>) -> Option<Vec<T>> {
 /// Conditions as they come over the wire, numbers as text.
 pub fn conditions(typed: std::collections::HashMap<String, String>) -> Conditions {
     typed.into_iter().map(|(name, value)| (name, Condition::typed(&value))).collect()
+}
+
+/// A spoon as it was measured.
+pub fn spoon(measured: Option<proto::Spoon>) -> Option<Spoon> {
+    measured.map(|proto::Spoon { capacity_mg, length_mm, width_mm, depth_mm }| Spoon {
+        capacity_mg,
+        length_mm,
+        width_mm,
+        depth_mm,
+        ..Spoon::default()
+    })
 }
 
 /// The page asked for; the first one if none is.

@@ -1,6 +1,6 @@
 //! `flip.v1.Evaluations`.
 
-use super::convert::{all, conditions, given, page};
+use super::convert::{all, conditions, given, page, spoon};
 use super::proto::*;
 use super::{Service, read, write};
 use crate::app::EvaluationRequest;
@@ -24,6 +24,7 @@ impl evaluations_server::Evaluations for Service {
             particles: asked.particles,
             extensions: asked.extensions.into_iter().collect(),
             as_calibrated: asked.as_calibrated,
+            spoon: spoon(asked.spoon),
             seed: asked.seed,
             simulator: asked.simulator,
             conditions: conditions(asked.conditions),

@@ -1,6 +1,6 @@
 //! `flip.v1.Trainings`.
 
-use super::convert::{all, conditions, given, named, page};
+use super::convert::{all, conditions, given, named, page, spoon};
 use super::proto::*;
 use super::{Service, read, write};
 use crate::app::TrainingRequest;
@@ -24,6 +24,7 @@ impl trainings_server::Trainings for Service {
             simulator: asked.simulator,
             conditions: conditions(asked.conditions),
             as_calibrated: asked.as_calibrated,
+            spoon: spoon(asked.spoon),
         };
         Ok(Response::new(self.app.start_training(request).await?.into()))
     }

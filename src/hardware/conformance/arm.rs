@@ -98,11 +98,19 @@ fn described(arm: &Arm) -> Found {
             "the driver must give name and serial number: they stand in every weighing's record",
         );
     }
-    if limits.pitch != PitchLimits::WIDE {
+    if !it.can_scoop {
+        return Found::warning(
+            format!("{came}; it cannot fill its spoon"),
+            "a person or a station fills the spoon before each dose: write filled_by = \"hand\" under [spoon] in the bench file",
+        );
+    }
+    if limits.pitch.within(PitchLimits::WIDE) != PitchLimits::WIDE {
         let PitchLimits { lower_deg, upper_deg } = PitchLimits::WIDE;
         return Found::warning(
             came,
-            format!("policies are trained for {lower_deg} to {upper_deg} deg: doses may end early"),
+            format!(
+                "policies are trained for {lower_deg} to {upper_deg} deg: doses keep to the narrower range and may end early"
+            ),
         );
     }
     Found::ok(came)
@@ -185,7 +193,7 @@ impl<'a> Lease<'a> {
     }
 
     pub(super) fn numbered(&self, sequence: u64) -> Option<proto::Ticket> {
-        Some(proto::Ticket { lease_id: self.id.clone(), sequence })
+        Some(proto::Ticket { lease_id: self.id.clone(), sequence, deadline_ms: MOTION.as_millis() as u32 })
     }
 
     pub(super) fn approach(&mut self) -> Result<Executed, Status> {

@@ -14,7 +14,7 @@ const MOVED: f64 = 0.05;
 
 /// A motion by nobody; it asks for where the spoon is already.
 pub(super) fn without_lease(raw: &Raw) -> Found {
-    let ticket = Some(proto::Ticket { lease_id: "nobody".to_owned(), sequence: 1 });
+    let ticket = Some(proto::Ticket { lease_id: "nobody".to_owned(), sequence: 1, deadline_ms: 0 });
     let request = proto::PitchRequest { ticket, pitch_deg: 0.0 };
     let answer = raw.ask("Pitch to 0 deg, by nobody", CALL, |mut client| async move { client.pitch(request).await });
     // A latched arm says that first.
@@ -38,7 +38,7 @@ pub(super) fn check(subject: &Subject<'_>, lease: &Lease<'_>, found: &mut Findin
         subject.raw.ask("Acquire, by another", CALL, |mut client| async move { client.acquire(request).await });
     found.add("one client", "Acquire while another has control", refused(second, &[Code::ResourceExhausted]));
     found.add("bad numbers", "pitches and shakes out of bounds, NaN and infinite", bad_numbers(subject, lease));
-    let ticket = Some(proto::Ticket { lease_id: format!("{}-not", lease.id), sequence: 1 });
+    let ticket = Some(proto::Ticket { lease_id: format!("{}-not", lease.id), sequence: 1, deadline_ms: 0 });
     let request = proto::PitchRequest { ticket, pitch_deg: 0.0 };
     let answer = subject.raw.ask("Pitch, wrong lease", CALL, |mut client| async move { client.pitch(request).await });
     found.add(

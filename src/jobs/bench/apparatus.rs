@@ -4,11 +4,13 @@ use super::stand::{self, PileStand};
 use crate::domain::bench::{BenchKind, Tick};
 use crate::domain::bench_check::ShakeCalibration;
 use crate::domain::parameters::ParameterSet;
+use crate::domain::spoon::Spoon;
 use crate::domain::weighing::{MeasuredMass, Outcome};
 use crate::emulate::arm::GrainsSpoon;
 use crate::emulate::lab::{self, Laboratory};
 use crate::hardware::DeviceError;
-use crate::hardware::arm::{Arm, Deadlines, Stopper};
+use crate::hardware::arm::{Arm, Stopper};
+use crate::hardware::balance::StableBy;
 use crate::hardware::bench_file::BenchFile;
 use crate::hardware::clock::Clock;
 use crate::hardware::simulated::SimulatedBench;
@@ -110,6 +112,8 @@ pub struct Apparatus {
     pub readability_mg: Arc<dyn Fn() -> Option<f64> + Send + Sync>,
     /// What a powder did in earlier doses counts. Not where a dose has to follow from its seed alone.
     pub remembers: bool,
+    /// The spoon that doses.
+    pub spoon: Spoon,
     /// Where piles are made for an angle of repose; the simulator has none.
     pub stand: Option<PileStand>,
 }
@@ -126,6 +130,7 @@ impl Apparatus {
             recover: Arc::new(|_| Ok(())),
             readability_mg: Arc::new(|| None),
             remembers: false,
+            spoon: Spoon::default(),
             stand: None,
         }
     }
@@ -175,13 +180,13 @@ pub fn emulated(settings: lab::Settings) -> Apparatus {
 pub fn devices(file: BenchFile) -> Apparatus {
     let wires = Wires::default();
     let readability_mg = file.balance.readability_mg.unwrap_or(1.0);
-    let (opened, url, tap) = (wires.clone(), file.arm.url.clone(), wires.tap());
+    let (opened, arm, tap) = (wires.clone(), file.arm.clone(), wires.tap());
     let recover: Recover =
-        Arc::new(move |person| Arm::connect(&url, tap.clone(), Deadlines::default())?.recover(person));
-    let stand = stand::devices(file.clone(), wires.clone());
+        Arc::new(move |person| Arm::connect(&arm.url, tap.clone(), arm.deadlines())?.recover(person));
+    let (stand, spoon) = (stand::devices(file.clone(), wires.clone()), file.spoon);
     let pour: Pour =
         Arc::new(move |pouring, on_event, stop| on_devices(&opened, &file, Clock::wall(), pouring, on_event, stop));
-    Apparatus { stand: Some(stand), ..wires.apparatus(BenchKind::Devices, pour, recover, readability_mg) }
+    Apparatus { stand: Some(stand), spoon, ..wires.apparatus(BenchKind::Devices, pour, recover, readability_mg) }
 }
 
 /// What outlives the weighing that opened the devices.
@@ -247,6 +252,7 @@ impl Wires {
             recover,
             readability_mg: Arc::new(move || Some(readability_mg)),
             remembers: kind == BenchKind::Devices,
+            spoon: Spoon::default(),
             stand: None,
         }
     }
@@ -274,7 +280,12 @@ fn on_devices(
     let settings = Settings { accuracy, forecast, life_s, ..Settings::BENCH };
     let weighed = weigh(&mut station, &pouring.controller, &pouring.rules, &pouring.order, &settings, on_event, stop);
     wires.closed();
-    poured(weighed, None)
+    let mut poured = poured(weighed, None);
+    // Where FLIP's own window decides for a balance that flags nothing, the balance said nothing.
+    if let Some(measured) = poured.measured.as_mut().filter(|_| file.balance.stable_by == StableBy::Window) {
+        measured.stable_by_balance = false;
+    }
+    poured
 }
 
 /// The devices could not be opened: nothing moved.

@@ -21,7 +21,7 @@ pub use apparatus::{Apparatus, Pour, Poured, Pouring, devices, emulated, simulat
 pub(super) use lane::audit_exchanges;
 pub use stand::{Awaited, Inbox, PileStand, Piling, Unpiled};
 
-use super::conditions::Conditions;
+use super::spoon::holds_mg;
 use crate::domain::bench::BenchKind;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::weighing::{Outcome, WeighingState};
@@ -38,11 +38,6 @@ use tokio::runtime::Handle;
 
 /// Most weighings that may wait for the bench.
 pub const WAITING_MAX: i64 = 64;
-
-/// What the spoon holds, whichever of these sets is the powder, mg; `None` without sets.
-pub fn spoon_holds_mg<'a>(sets: impl Iterator<Item = &'a ParameterSet>) -> Option<f64> {
-    Conditions::default().spoon_holds_mg(sets)
-}
 
 /// The weighing that moves, and its stop flag.
 type Moving = Arc<Mutex<Option<(String, Arc<AtomicBool>)>>>;
@@ -64,6 +59,16 @@ struct Lane {
 impl Bench {
     pub(super) fn new(store: Store, apparatus: Apparatus) -> Self {
         Self { store, apparatus, moving: Arc::default(), closing: Arc::default(), lane: Mutex::default() }
+    }
+
+    /// What the spoon on this bench holds, whichever of these sets is the powder, mg; `None` without sets.
+    pub fn spoon_holds_mg<'a>(&self, sets: impl Iterator<Item = &'a ParameterSet>) -> Option<f64> {
+        holds_mg(&self.apparatus.spoon, sets)
+    }
+
+    /// It is FLIP's own spoon, or nobody has said what another one holds.
+    pub fn spoon_is_usual(&self) -> bool {
+        self.apparatus.spoon.is_usual()
     }
 
     /// Record what the last process left moving, then begin to work.

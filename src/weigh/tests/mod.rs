@@ -3,6 +3,7 @@
 mod scripted;
 
 use super::*;
+use crate::domain::bench::PitchLimits;
 use crate::policy::{Schedule, ScheduledStep};
 use proptest::prelude::*;
 use scripted::{Call, Display, Fault, Scripted};
@@ -27,6 +28,32 @@ fn hear(
     stop: &AtomicBool,
 ) -> Weighed {
     weigh(bench, &shaker(8.0, 5.0), rules, &ORDER, settings, on_event, stop)
+}
+
+#[test]
+fn a_dose_keeps_within_what_the_arm_can_do_and_the_policy_was_made_for() {
+    let mut bench = Scripted::giving(&[2.0]);
+    bench.reach = Reach { pitch: PitchLimits { lower_deg: -20.0, upper_deg: 5.0 }, shake_mm_max: 4.0 };
+    let weighed = weigh_on(&mut bench, &Rules::FLIP);
+    assert_eq!((weighed.outcome, weighed.cause), (Outcome::Within, None));
+    let highest = |of: fn(&Tick) -> f64| weighed.ticks.iter().map(of).fold(0.0, f64::max);
+    assert_eq!((highest(|tick| tick.pitch_deg), highest(|tick| tick.action.shake_mm)), (5.0, 4.0));
+}
+
+#[test]
+fn where_arm_and_policy_have_no_range_in_common_nothing_moves_and_the_ranges_are_told() {
+    for reach in [
+        Reach { pitch: PitchLimits { lower_deg: -20.0, upper_deg: 0.0 }, ..Reach::FULL },
+        Reach { pitch: PitchLimits { lower_deg: -30.0, upper_deg: -15.0 }, ..Reach::FULL },
+        Reach { shake_mm_max: 0.5, ..Reach::FULL },
+    ] {
+        let mut bench = Scripted::giving(&[2.0]);
+        bench.reach = reach;
+        let weighed = weigh_on(&mut bench, &Rules::FLIP);
+        let cause = weighed.cause.unwrap_or_default();
+        assert_eq!((weighed.outcome, weighed.must_look, bench.calls.len()), (Outcome::Aborted, false, 0), "{cause}");
+        assert!(cause.contains("the arm tilts its spoon from") && cause.contains("-10 to 50 deg"), "{cause}");
+    }
 }
 
 #[test]

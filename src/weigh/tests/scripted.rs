@@ -1,6 +1,6 @@
 //! A bench that does what it was told to beforehand, and notes what it is asked for.
 
-use crate::domain::bench::{Action, Reading, Standing, Tare};
+use crate::domain::bench::{Action, Reach, Reading, Standing, Tare};
 use crate::hardware::{Bench, DeviceError};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -60,6 +60,7 @@ pub(super) struct Scripted {
     pub(super) gives_mg: Vec<f64>,
     /// Falls while the spoon is levelled.
     pub(super) late_mg: f64,
+    pub(super) reach: Reach,
     pub(super) pitch_deg: f64,
     pub(super) mass_mg: f64,
     pub(super) over_the_vial: bool,
@@ -74,6 +75,7 @@ impl Scripted {
             fault: None,
             gives_mg: gives_mg.to_vec(),
             late_mg: 0.0,
+            reach: Reach::FULL,
             pitch_deg: 0.0,
             mass_mg: 0.0,
             over_the_vial: false,
@@ -187,6 +189,9 @@ impl Bench for Scripted {
     }
     fn discard(&mut self) -> Result<(), DeviceError> {
         self.called(Call::Discard).map(|_| ())
+    }
+    fn reach(&self) -> Reach {
+        self.reach
     }
     fn pitch_deg(&self) -> f64 {
         self.pitch_deg

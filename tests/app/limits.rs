@@ -1,0 +1,95 @@
+//! What an arm and a spoon can do, against what a policy and a request ask of them.
+
+use crate::harness::{calibrated, functions, mg, open};
+use flip::app::{Error, Functions, file_bench};
+use flip::domain::bench::{PitchLimits, Tick};
+use flip::domain::spoon::{FilledBy, Spoon as Measured};
+use flip::domain::weighing::Outcome;
+use flip::emulate::arm::{self, Asked, Flow, FormulaSpoon, Spoon};
+use flip::emulate::lab::{Laboratory, Settings};
+use flip::hardware::bench_file::BenchFile;
+use flip::hardware::clock::Clock;
+use flip::hardware::station::Station;
+use flip::hardware::wire::Tap;
+use flip::policy::{Controller, Rules, Schedule, ScheduledStep};
+use flip::weigh::{Order, Settings as Weighing, Weighed, weigh};
+use std::ops::ControlFlow;
+use std::sync::atomic::AtomicBool;
+
+/// A policy that tips the spoon as far as 45 deg and shakes it hard.
+fn steep() -> Controller {
+    let steps = [15.0, 30.0, 45.0].map(|pitch_deg| ScheduledStep { pitch_deg, shake_mm: 12.0 });
+    Controller::Schedule(Schedule { steps: steps.to_vec() })
+}
+
+fn laboratory(arm: arm::Settings, spoon: FormulaSpoon) -> (Laboratory, Clock) {
+    let clock = Clock::standing();
+    let settings = Settings { arm, ..Settings::default() };
+    (Laboratory::start(settings, clock.clone(), Box::new(spoon)).unwrap(), clock)
+}
+
+fn weighed(file: &BenchFile, clock: Clock) -> (Weighed, Station) {
+    let mut station = Station::open(file, None, clock, &Tap::none()).unwrap();
+    let order = Order { target_mg: 20.0, tolerance_lower_mg: 2.0, tolerance_upper_mg: 2.0, readability_mg: 1.0 };
+    let settings = Weighing { forecast: None, ..Weighing::BENCH };
+    let hear = |_: &flip::weigh::Event<'_>| ControlFlow::Continue(());
+    let stop = AtomicBool::new(false);
+    (weigh(&mut station, &steep(), &Rules::FLIP, &order, &settings, hear, &stop), station)
+}
+
+#[test]
+fn a_policy_that_pitches_beyond_the_arm_is_not_aborted_in_the_middle() {
+    let pitch = PitchLimits { lower_deg: -5.0, upper_deg: 27.5 };
+    let arm = arm::Settings { pitch, ..arm::Settings::DEFAULT };
+    let (lab, clock) = laboratory(arm, FormulaSpoon::new(Flow::default(), 3));
+    let (weighed, _) = weighed(&lab.file(), clock);
+    assert_ne!(weighed.outcome, Outcome::Aborted, "{:?}", weighed.cause);
+    let highest_deg = weighed.ticks.iter().map(|tick: &Tick| tick.pitch_deg).fold(0.0, f64::max);
+    assert_eq!(highest_deg, pitch.upper_deg);
+}
+
+#[test]
+fn an_arm_that_cannot_scoop_weighs_what_somebody_filled() {
+    for (scoops, filled_by) in [(false, FilledBy::Arm), (true, FilledBy::Hand)] {
+        let arm = arm::Settings { scoops, ..arm::Settings::DEFAULT };
+        let mut spoon = FormulaSpoon::new(Flow::default(), 3);
+        spoon.refill();
+        let (lab, clock) = laboratory(arm, spoon);
+        let mut file = lab.file();
+        file.spoon = Measured { filled_by, ..Measured::default() };
+        let (weighed, mut station) = weighed(&file, clock);
+        assert_ne!(weighed.outcome, Outcome::Aborted, "{:?}", weighed.cause);
+        assert!(weighed.reading_mg > 5.0, "{weighed:?}");
+        assert!(!lab.arm.log().iter().any(|event| event.motion == Asked::Scoop));
+        assert!(station.devices().unwrap()["spoon"].contains("filled by a person"));
+    }
+}
+
+/// A devices bench of this file, none of whose devices is there.
+fn absent(spoon: &str) -> Functions {
+    let devices = "[balance]\ndialect = \"sbi\"\nport = \"/dev/no-such-port\"\n[arm]\nurl = \"http://127.0.0.1:9\"\n";
+    Functions { bench: Some(file_bench(BenchFile::parse(&format!("{devices}{spoon}")).unwrap())), ..functions() }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_real_spoon_is_not_measured_by_the_simulated_one() {
+    let asked_mg = 60.0;
+    for (spoon, fits) in [
+        ("", false),
+        ("[spoon]\ncapacity_mg = 75\n", true),
+        ("[spoon]\ncapacity_mg = 50\n", false),
+        ("[spoon]\nlength_mm = 16\nwidth_mm = 12\ndepth_mm = 4\n", true),
+    ] {
+        let (_folder, app) = open(absent(spoon)).await;
+        calibrated(&app, "sand").await;
+        match app.start_weighing(mg("sand", asked_mg), "key").await {
+            Ok(_) => assert!(fits, "{spoon}"),
+            Err(Error::Invalid(errors)) => {
+                assert!(!fits && errors[0].field == "target.value", "{spoon}: {errors:?}");
+                assert_eq!(errors[0].message.contains("[spoon]"), spoon.is_empty(), "{errors:?}");
+            }
+            Err(other) => panic!("{spoon}: {other:?}"),
+        }
+        app.shutdown().await.unwrap();
+    }
+}
