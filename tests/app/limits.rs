@@ -1,7 +1,7 @@
 //! What an arm and a spoon can do, against what a policy and a request ask of them.
 
-use crate::harness::{calibrated, functions, mg, open};
-use flip::app::{Error, Functions, file_bench};
+use crate::harness::{calibrated, functions, mg, open, training_of};
+use flip::app::{Error, EvaluationRequest, Functions, TrainingRequest, file_bench};
 use flip::domain::bench::{PitchLimits, Tick};
 use flip::domain::spoon::{FilledBy, Spoon as Measured};
 use flip::domain::weighing::Outcome;
@@ -92,4 +92,33 @@ async fn a_real_spoon_is_not_measured_by_the_simulated_one() {
         }
         app.shutdown().await.unwrap();
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn trainings_and_evaluations_dose_with_the_spoon_that_is_given() {
+    let (_folder, app) = open(functions()).await;
+    calibrated(&app, "sand").await;
+    let spoon = Measured { capacity_mg: Some(75.0), ..Measured::default() };
+    let asked = |spoon| EvaluationRequest {
+        powders: Some(vec!["sand".into()]),
+        targets_mg: Some(vec![60.0]),
+        repeats: Some(1),
+        spoon,
+        ..Default::default()
+    };
+    assert!(matches!(app.start_evaluation(asked(None)).await, Err(Error::Invalid(_))), "FLIP's own holds 40 mg");
+    let (job, _) = app.start_evaluation(asked(Some(spoon))).await.unwrap();
+    assert_eq!(app.evaluation(&job.id).await.unwrap().conditions.spoon, spoon);
+    let (job, _) = app.start_training(TrainingRequest { spoon: Some(spoon), ..training_of("sand", 4) }).await.unwrap();
+    let grains = |settings: &serde_json::Value| settings["spoon"]["particles"].as_u64().unwrap();
+    assert!(grains(&app.training(&job.id).await.unwrap().settings) > 4000);
+    let wrong = Measured { depth_mm: Some(3.0), ..spoon };
+    for refused in [
+        app.start_evaluation(asked(Some(wrong))).await.map(drop),
+        app.start_training(TrainingRequest { spoon: Some(wrong), ..training_of("sand", 4) }).await.map(drop),
+    ] {
+        let Err(Error::Invalid(errors)) = refused else { panic!("{refused:?}") };
+        assert_eq!(errors[0].field, "spoon.length_mm");
+    }
+    app.shutdown().await.unwrap();
 }

@@ -11,8 +11,8 @@ pub(super) const LOOK: Duration = Duration::from_millis(5);
 const ON_TIME: Duration = Duration::from_millis(10);
 /// So many looks after one that was held up do not count either: whoever has to renew was held up as well.
 const AFTERWARDS: u32 = 3;
-/// What is forgiven ends with this multiple of the limit.
-const FORGIVEN_MAX: u32 = 10;
+/// So much is forgiven at most.
+const FORGIVEN_MAX: Duration = Duration::from_millis(2700);
 
 /// How long a lease lives without renewal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,7 +51,7 @@ impl Unrenewed {
         }
         let (counted, limit) = match dead_man.forgives {
             false => (now - self.since, dead_man.limit),
-            true if now - self.since > dead_man.limit * FORGIVEN_MAX => return true,
+            true if now - self.since > dead_man.limit + FORGIVEN_MAX => return true,
             true => (self.counted, dead_man.limit),
         };
         counted > limit

@@ -25,17 +25,16 @@ impl<F: FnMut(&str) -> Option<String> + Send + 'static> Talker for Terse<F> {
 }
 
 fn driver(port: &Port, dialect: Dialect, change: impl FnOnce(&mut Settings)) -> Balance {
-    let mut settings = Settings { timeout_s: 0.25, stable_timeout_s: 2.0, ..Settings::new(dialect, port.address()) };
+    let mut settings = Settings { timeout_s: 0.25, stable_timeout_s: 8.0, ..Settings::new(dialect, port.address()) };
     change(&mut settings);
-    Balance::open(&settings, Tap::none(), Clock::wall()).unwrap()
+    Balance::open(&settings, Tap::none(), Clock::fast(4.0)).unwrap()
 }
 
 /// A balance with the least of its dialect: a reading, tare and zero. `other` is its answer to everything else.
 fn least(dialect: Dialect, other: Option<&'static str>) -> Port {
-    let (mut gross, mut tare) = (15_000_i64, 0);
+    let (gross, mut tare) = (15_000_i64, 0);
     Port::pty(Terse(move |command: &str| {
         let number = |mg: i64| format!("{}.{:03}", mg / 1000, mg % 1000);
-        gross += 0;
         match (dialect, command) {
             (MtSics, "SI") => Some(format!("S S {:>10} g", number(gross - tare))),
             (MtSics, "T") => {
