@@ -21,6 +21,9 @@ const RENEWAL_MAX: Duration = Duration::from_secs(1);
 /// Renewals under way at most.
 const RENEWALS_MAX: usize = 8;
 
+/// Why this side gave a lease up.
+pub(super) const UNATTENDED: &str = "nobody attended to it, so that its lease was given up: acquire it again";
+
 /// A value that two threads share.
 type Shared<T> = Arc<Mutex<T>>;
 
@@ -98,8 +101,7 @@ async fn renew(
     loop {
         ticks.tick().await;
         if attended.is_over() {
-            let cause = "nobody attended to it, so that its lease was given up: acquire it again";
-            *locked(&ended) = Some(forbidden(cause));
+            *locked(&ended) = Some(forbidden(UNATTENDED));
             return;
         }
         while let Some(renewed) = under_way.try_join_next() {

@@ -24,7 +24,7 @@ pub mod proto {
 
 use super::DeviceError;
 use super::wire::Tap;
-use background::{Attended, Renewals, States};
+use background::{Attended, Renewals, States, UNATTENDED};
 use proto::arm_client::ArmClient;
 use remote::{DEVICE, Remote, forbidden, latched, shortened};
 use std::time::{Duration, Instant};
@@ -79,6 +79,15 @@ struct Control {
     lease_id: String,
     sequence: u64,
     renewals: Renewals,
+    /// A motion found that the arm is latched.
+    latched: Option<DeviceError>,
+}
+
+impl Control {
+    /// Why the lease is gone, if it is.
+    fn ended(&self) -> Option<DeviceError> {
+        self.latched.clone().or_else(|| self.renewals.ended())
+    }
 }
 
 impl Arm {
@@ -154,7 +163,7 @@ impl Arm {
     /// [`DeviceError::Forbidden`] while somebody else has control, [`DeviceError::Latched`] while the arm is latched.
     pub fn acquire(&mut self) -> Result<(), DeviceError> {
         self.attended.now();
-        if self.control.as_ref().is_some_and(|control| control.renewals.ended().is_none()) {
+        if self.control.as_ref().is_some_and(|control| control.ended().is_none()) {
             return Ok(());
         }
         self.control = None;
@@ -163,7 +172,7 @@ impl Arm {
         let lease = self.remote.ask("Acquire".to_owned(), self.deadlines.call, call);
         let lease = lease.map_err(|error| self.explained(error))?;
         let renewals = Renewals::start(&self.urgent, &lease.lease_id, self.deadlines.renewal, &self.attended);
-        self.control = Some(Control { lease_id: lease.lease_id, sequence: 0, renewals });
+        self.control = Some(Control { lease_id: lease.lease_id, sequence: 0, renewals, latched: None });
         Ok(())
     }
 
@@ -291,7 +300,7 @@ impl Arm {
         self.attended.for_next(limit);
         let control =
             self.control.as_mut().ok_or_else(|| forbidden("nobody has taken control: acquire the arm first"))?;
-        if let Some(ended) = control.renewals.ended() {
+        if let Some(ended) = control.ended() {
             return Err(self.explained(ended));
         }
         control.sequence += 1;
@@ -310,7 +319,11 @@ impl Arm {
             self.stop_unanswered();
         }
         self.attended.now();
-        answer.map_err(|error| self.explained(error))
+        let answer = answer.map_err(|error| self.explained(error));
+        if let (Some(control), Err(error @ DeviceError::Latched { .. })) = (&mut self.control, &answer) {
+            control.latched = Some(error.clone());
+        }
+        answer
     }
 
     /// Why the arm refused or failed, if it is latched: that says more than that its lease has ended.
@@ -323,7 +336,14 @@ impl Arm {
             let call = |mut client: ArmClient<Channel>| async move { client.describe(proto::DescribeRequest {}).await };
             match self.remote.ask("Describe".to_owned(), self.deadlines.call, call) {
                 Ok(description) if !description.latch_cause.is_empty() => {
-                    return latched(shortened(&description.latch_cause));
+                    let cause = shortened(&description.latch_cause);
+                    return match &error {
+                        // The driver cannot know why renewals ended.
+                        DeviceError::Forbidden { cause: ours, .. } if ours == UNATTENDED => {
+                            latched(format!("{cause}; {ours}"))
+                        }
+                        _ => latched(cause),
+                    };
                 }
                 // It brings the spoon back first, and is latched then, or not.
                 Ok(_) if self.is_returning() && Instant::now() < until => std::thread::sleep(RETURNING_LOOK),

@@ -374,7 +374,7 @@ fn refusal(condition: Condition) -> DeviceError {
         Condition::Standby => "its display is off: it is in standby, switch it on".to_owned(),
         Condition::NotStable => "no stable reading: keep draughts and vibration away".to_owned(),
         Condition::Unknown => {
-            "it refuses a command that every balance of this dialect should know: is the dialect right?".to_owned()
+            "it does not know a command that every balance of this dialect should: is the dialect right?".to_owned()
         }
         Condition::ForeignUnit(unit) => format!("it shows {unit}: set its unit to g or mg"),
         Condition::Fault(words) => words,

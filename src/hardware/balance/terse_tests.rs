@@ -170,7 +170,7 @@ fn our_own_command_that_comes_back_is_no_answer() {
                 "SI" => "S S      8.400 g",
                 "IP" => "      8.400 g",
                 "Q" => "ST,+00008.400  g",
-                "\u{1b}P" => "+   8.400 g  ",
+                "\u{1b}P" => "+    8.400 g  ",
                 _ => return Some(command.to_owned()),
             };
             Some(format!("{command}\r\n{answer}"))

@@ -51,7 +51,7 @@ fn frames_of_each_dialect_are_read_as_shown() {
         (Ohaus, "U      -0.015 g", -15.0, false),
         (Sbi, "+  47,0302 g", 47_030.2, true),
         (Sbi, "N     -47.030[2] g", -47_030.2, true),
-        (Sbi, "N     +   47.030[2] g  ", 47_030.2, true),
+        (Sbi, "N     +  47.030[2] g  ", 47_030.2, true),
         (Aandd, "ST,+00047,030  g", 47_030.0, true),
         (Aandd, "ST,+0047.03[2]  g", 47_032.0, true),
         (Aandd, "US,GS,+   47.032kg", 47_032_000.0, false),
