@@ -21,6 +21,7 @@ mod measurements;
 mod policies;
 mod powder_names;
 mod powders;
+mod provable;
 pub mod report_html;
 mod repose;
 mod simulators;

@@ -10,6 +10,7 @@ pub mod parameters;
 pub mod pile;
 pub mod powder;
 pub mod powder_name;
+pub mod rest;
 pub mod seed;
 pub mod spoon;
 pub mod timestamp;

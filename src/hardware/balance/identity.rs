@@ -59,6 +59,12 @@ impl Balance {
         Ok(Identity { maker: maker(self.settings.dialect).to_owned(), model, serial, software })
     }
 
+    /// Its serial number, where it tells one.
+    pub(super) fn serial_number(&mut self) -> Result<Option<String>, DeviceError> {
+        let told = self.commands.serial.map_or(Ok(Told::Nothing), |command| self.words(command))?;
+        Ok(if let Told::Words(words) = told { Some(words) } else { None })
+    }
+
     /// The words that answer a question. A balance that answers no such question is asked each of them once: silence costs seconds.
     fn words(&mut self, command: Command) -> Result<Told, DeviceError> {
         if self.silent_to.contains(&command.bytes) && !self.dialogue.keeps_step() {

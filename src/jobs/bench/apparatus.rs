@@ -69,8 +69,8 @@ pub struct Poured {
     pub outcome: Outcome,
     /// True mass in the vial, mg; unknown on devices.
     pub dispensed_mg: Option<f64>,
-    /// Last reading, mg.
-    pub reading_mg: f64,
+    /// Final reading, mg; none where the dose was aborted or nothing was read when all stood still.
+    pub reading_mg: Option<f64>,
     /// What was measured beside it.
     pub measured: Option<MeasuredMass>,
     /// Shakes made.
@@ -172,14 +172,14 @@ pub fn emulated(settings: lab::Settings) -> Apparatus {
         }
     });
     // Each dose has a laboratory of its own.
-    let apparatus = wires.apparatus(BenchKind::Emulated, pour, Arc::new(|_| Ok(())), readability_mg);
+    let apparatus = wires.apparatus(BenchKind::Emulated, pour, Arc::new(|_| Ok(())), Some(readability_mg));
     Apparatus { stand: Some(stand), remembers, ..apparatus }
 }
 
 /// The closed loop on the devices of this file.
 pub fn devices(file: BenchFile) -> Apparatus {
     let wires = Wires::default();
-    let readability_mg = file.balance.readability_mg.unwrap_or(1.0);
+    let readability_mg = file.balance.readability_mg;
     let (opened, arm, tap) = (wires.clone(), file.arm.clone(), wires.tap());
     let recover: Recover =
         Arc::new(move |person| Arm::connect(&arm.url, tap.clone(), arm.deadlines())?.recover(person));
@@ -234,7 +234,7 @@ impl Wires {
         Tap::new(move |exchange| locked(&exchanges).push(exchange))
     }
 
-    fn apparatus(self, kind: BenchKind, pour: Pour, recover: Recover, readability_mg: f64) -> Apparatus {
+    fn apparatus(self, kind: BenchKind, pour: Pour, recover: Recover, readability_mg: Option<f64>) -> Apparatus {
         let Self { exchanges, stopper, devices, halted, .. } = self;
         let halt = move || {
             halted.store(true, Ordering::SeqCst);
@@ -250,7 +250,7 @@ impl Wires {
             exchanges: Arc::new(move || std::mem::take(&mut *locked(&exchanges))),
             devices: Arc::new(move || locked(&devices).clone()),
             recover,
-            readability_mg: Arc::new(move || Some(readability_mg)),
+            readability_mg: Arc::new(move || readability_mg),
             remembers: kind == BenchKind::Devices,
             spoon: Spoon::default(),
             stand: None,
@@ -276,8 +276,9 @@ fn on_devices(
         Ok(station) => station,
         Err(error) => return refused(error),
     };
-    let (accuracy, forecast, life_s) = (pouring.accuracy, Some(pouring.forecast), file.readings.life_s);
-    let settings = Settings { accuracy, forecast, life_s, ..Settings::BENCH };
+    let (accuracy, forecast, readings) = (pouring.accuracy, Some(pouring.forecast), file.readings);
+    let (life_s, rest_max_s) = (readings.life_s, readings.stand_max_s);
+    let settings = Settings { accuracy, forecast, life_s, rest_max_s, ..Settings::BENCH };
     let weighed = weigh(&mut station, &pouring.controller, &pouring.rules, &pouring.order, &settings, on_event, stop);
     wires.closed();
     let mut poured = poured(weighed, None);
@@ -297,7 +298,7 @@ fn not_begun(cause: String) -> Poured {
     Poured {
         outcome: Outcome::Aborted,
         dispensed_mg: None,
-        reading_mg: 0.0,
+        reading_mg: None,
         measured: None,
         shakes: 0,
         seconds: 0.0,
@@ -308,11 +309,13 @@ fn not_begun(cause: String) -> Poured {
 }
 
 fn poured(weighed: Weighed, dispensed_mg: Option<f64>) -> Poured {
-    let measured = MeasuredMass {
+    let measured = |net_mg| MeasuredMass {
         tare_mg: weighed.tare_mg,
         gross_mg: weighed.gross_mg,
-        net_mg: weighed.reading_mg,
+        zero_mg: weighed.zero_mg,
+        net_mg,
         uncertainty_mg: weighed.uncertainty_mg,
+        proven: weighed.proven,
         stable_by_balance: weighed.stable_by_flag.unwrap_or(false),
         stable_by_window: weighed.stable_by_window.unwrap_or(false),
         drift_before_mg_min: weighed.drift_before_mg_min,
@@ -325,7 +328,7 @@ fn poured(weighed: Weighed, dispensed_mg: Option<f64>) -> Poured {
         outcome: weighed.outcome,
         dispensed_mg,
         reading_mg: weighed.reading_mg,
-        measured: weighed.stable_by_flag.map(|_| measured),
+        measured: weighed.reading_mg.filter(|_| weighed.stable_by_flag.is_some()).map(measured),
         shakes: weighed.shakes,
         seconds: weighed.seconds,
         ticks: weighed.ticks,
@@ -342,7 +345,7 @@ mod tests {
     fn a_stop_is_for_whoever_has_the_floor_also_before_the_devices_are_open() {
         let wires = Wires::default();
         let pour: Pour = Arc::new(|_, _, _| not_begun("nothing pours here".into()));
-        let halt = wires.clone().apparatus(BenchKind::Devices, pour, Arc::new(|_| Ok(())), 1.0).halt;
+        let halt = wires.clone().apparatus(BenchKind::Devices, pour, Arc::new(|_| Ok(())), Some(1.0)).halt;
         let floor = wires.floor();
         halt();
         assert!(wires.was_halted());

@@ -269,14 +269,15 @@ impl LaneThread {
             devices: (self.apparatus.devices)(),
             ..measured
         });
-        // On a real bench nobody knows the true mass: the reading stands for it.
-        let error_mg = poured.dispensed_mg.unwrap_or(poured.reading_mg) - weighing.target_mg;
+        // The verdict is that of the reading, and so is the error. What was not weighed has none.
+        let is_weighed = matches!(poured.outcome, Outcome::Within | Outcome::Under | Outcome::Over | Outcome::Blocked);
+        let error_mg = poured.reading_mg.filter(|_| is_weighed).map(|reading_mg| reading_mg - weighing.target_mg);
         Ending {
             state,
             outcome: poured.outcome,
             dispensed_mg: poured.dispensed_mg,
-            reading_mg: Some(poured.reading_mg),
-            error_mg: Some(error_mg),
+            reading_mg: poured.reading_mg,
+            error_mg,
             shakes: Some(poured.shakes),
             seconds: Some(poured.seconds),
             measured,
