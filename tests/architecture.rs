@@ -67,7 +67,7 @@ const CONFINED: [(&str, &[&str]); 25] = [
     ("rayon::", &["calibrate", "discover", "train", "jobs", "cli"]),
     ("clap::", &["cli"]),
     ("indicatif::", &["cli"]),
-    ("rustix::", &["cli", "emulate", "hardware", "jobs"]),
+    ("rustix::", &["cli", "emulate", "hardware", "jobs", "store"]),
     ("anyhow::", &["cli"]),
     // Drivers and emulators are synchronous outside; runtimes of their own wait for remote calls.
     ("tokio::", &["store", "jobs", "app", "api", "cli", "hardware", "emulate"]),

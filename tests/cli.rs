@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-const COMMANDS: [&str; 16] = [
+const COMMANDS: [&str; 18] = [
     "serve",
     "demo",
     "repose",
@@ -23,6 +23,8 @@ const COMMANDS: [&str; 16] = [
     "weigh",
     "jobs",
     "token",
+    "backup",
+    "restore",
 ];
 
 fn flip(data_dir: &Path, arguments: &[&str]) -> Output {

@@ -8,12 +8,14 @@
 //! | operator                                 | yes   | yes    | no     |
 //! | admin                                    | yes   | yes    | yes    |
 //!
-//! A handler names its role with an extractor ([`Viewer`], [`Operator`], [`Admin`]) or, in gRPC, with [`require`].
+//! A latched bench is cleared by an admin, or by an operator whose token was made for that.
+//!
+//! A handler names its role with an extractor ([`Viewer`], [`Operator`], [`Admin`], [`Clearer`]) or, in gRPC, with [`require`]
+//! and [`require_clearer`]. Who calls is known to all that the request does ([`acting`]), so that records can name them.
 
 use super::listen::is_loopback_name;
 use super::problem::Problem;
-use crate::app::App;
-use crate::app::Role;
+use crate::app::{App, Holder, Role, Who, acting};
 use axum::extract::FromRequestParts;
 use axum::extract::Request;
 use axum::extract::State;
@@ -23,7 +25,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 /// Who sent a request.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Caller {
     /// No token.
     Anonymous {
@@ -31,7 +33,7 @@ pub enum Caller {
         may_read: bool,
     },
     /// The holder of a token.
-    Holder(Role),
+    Holder(Holder),
 }
 
 impl Caller {
@@ -39,16 +41,42 @@ impl Caller {
     ///
     /// # Errors
     /// 401 without a token, 403 with one of too low a role.
-    pub fn require(self, role: Role) -> Result<(), Problem> {
+    pub fn require(&self, role: Role) -> Result<(), Problem> {
         match self {
             Self::Anonymous { may_read: true } if role == Role::Viewer => Ok(()),
             Self::Anonymous { .. } => Err(Problem::unauthorized(format!(
                 "send Authorization: Bearer with a token of role {role} (flip token create --role {role})",
                 role = name(role)
             ))),
-            Self::Holder(held) if held >= role => Ok(()),
-            Self::Holder(held) => {
-                Err(Problem::forbidden(format!("this needs the role {}; the token has {}", name(role), name(held))))
+            Self::Holder(holder) if holder.role >= role => Ok(()),
+            Self::Holder(holder) => {
+                let (needed, held) = (name(role), name(holder.role));
+                Err(Problem::forbidden(format!("this needs the role {needed}; the token has {held}")))
+            }
+        }
+    }
+
+    /// Nothing, if the caller may clear a latched bench.
+    ///
+    /// # Errors
+    /// 401 without a token, 403 with one that was not made for it.
+    pub fn require_clearer(&self) -> Result<(), Problem> {
+        self.require(Role::Operator)?;
+        match self {
+            Self::Holder(holder) if holder.may_clear => Ok(()),
+            _ => Err(Problem::forbidden(
+                "clearing a latch is a right of its own, which the token lacks: use an admin's, or one made with \
+                 flip token create --role operator --may-clear",
+            )),
+        }
+    }
+
+    /// How records name the caller.
+    fn who(&self) -> Who {
+        match self {
+            Self::Anonymous { .. } => Who::anonymous(),
+            Self::Holder(Holder { id, name, role, .. }) => {
+                Who { name: name.clone(), token: Some(id.clone()), role: Some(*role) }
             }
         }
     }
@@ -79,18 +107,29 @@ pub async fn identify(State(gate): State<Gate>, mut request: Request, next: Next
     };
     match caller {
         Ok(caller) => {
+            let who = caller.who();
             request.extensions_mut().insert(caller);
-            next.run(request).await
+            acting(who, next.run(request)).await
         }
         Err(problem) => problem.into_response(),
     }
 }
 
+/// Lets all that a request does know who called, as [`identify`] found: on the task that carries it out, which may be another than identified them.
+pub async fn on_behalf(request: Request, next: Next) -> Response {
+    let who = caller(request.extensions()).who();
+    acting(who, next.run(request)).await
+}
+
 async fn holder(app: &App, authorization: &HeaderValue) -> Result<Caller, Problem> {
     let secret = authorization.to_str().ok().and_then(bearer);
     let secret = secret.ok_or_else(|| Problem::unauthorized("write the header as Authorization: Bearer flip_..."))?;
-    let role = app.authenticate(secret).await?;
-    Ok(Caller::Holder(role.ok_or_else(|| Problem::unauthorized("the token is not known"))?))
+    let holder = match app.authenticate(secret) {
+        Some(holder) => Some(holder),
+        None => app.authenticate_late(secret).await,
+    };
+    let holder = holder.ok_or_else(|| Problem::unauthorized("the token is not known, has expired or was revoked"))?;
+    Ok(Caller::Holder(holder))
 }
 
 fn bearer(header: &str) -> Option<&str> {
@@ -126,8 +165,19 @@ fn is_same_origin(headers: &HeaderMap, authority: &str) -> bool {
 /// # Errors
 /// As [`Caller::require`]; a request that never passed [`identify`] is anonymous and may nothing.
 pub fn require(extensions: &Extensions, role: Role) -> Result<(), Problem> {
-    let caller = extensions.get::<Caller>().copied();
-    caller.unwrap_or(Caller::Anonymous { may_read: false }).require(role)
+    caller(extensions).require(role)
+}
+
+/// Nothing, if the caller found by [`identify`] may clear a latched bench.
+///
+/// # Errors
+/// As [`Caller::require_clearer`].
+pub fn require_clearer(extensions: &Extensions) -> Result<(), Problem> {
+    caller(extensions).require_clearer()
+}
+
+fn caller(extensions: &Extensions) -> &Caller {
+    extensions.get().unwrap_or(&Caller::Anonymous { may_read: false })
 }
 
 macro_rules! extractors {
@@ -152,6 +202,17 @@ extractors! {
     Operator,
     /// The caller may make tokens.
     Admin
+}
+
+/// The caller may clear a latched bench.
+#[derive(Debug, Clone, Copy)]
+pub struct Clearer;
+
+impl<S: Sync> FromRequestParts<S> for Clearer {
+    type Rejection = Problem;
+    async fn from_request_parts(parts: &mut Parts, _state: &S) -> Result<Self, Problem> {
+        require_clearer(&parts.extensions).map(|()| Self)
+    }
 }
 
 #[cfg(test)]
@@ -186,11 +247,25 @@ mod tests {
         let stranger = Caller::Anonymous { may_read: false };
         let local = Caller::Anonymous { may_read: true };
         assert_eq!(status(stranger, Role::Viewer), Some(401));
-        assert_eq!(status(local, Role::Viewer), None);
+        assert_eq!(status(local.clone(), Role::Viewer), None);
         assert_eq!(status(local, Role::Operator), Some(401));
-        assert_eq!(status(Caller::Holder(Role::Viewer), Role::Operator), Some(403));
-        assert_eq!(status(Caller::Holder(Role::Admin), Role::Operator), None);
-        assert_eq!(status(Caller::Holder(Role::Operator), Role::Admin), Some(403));
+        assert_eq!(status(held(Role::Viewer, false), Role::Operator), Some(403));
+        assert_eq!(status(held(Role::Admin, true), Role::Operator), None);
+        assert_eq!(status(held(Role::Operator, true), Role::Admin), Some(403));
+    }
+
+    fn held(role: Role, may_clear: bool) -> Caller {
+        Caller::Holder(Holder { id: "0".into(), name: "test".into(), role, may_clear })
+    }
+
+    #[test]
+    fn clearing_is_a_right_of_its_own_not_of_every_operators_token() {
+        let status = |caller: Caller| caller.require_clearer().map_err(|p| p.status).err();
+        assert_eq!(status(Caller::Anonymous { may_read: true }), Some(401));
+        assert_eq!(status(held(Role::Viewer, true)), Some(403));
+        assert_eq!(status(held(Role::Operator, false)), Some(403));
+        assert_eq!(status(held(Role::Operator, true)), None);
+        assert_eq!(status(held(Role::Admin, true)), None);
     }
 
     #[test]

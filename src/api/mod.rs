@@ -82,6 +82,9 @@ impl Server {
                 tracing::error!(%error, "the application did not close cleanly");
             }
         });
+        // However this ends: who follows tokens and health must not outlive it.
+        let _ending = closing.clone().drop_guard();
+        tokio::spawn(closing.clone().run_until_cancelled_owned(self.app.clone().keep_tokens()));
         let router = router(&self.app, &self.config, closing.clone());
         tokio::spawn(journal::keep(self.app.clone(), closing.clone()));
         let tls = self.config.tls().await?;
@@ -123,6 +126,7 @@ fn router(app: &App, config: &ServeConfig, closing: CancellationToken) -> Router
         .merge(grpc::router(app.clone(), closing.clone()))
         .merge(probes::router(app.clone(), closing))
         .fallback(page::fallback)
+        .layer(from_fn(auth::on_behalf))
         .layer(from_fn_with_state(gate, auth::identify))
         .layer(from_fn(auth::same_origin))
         .layer(from_fn_with_state(limits::Limits::default(), limits::fair))

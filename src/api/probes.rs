@@ -1,15 +1,14 @@
 //! For those who watch over the service: `/healthz`, `/readyz`, `/metrics`.
 
-use super::auth::Viewer;
+use super::auth::{Viewer, require};
 use super::journal::word;
 use super::problem::Problem;
-use crate::app::App;
-use crate::app::{BenchStatus, Counts};
-use axum::Router;
+use crate::app::{App, BenchStatus, Counts, Role};
 use axum::extract::State;
-use axum::http::header;
-use axum::response::IntoResponse;
+use axum::http::{Extensions, StatusCode, header};
+use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use axum::{Json, Router};
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
 use std::sync::OnceLock;
 use tokio_util::sync::CancellationToken;
@@ -25,10 +24,11 @@ const BUCKETS: [(&str, &[f64]); 5] = [
 
 /// The three routes; `closing` is cancelled once the service shuts down.
 pub fn router(app: App, closing: CancellationToken) -> Router {
-    let ready = move || async move {
+    let asked = app.clone();
+    let ready = move |extensions: Extensions| async move {
         match closing.is_cancelled() {
-            true => Err(Problem::unavailable("shutting down")),
-            false => Ok("ready\n"),
+            true => Problem::unavailable("shutting down").into_response(),
+            false => readiness(&asked, &extensions).await,
         }
     };
     recorder();
@@ -38,6 +38,16 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         .route("/healthz", get(async || "alive\n"))
         .route("/readyz", get(ready))
         .method_not_allowed_fallback(async || Problem::method_not_allowed())
+}
+
+/// 200 when a weighing could be carried out and recorded, else 503; each thing that was looked at by its name, and why to those who may read.
+async fn readiness(app: &App, extensions: &Extensions) -> Response {
+    let mut found = app.readiness().await;
+    if require(extensions, Role::Viewer).is_err() {
+        found.checks = found.checks.without_reasons();
+    }
+    let status = if found.ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+    (status, Json(found)).into_response()
 }
 
 async fn exposition(_: Viewer, State(app): State<App>) -> Result<impl IntoResponse, Problem> {

@@ -34,6 +34,9 @@ pub struct Problem {
 /// The content type of [`Problem`].
 pub const CONTENT_TYPE: &str = "application/problem+json";
 
+/// When to ask again after a 503, s: another program's lock is waited for about as long before it is one.
+const RETRY_AFTER_S: &str = "5";
+
 impl Problem {
     fn new(status: StatusCode, kind: &str, title: &str, detail: impl Into<String>) -> Self {
         Self {
@@ -82,6 +85,11 @@ impl Problem {
     /// 409: the state of things is in the way; `code` names how.
     pub fn conflict(code: &str, detail: impl Into<String>) -> Self {
         Self::new(StatusCode::CONFLICT, code, "In conflict with the present state", detail)
+    }
+
+    /// 410: it was stored, and cannot be read any more.
+    pub fn lost(detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::GONE, "lost", "Lost", detail)
     }
 
     /// 413: the body is larger than the service reads.
@@ -134,6 +142,7 @@ impl From<app::Error> for Problem {
             Error::Busy(_) => Self::conflict("queue-full", detail),
             Error::Unprocessable { .. } => Self::key_reused(detail),
             Error::Unavailable(_) => Self::unavailable(detail),
+            Error::Lost(_) => Self::lost(detail),
             Error::Internal(cause) => {
                 tracing::error!(cause = ?cause, "internal error");
                 Self::internal()
@@ -155,6 +164,9 @@ impl IntoResponse for Problem {
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(CONTENT_TYPE));
         if self.status() == StatusCode::UNAUTHORIZED {
             headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer realm=\"flip\""));
+        }
+        if self.status() == StatusCode::SERVICE_UNAVAILABLE {
+            headers.insert(header::RETRY_AFTER, HeaderValue::from_static(RETRY_AFTER_S));
         }
         // For `edge`, which writes it again with the request's id.
         response.extensions_mut().insert(self);

@@ -183,7 +183,8 @@ impl App {
             let advice = "a calibration has a posterior when it has succeeded with the method `emulator`";
             Error::conflict("posterior_missing", advice.to_owned())
         })?;
-        let bytes = self.store().artifacts().get(&sha256)?;
+        let lost = |error| Error::of_part("the posterior of this calibration", error);
+        let bytes = self.store().artifacts().get(&sha256).map_err(lost)?;
         serde_json::from_slice(&bytes).map_err(|_| corrupt("a posterior"))
     }
 

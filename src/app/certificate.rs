@@ -23,41 +23,86 @@ impl App {
     /// # Errors
     /// `NotFound`; `Conflict` (`weighing_unfinished`).
     pub async fn certificate(&self, id: &str) -> Result<String> {
-        let detail = self.weighing(id).await?;
+        let mut detail = self.weighing(id).await?;
         if detail.weighing.outcome.is_none() {
             let advice = format!("weighing {id} has not ended: its certificate can be printed when it has");
             return Err(Error::conflict("weighing_unfinished", advice));
         }
-        let mut last = None;
-        let mut records = 0;
-        self.export_audit(Some(id), |record| {
-            records += 1;
-            last = Some(record.clone());
-        })
-        .await?;
-        Ok(html(&detail, records, last.as_ref()))
+        let mut record = Recorded::default();
+        match self.outcome_on_record(id).await? {
+            // From the record, not from the row: that anybody with the file can change.
+            Some(said) => detail.weighing = said,
+            None => record.unrecorded = true,
+        }
+        self.export_audit(Some(id), |it| record.add(it)).await?;
+        Ok(html(&detail, &record))
+    }
+
+    /// What the record says of a weighing that has ended; `None` of one from before there was a record.
+    async fn outcome_on_record(&self, id: &str) -> Result<Option<Weighing>> {
+        let row = self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
+        match self.store().outcome_on_record(&row).await? {
+            (None, said) => Ok(said),
+            (Some(changed), _) => {
+                let advice = format!(
+                    "weighing {id} is not certified: {}. `flip audit verify` goes through the whole record; a backup may hold what was written",
+                    changed.why
+                );
+                Err(Error::conflict("record_differs", advice))
+            }
+        }
+    }
+}
+
+/// What the certificate says of the record.
+#[derive(Default)]
+struct Recorded {
+    records: usize,
+    last: Option<AuditRecord>,
+    /// Who asked, by token.
+    asked_by: Option<String>,
+    /// It ended before there was a record.
+    unrecorded: bool,
+}
+
+impl Recorded {
+    fn add(&mut self, record: &AuditRecord) {
+        self.records += 1;
+        self.last = Some(record.clone());
+        if record.kind == "intent" {
+            let text = |field: &str| record.body["who"][field].as_str();
+            self.asked_by = text("name").map(|name| match text("role") {
+                Some(role) => format!("{name} ({role})"),
+                None => name.to_owned(),
+            });
+        }
+    }
+
+    fn rows(&self) -> Vec<(&'static str, String)> {
+        let mut rows = vec![("Records of this weighing", self.records.to_string())];
+        rows.extend(self.last.iter().flat_map(|last| {
+            [("Last record", format!("{} of {}", last.seq, last.at)), ("Hash up to there", last.hash.clone())]
+        }));
+        rows.extend(self.asked_by.iter().map(|who| ("Asked for with the token of", who.clone())));
+        rows
     }
 }
 
 /// The page; the same weighing always makes the same bytes.
-fn html(detail: &WeighingDetail, records: usize, last: Option<&AuditRecord>) -> String {
+fn html(detail: &WeighingDetail, record: &Recorded) -> String {
     let weighing = &detail.weighing;
     let mut body = format!(
         "<h1>Weighing certificate</h1><p class=\"big\">{}</p>{}",
         result(weighing),
-        warnings(weighing).iter().map(|text| format!("<p class=\"warn\">{}</p>", escaped(text))).collect::<String>()
+        all_warnings(detail, record)
+            .iter()
+            .map(|text| format!("<p class=\"warn\">{}</p>", escaped(text)))
+            .collect::<String>()
     );
     section(&mut body, "What was asked", &asked(weighing));
     section(&mut body, "What was measured", &measured(weighing));
     section(&mut body, "With what", &provenance(weighing));
-    let record = last.map(|record| {
-        vec![
-            ("Records of this weighing", records.to_string()),
-            ("Last record", format!("{} of {}", record.seq, record.at)),
-            ("Hash up to there", record.hash.clone()),
-        ]
-    });
-    section(&mut body, "Record", &record.unwrap_or_default());
+    section(&mut body, "Record", &record.rows());
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n<meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\"/>\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n<title>Weighing {} · FLIP</title>\n<style>{STYLE}</style>\n</head>\n\
@@ -91,7 +136,17 @@ fn result(weighing: &Weighing) -> String {
     }
 }
 
-/// What a reader must not miss.
+/// What a reader must not miss, of the dose and of what is known of it.
+fn all_warnings(detail: &WeighingDetail, record: &Recorded) -> Vec<String> {
+    let mut all = warnings(&detail.weighing);
+    all.extend(detail.trace_lost.clone());
+    if record.unrecorded {
+        all.push("It ended before FLIP kept a record: what is printed here is proven by nothing.".to_owned());
+    }
+    all
+}
+
+/// What a reader must not miss of the dose.
 fn warnings(weighing: &Weighing) -> Vec<String> {
     let mut all = Vec::new();
     let told = |outcome: Outcome| match outcome {

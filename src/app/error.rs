@@ -39,9 +39,12 @@ pub enum Error {
     /// The bench's queue is full.
     #[error("{0}")]
     Busy(String),
-    /// Not now and not the caller's fault: shutting down, or opened to read only.
+    /// Not now and not the caller's fault: shutting down, opened to read only, the database locked by another program, the disk full.
     #[error("{0}")]
     Unavailable(String),
+    /// What was stored is gone or damaged; everything else of it is still there.
+    #[error("{0}")]
+    Lost(String),
     /// Ours. The cause goes to the log, never to the caller.
     #[error("internal error")]
     Internal(#[source] Box<dyn std::error::Error + Send + Sync>),
@@ -56,10 +59,28 @@ impl Error {
         Self::Conflict { code, message: message.into() }
     }
 
+    /// A part that was stored cannot be read any more; whatever else went wrong stays what it is.
+    pub(crate) fn of_part(what: &str, error: store::Error) -> Self {
+        match error.is_lost_part() {
+            true => {
+                tracing::warn!(%error, what, "a part of what was stored is lost");
+                Self::Lost(lost(what))
+            }
+            false => error.into(),
+        }
+    }
+
     /// A missing thing.
     pub(crate) fn not_found(what: &'static str, id: impl Into<String>) -> Self {
         Self::NotFound { what, id: id.into() }
     }
+}
+
+/// What is said of a part that is lost.
+pub(crate) fn lost(what: &str) -> String {
+    format!(
+        "{what} is lost: its file in the data folder is gone or damaged (the log says which). A backup may hold it; nothing else is affected"
+    )
 }
 
 impl From<FieldError> for Error {
@@ -74,6 +95,9 @@ impl From<store::Error> for Error {
             store::Error::ReadOnly => Self::Unavailable(
                 "the data folder was opened to read only because `flip serve` holds it: ask the server instead".into(),
             ),
+            store::Error::Locked | store::Error::Busy | store::Error::Full | store::Error::Gone(_) => {
+                Self::Unavailable(error.to_string())
+            }
             error if error.is_closed() => {
                 Self::Unavailable("FLIP is shutting down: ask again after the restart".into())
             }

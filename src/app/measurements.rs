@@ -8,10 +8,13 @@ use crate::domain::FieldError;
 use crate::domain::observable::{Observable, Observation};
 use crate::domain::powder::{Flowability, HeapReadings, Method};
 use crate::domain::powder_name::same_name;
+use crate::store::artifacts::sha256_hex;
+use crate::store::now;
 use crate::store::observations::PowderObservation;
 use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use crate::store::powders::Measurement;
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 use std::collections::HashSet;
 
 /// A measurement to register, in exactly one of three forms: `repose_deg` with `sd_deg` and `n`, or alone as a single value; the angles of all repeats in `repeats_deg`;
@@ -206,6 +209,7 @@ impl App {
         self.existing_powder(powder).await?;
         let mut tx = self.store().write().await?;
         let measurement = tx.insert_measurement(powder, new.method, flowability, &source).await?;
+        tx.audit_deed(None, "new measurement", json!({ "measurement": measurement }), now()).await?;
         tx.commit().await?;
         Ok(measurement)
     }
@@ -249,6 +253,9 @@ impl App {
                 }
             }
         }
+        let said = json!({ "powders": imported.powders, "measurements": imported.measurements.len(),
+            "observations": imported.observations.len(), "sha256": sha256_hex(csv.as_bytes()) });
+        tx.audit_deed(None, "import measurements", said, now()).await?;
         tx.commit().await?;
         Ok(imported)
     }
@@ -280,6 +287,7 @@ impl App {
         self.existing_powder(powder).await?;
         let mut tx = self.store().write().await?;
         let observation = tx.insert_observation(powder, &observed, &source).await?;
+        tx.audit_deed(None, "new observation", json!({ "observation": observation }), now()).await?;
         tx.commit().await?;
         Ok(observation)
     }

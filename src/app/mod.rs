@@ -1,5 +1,6 @@
 //! What FLIP can do, in plain Rust. REST, gRPC, the command line and the demonstration all call this.
 
+mod backup;
 mod bench;
 mod calibrations;
 mod campaign_csv;
@@ -16,12 +17,14 @@ mod humidity;
 mod inference;
 mod investigations;
 mod jobs;
+mod keyring;
 mod measurement_csv;
 mod measurements;
 mod policies;
 mod powder_names;
 mod powders;
 mod provable;
+mod readiness;
 pub mod report_html;
 mod repose;
 mod simulators;
@@ -55,6 +58,7 @@ pub use crate::jobs::{Conditions, Functions, Workers};
 pub use crate::pile::{Compared, Limits as PileLimits, Rig};
 pub use crate::policy::{Done, Observation};
 pub use crate::store::audit::{AuditRecord, AuditVerification};
+pub use crate::store::backup::Copied;
 pub use crate::store::bench::{BENCH_TOPIC, Latch};
 pub use crate::store::counts::Counts;
 pub use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
@@ -67,9 +71,12 @@ pub use crate::store::piles::{FrameFiles, Pile};
 pub use crate::store::policies::{Policy, PolicyError};
 pub use crate::store::powders::{Measurement, Powder};
 pub use crate::store::simulators::SimulatorVersion;
-pub use crate::store::tokens::Role;
+pub use crate::store::tokens::{Role, TokenEntry};
 pub use crate::store::trials::{Episode, Trial, TrialPhase};
+pub use crate::store::verify::ChangedRow;
 pub use crate::store::weighings::Weighing;
+pub use crate::store::who::{Who, acting};
+pub use backup::{BackupError, back_up, restore};
 pub use bench::{AUDIT_CSV_HEADER, BenchStatus, ClearRequest, RepeatabilityRequest, audit_csv};
 pub use calibrations::{Calibration, CalibrationRequest};
 pub use comparison::{ComparedCalibration, Comparison, ParameterSpread};
@@ -81,16 +88,21 @@ pub use evaluations::{Evaluation, EvaluationRequest};
 pub use events::Topic;
 pub use inference::{Driver, Driving, Proposal};
 pub use investigations::{Investigation, InvestigationRequest, predictions_csv};
+pub use keyring::Holder;
 pub use measurements::{Imported, Measured, NewMeasurement, NewObservation};
 pub use powders::{NewPowder, PowderDetail};
+pub use readiness::{Checks, Readiness};
 pub use repose::{ReposeMeasurement, ReposeRequest};
 pub use simulators::PredictionRequest;
+pub use tokens::NewToken;
 pub use trainings::{Training, TrainingLevel, TrainingRequest};
 pub use weighings::{Target, Tolerance, WeighingDetail, WeighingRequest};
 
 use crate::jobs::Jobs;
 use crate::policy;
 use crate::store::{self, Store};
+use keyring::Keyring;
+use readiness::LastLook;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -132,6 +144,9 @@ struct Inner {
     store: Store,
     /// `None` when opened to read only.
     jobs: Option<Jobs>,
+    keyring: Keyring,
+    /// Whether all was well when somebody asked last.
+    readiness: LastLook,
 }
 
 impl App {
@@ -144,7 +159,7 @@ impl App {
         let store = Store::open(data_dir).await.map_err(failed)?;
         store_shipped_policy(&store).await.map_err(failed)?;
         let jobs = Jobs::start(store.clone(), options.functions, options.workers).await.map_err(failed)?;
-        Ok(Self { inner: Arc::new(Inner { store, jobs: Some(jobs) }) })
+        Self::of(store, Some(jobs)).await.map_err(failed)
     }
 
     /// Open a data folder to read it, also while `flip serve` holds it. Whatever would write answers `Unavailable`.
@@ -158,8 +173,29 @@ impl App {
             Err(OpenError::Held(_)) => {}
             opened => return opened,
         }
-        let store = Store::open_to_read(data_dir).await.map_err(|error| OpenError::of(data_dir, error))?;
-        Ok(Self { inner: Arc::new(Inner { store, jobs: None }) })
+        let failed = |error| OpenError::of(data_dir, error);
+        Self::of(Store::open_to_read(data_dir).await.map_err(failed)?, None).await.map_err(failed)
+    }
+
+    /// Open a data folder to change what no bench and no job depends on, such as tokens, also while `flip serve` holds it: its records and ours are
+    /// one chain, because each is written in a transaction that waits for the other.
+    ///
+    /// A folder that nobody holds is opened without workers instead, so that a fresh one is migrated.
+    ///
+    /// # Errors
+    /// [`OpenError::Failed`]
+    pub async fn open_beside(data_dir: &Path) -> std::result::Result<Self, OpenError> {
+        match Self::open(data_dir, Options::without_workers()).await {
+            Err(OpenError::Held(_)) => {}
+            opened => return opened,
+        }
+        let failed = |error| OpenError::of(data_dir, error);
+        Self::of(Store::open_beside(data_dir).await.map_err(failed)?, None).await.map_err(failed)
+    }
+
+    async fn of(store: Store, jobs: Option<Jobs>) -> store::Result<Self> {
+        let keyring = Keyring::of(&store).await?;
+        Ok(Self { inner: Arc::new(Inner { store, jobs, keyring, readiness: LastLook::default() }) })
     }
 
     /// Stop the bench and level the spoon, let running jobs save a checkpoint and go back into the queue, end every
@@ -168,6 +204,7 @@ impl App {
         if let Some(jobs) = &self.inner.jobs {
             jobs.shutdown().await;
         }
+        self.note_uses().await;
         self.inner.store.close().await;
         Ok(())
     }

@@ -6,10 +6,12 @@ use crate::domain::FieldError;
 use crate::domain::observable::Observation;
 use crate::domain::powder::powder_id;
 use crate::domain::powder_name::{NAME_CHARS_MAX, id_of_powder};
+use crate::store::now;
 use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use crate::store::parameter_sets::CalibratedSet;
 use crate::store::powders::{Measurement, Powder};
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 
 /// A powder to register.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -65,6 +67,8 @@ impl App {
             let advice = format!("powder `{id}` exists already: add measurements to it, or choose another id");
             return Err(Error::conflict("powder_exists", advice));
         }
+        let said = json!({ "powder": { "id": id, "name": new.name } });
+        tx.audit_deed(None, "new powder", said, now()).await?;
         tx.commit().await?;
         self.existing_powder(&id).await
     }

@@ -178,7 +178,7 @@ impl App {
         let pile = found.piles.iter().find(|it| it.number == pile);
         let files = pile.and_then(|pile| pile.frames.get((frame as usize).checked_sub(1)?));
         let sha256 = files.and_then(|files| files.part(part)).ok_or_else(|| Error::not_found("raw frame", part))?;
-        Ok(self.store().artifacts().get(sha256)?)
+        self.store().artifacts().get(sha256).map_err(|error| Error::of_part("this raw frame", error))
     }
 
     /// Automated beside manual, of every powder that was measured both ways; the newest measurement by each method counts.

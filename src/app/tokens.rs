@@ -2,40 +2,161 @@
 //! slow hash is needed.
 
 use super::check::Check;
+use super::keyring::Holder;
 use super::{App, Error, Result};
-use crate::store::tokens::Role;
+use crate::domain::timestamp::Timestamp;
+use crate::store::now;
+use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
+use crate::store::tokens::{HashedToken, Role, TokenEntry};
 use rand::TryRng;
 use rand::rngs::SysRng;
+use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use subtle::ConstantTimeEq;
+use std::time::Duration;
+
+/// Longest life that can be asked for, s: 100 years of 365 days.
+const LIFE_S_MAX: u64 = 100 * 365 * 86_400;
+/// How often the tokens in the database are looked at by themselves: another process may have ended one.
+const LOOK: Duration = Duration::from_secs(1);
+/// Looks between two notes of when tokens were last used.
+const LOOKS_A_NOTE: u32 = 60;
+
+/// A token to make.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NewToken {
+    /// Who will hold it, for the record.
+    pub name: String,
+    /// What its holder may do.
+    pub role: Role,
+    /// Whether its holder may clear a latched bench; an admin always may.
+    #[serde(default)]
+    pub may_clear: bool,
+    /// Seconds until it ends by itself; default never.
+    #[serde(default, alias = "expires_in", skip_serializing_if = "Option::is_none")]
+    pub expires_in_s: Option<u64>,
+}
 
 impl App {
-    /// Make a token and return its secret, which is shown once and not stored.
+    /// Make a token of this role that does not end by itself; its secret.
+    ///
+    /// # Errors
+    /// As [`App::make_token`].
     pub async fn create_token(&self, name: &str, role: Role) -> Result<String> {
+        let new = NewToken { name: name.to_owned(), role, may_clear: false, expires_in_s: None };
+        Ok(self.make_token(&new).await?.1)
+    }
+
+    /// Make a token: what is known of it from now on, and its secret, which is shown once and not stored.
+    ///
+    /// # Errors
+    /// `Invalid`: the name, or a life of more than 100 years or less than a second.
+    pub async fn make_token(&self, new: &NewToken) -> Result<(TokenEntry, String)> {
         let mut check = Check::default();
-        check.text("name", name, 100);
+        check.text("name", &new.name, 100);
+        if let Some(life_s) = new.expires_in_s.filter(|life_s| !(1..=LIFE_S_MAX).contains(life_s)) {
+            check.refuse("expires_in_s", format!("must be from 1 to {LIFE_S_MAX} s, got {life_s}"));
+        }
         check.done()?;
         let mut random = [0u8; 40];
         SysRng.try_fill_bytes(&mut random).map_err(|error| Error::Internal(error.into()))?;
         let (id, secret) = random.split_at(8);
-        let id = hex::encode(id);
-        let token = format!("flip_{id}_{}", hex::encode(secret));
+        let secret = format!("flip_{}_{}", hex::encode(id), hex::encode(secret));
+        let token = HashedToken { entry: entry(hex::encode(id), new), sha256: Sha256::digest(&secret).to_vec() };
         let mut tx = self.store().write().await?;
-        tx.insert_token(&id, name, role, &Sha256::digest(&token)).await?;
+        tx.insert_token(&token).await?;
         tx.commit().await?;
-        Ok(token)
+        self.inner.keyring.look(self.store()).await?;
+        Ok((token.entry, secret))
     }
 
-    /// The role of a token's holder; `None` when the secret belongs to no token.
-    pub async fn authenticate(&self, secret: &str) -> Result<Option<Role>> {
-        let Some(id) = secret.strip_prefix("flip_").and_then(|rest| rest.split('_').next()) else { return Ok(None) };
-        let Some((sha256, role)) = self.store().token(id).await? else { return Ok(None) };
-        let same = Sha256::digest(secret).ct_eq(sha256.as_slice());
-        Ok(bool::from(same).then_some(role))
+    /// Tokens, newest first, with those that have ended; never their secrets.
+    ///
+    /// # Errors
+    /// `Invalid`
+    pub async fn tokens(&self, page: PageQuery) -> Result<Page<TokenEntry>> {
+        let mut page = self.store().tokens(page.window(LIST_LIMIT_MAX)?).await?;
+        let uses = self.inner.keyring.uses();
+        for entry in &mut page.items {
+            let used = uses.iter().find(|(id, _)| *id == entry.id).map(|(_, at)| *at);
+            entry.last_used_at = entry.last_used_at.max(used);
+        }
+        Ok(page)
+    }
+
+    /// End a token from now on; one that has ended stays as it was.
+    ///
+    /// # Errors
+    /// `NotFound`
+    pub async fn revoke_token(&self, id: &str) -> Result<TokenEntry> {
+        let mut tx = self.store().write().await?;
+        let revoked = tx.revoke_token(id, now()).await?.ok_or_else(|| Error::not_found("token", id))?;
+        tx.commit().await?;
+        self.inner.keyring.look(self.store()).await?;
+        Ok(revoked)
+    }
+
+    /// Who holds a token; `None` when the secret belongs to none that is good. Reads memory alone.
+    pub fn authenticate(&self, secret: &str) -> Option<Holder> {
+        self.inner.keyring.holder(secret)
+    }
+
+    /// As [`App::authenticate`], after a look at the table: another process may have made the token a moment ago.
+    pub async fn authenticate_late(&self, secret: &str) -> Option<Holder> {
+        if !secret.starts_with("flip_") {
+            return None;
+        }
+        self.inner.keyring.look_after_a_miss(self.store()).await;
+        self.authenticate(secret)
+    }
+
+    /// Follow what other processes do to the tokens, and write down when tokens were last used, until dropped.
+    pub async fn keep_tokens(self) {
+        let mut looks = 0u32;
+        loop {
+            tokio::time::sleep(LOOK).await;
+            if let Err(error) = self.inner.keyring.look(self.store()).await {
+                tracing::warn!(%error, "the tokens could not be looked up; those known so far count");
+            }
+            looks += 1;
+            if looks.is_multiple_of(LOOKS_A_NOTE) {
+                self.note_uses().await;
+            }
+        }
+    }
+
+    /// Write down when tokens were last used.
+    pub(super) async fn note_uses(&self) {
+        let uses = self.inner.keyring.uses();
+        let noted = async {
+            let mut tx = self.store().write().await?;
+            tx.note_uses(&uses).await?;
+            tx.commit().await
+        };
+        if !uses.is_empty()
+            && let Err(error) = noted.await
+        {
+            tracing::warn!(%error, "when tokens were last used was not written down; the next try may");
+        }
     }
 
     /// Whether any token exists: the first start prints one.
     pub async fn has_tokens(&self) -> Result<bool> {
         Ok(self.store().has_tokens().await?)
+    }
+}
+
+fn entry(id: String, new: &NewToken) -> TokenEntry {
+    let created_at = now();
+    let life_ms = new.expires_in_s.map(|life_s| life_s as i64 * 1000);
+    TokenEntry {
+        id,
+        name: new.name.clone(),
+        role: new.role,
+        may_clear: new.may_clear || new.role == Role::Admin,
+        created_at,
+        expires_at: life_ms.map(|ms| Timestamp::from_unix_ms(created_at.unix_ms() + ms)),
+        revoked_at: None,
+        last_used_at: None,
     }
 }

@@ -25,6 +25,8 @@ use std::collections::BTreeMap;
 
 /// Smallest target, mg: below the finest display there is nothing to weigh by.
 const TARGET_MG_MIN: f64 = 0.1;
+/// What is said to be lost where the ticks of a weighing are.
+const TRACE: &str = "the trace of this weighing";
 /// Index of the seed that chooses the simulated powder.
 const SET_CHOICE: u64 = 1;
 
@@ -84,6 +86,9 @@ pub struct WeighingDetail {
     pub weighing: Weighing,
     /// What the bench did and the balance showed, in order.
     pub ticks: Vec<Tick>,
+    /// Why there are no ticks where there should be some: their file is gone or damaged. The weighing itself is not affected.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trace_lost: Option<String>,
 }
 
 impl App {
@@ -203,14 +208,30 @@ impl App {
     /// One weighing with its ticks.
     pub async fn weighing(&self, id: &str) -> Result<WeighingDetail> {
         let row = self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
-        let ticks = match &row.trace {
-            Some(trace) => {
-                let bytes = self.store().artifacts().get(trace)?;
-                serde_json::from_slice(&bytes).map_err(|error| Error::Internal(error.into()))?
-            }
-            None => self.store().live_ticks(id).await?,
+        let (ticks, trace_lost) = match &row.trace {
+            Some(trace) => match self.stored_ticks(trace) {
+                Ok(ticks) => (ticks, None),
+                Err(Error::Lost(why)) => (Vec::new(), Some(why)),
+                Err(error) => return Err(error),
+            },
+            None => (self.store().live_ticks(id).await?, None),
         };
-        Ok(WeighingDetail { weighing: row.weighing, ticks })
+        Ok(WeighingDetail { weighing: row.weighing, ticks, trace_lost })
+    }
+
+    fn stored_ticks(&self, trace: &str) -> Result<Vec<Tick>> {
+        let bytes = self.store().artifacts().get(trace).map_err(|error| Error::of_part(TRACE, error))?;
+        // Its hash is right, so it was written like this.
+        serde_json::from_slice(&bytes).map_err(|error| Error::Internal(error.into()))
+    }
+
+    /// The ticks of a weighing alone.
+    ///
+    /// # Errors
+    /// `NotFound`; `Lost`.
+    pub async fn trace(&self, id: &str) -> Result<Vec<Tick>> {
+        let WeighingDetail { ticks, trace_lost, .. } = self.weighing(id).await?;
+        trace_lost.map_or(Ok(ticks), |why| Err(Error::Lost(why)))
     }
 
     /// Weighings, newest first.

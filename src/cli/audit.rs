@@ -3,7 +3,7 @@
 use super::Common;
 use super::failure::Failure;
 use super::session::with_reader;
-use crate::app::{AUDIT_CSV_HEADER, AuditVerification, audit_csv};
+use crate::app::{AUDIT_CSV_HEADER, AuditVerification, ChangedRow, audit_csv};
 use clap::ValueEnum;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -88,7 +88,11 @@ fn is_whole(found: &AuditVerification) -> bool {
 
 fn text(found: &AuditVerification) -> String {
     let state = match (&found.broken, found.holds_hash) {
-        (Some(broken), _) => format!("broken at record {}: {}", broken.seq, broken.why),
+        (Some(broken), _) if found.changed.is_empty() => format!("broken at record {}: {}", broken.seq, broken.why),
+        (Some(_), _) => {
+            let row = |it: &ChangedRow| format!("\n  weighing {}: {}", it.weighing, it.why);
+            format!("whole, but results differ from it:{}", found.changed.iter().map(row).collect::<String>())
+        }
         (None, Some(false)) => "whole, but it does not hold that hash: records were cut off".to_owned(),
         (None, _) => "whole".to_owned(),
     };

@@ -12,7 +12,9 @@ use super::train::{Timing, train};
 use super::watch::Watch;
 use super::weigh::{request, weigh};
 use crate::api::ServeError;
-use crate::app::{App, Calibration, Order, Preset, TrainingRequest, TrainingResult, Weighing, WeighingRequest};
+use crate::app::{
+    App, Calibration, Order, Preset, TrainingRequest, TrainingResult, Weighing, WeighingRequest, Who, acting,
+};
 use crate::domain::powder::PUBLISHED;
 use serde::Serialize;
 use std::time::Instant;
@@ -139,7 +141,7 @@ async fn attended(
         eprintln!("flip: {}", serve::announce(&token));
     }
     let document = tokio::select! {
-        document = demonstrate(app, common, arguments) => document?,
+        document = acting(Who::command_line(), demonstrate(app, common, arguments)) => document?,
         signal = signals.received() => return Err(interrupted(signal)),
         () = stop.cancelled() => return Ok(()),
     };

@@ -76,7 +76,7 @@ impl From<Error> for Failure {
             Error::Invalid(errors) => Self::BadInput(errors),
             Error::NotFound { what, ref id } => FieldError::new(what, format!("there is no {what} `{id}`")).into(),
             Error::Conflict { .. } | Error::Unprocessable { .. } => Self::NotNow(error.to_string()),
-            Error::Busy(_) | Error::Unavailable(_) | Error::Internal(_) => Self::Failed(error.into()),
+            Error::Busy(_) | Error::Unavailable(_) | Error::Lost(_) | Error::Internal(_) => Self::Failed(error.into()),
         }
     }
 }

@@ -6,6 +6,7 @@
 //! this process, so there is one path to every effect.
 
 mod audit;
+mod backup;
 mod bench;
 mod benches;
 mod calibrate;
@@ -100,11 +101,15 @@ enum Command {
     Bench(bench::Arguments),
     /// The record of all that happened on the bench: verify it, export it, print certificates.
     Audit(audit::Arguments),
+    /// Copy the data folder whole, also while a server runs.
+    Backup(backup::Arguments),
+    /// Make a data folder of a backup.
+    Restore(backup::RestoreArguments),
     /// Run emulated devices, or a whole laboratory of them, until Ctrl-C.
     Emulate(emulate::Arguments),
     /// List calibrations, trainings, evaluations, investigations and measurements by camera, also while a server runs.
     Jobs(jobs::Arguments),
-    /// Make API tokens.
+    /// Make, list and end API tokens, also while a server runs.
     Token(token::Arguments),
     /// Ask a service whether it is alive; a container's health check.
     Health(health::Arguments),
@@ -150,6 +155,8 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Bench(arguments) => bench::run(common, arguments),
         Command::Emulate(arguments) => emulate::run(common, arguments),
         Command::Audit(arguments) => audit::run(common, arguments),
+        Command::Backup(arguments) => backup::run(common, arguments),
+        Command::Restore(arguments) => backup::run_restore(common, arguments),
         Command::Jobs(arguments) => jobs::run(common, arguments),
         Command::Token(arguments) => token::run(common, arguments),
         Command::Health(arguments) => health::run(common, arguments),

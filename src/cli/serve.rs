@@ -53,7 +53,7 @@ enum LogFormat {
 #[derive(Debug, Serialize)]
 struct Document {
     url: String,
-    /// An operator's token, on the first start only.
+    /// An admin's token, on the first start only.
     token: Option<String>,
 }
 
@@ -99,7 +99,7 @@ impl Address {
 
 /// What a first start says about its token.
 pub(super) fn announce(token: &str) -> String {
-    format!("operator token (shown once; `flip token create` makes another): {token}")
+    format!("admin token (shown once; `flip token create` makes others, `flip token revoke` ends one): {token}")
 }
 
 /// Completes when the process is asked to stop.

@@ -3,7 +3,7 @@
 use super::Common;
 use super::benches::BenchArguments;
 use super::failure::Failure;
-use crate::app::{App, Options};
+use crate::app::{App, Options, Who, acting};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// Run `work` with the application open for writing and its workers running; close it whatever happens.
@@ -40,9 +40,21 @@ fn with_options<T>(
         let mut signals = StopSignals::catch()?;
         let app = App::open(&common.data_dir, options).await?;
         let result = tokio::select! {
-            result = work(&app) => result,
+            result = acting(Who::command_line(), work(&app)) => result,
             signal = signals.received() => Err(interrupted(signal)),
         };
+        let closed = app.shutdown().await;
+        let result = result?;
+        closed?;
+        Ok(result)
+    })
+}
+
+/// As [`with_writer`], also while another process holds the folder: for changes that no bench and no job depends on.
+pub(super) fn beside<T>(common: &Common, work: impl AsyncFnOnce(&App) -> Result<T, Failure>) -> Result<T, Failure> {
+    runtime()?.block_on(async {
+        let app = App::open_beside(&common.data_dir).await?;
+        let result = acting(Who::command_line(), work(&app)).await;
         let closed = app.shutdown().await;
         let result = result?;
         closed?;

@@ -1,9 +1,11 @@
-//! `flip token create`, and the token that a first start prints.
+//! `flip token`: make, list and end API tokens, also while a server runs; and the token that a first start prints.
 
-use super::Common;
 use super::failure::Failure;
-use super::session::with_writer;
-use crate::app::{App, Role};
+use super::session::{beside, with_reader};
+use super::table::table;
+use super::{Common, FIRST_PAGE};
+use crate::app::{App, NewToken, Role, TokenEntry};
+use crate::domain::FieldError;
 use clap::{Subcommand, ValueEnum};
 use serde::Serialize;
 
@@ -21,9 +23,22 @@ enum Action {
         /// What its holder may do: read; also start and stop work; everything.
         #[arg(long, value_enum)]
         role: RoleFlag,
-        /// A name to know it by.
+        /// A name to know it by, as records will have it.
         #[arg(long, default_value = "command line")]
         name: String,
+        /// Its holder may clear a latched bench; an admin always may.
+        #[arg(long)]
+        may_clear: bool,
+        /// How long it is good: a whole number and s, m, h or d, as in 12h; without it, until it is revoked.
+        #[arg(long, value_name = "TIME")]
+        expires_in: Option<String>,
+    },
+    /// List tokens, newest first, with those that have ended; never their secrets.
+    List,
+    /// End a token from now on.
+    Revoke {
+        /// Its id, as the list has it: the first part of the secret.
+        id: String,
     },
 }
 
@@ -38,25 +53,90 @@ enum RoleFlag {
 #[derive(Debug, Serialize)]
 struct Document {
     token: String,
-    role: Role,
-    name: String,
+    #[serde(flatten)]
+    entry: TokenEntry,
 }
 
-/// Make a token.
+/// The document of `flip token list`.
+#[derive(Debug, Serialize)]
+struct List {
+    items: Vec<TokenEntry>,
+}
+
+/// Run one of them.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
-    let Action::Create { role, name } = &arguments.action;
-    let role = Role::from(*role);
-    let token = with_writer(common, async |app| Ok(app.create_token(name, role).await?))?;
-    let document = Document { token, role, name: name.clone() };
+    match &arguments.action {
+        Action::Create { role, name, may_clear, expires_in } => {
+            let expires_in_s = expires_in.as_deref().map(seconds).transpose()?;
+            create(
+                common,
+                &NewToken { name: name.clone(), role: Role::from(*role), may_clear: *may_clear, expires_in_s },
+            )
+        }
+        Action::List => list(common),
+        Action::Revoke { id } => {
+            let entry = beside(common, async |app| Ok(app.revoke_token(id).await?))?;
+            common.print(&entry, || format!("token {} ({}) has ended", entry.id, entry.name))
+        }
+    }
+}
+
+fn create(common: &Common, new: &NewToken) -> Result<(), Failure> {
+    let (entry, token) = beside(common, async |app| Ok(app.make_token(new).await?))?;
+    let document = Document { token, entry };
     common.print(&document, || document.token.clone())
 }
 
-/// An operator's token if this data folder has none yet.
+fn list(common: &Common) -> Result<(), Failure> {
+    let items = with_reader(common, async |app| {
+        let (mut items, mut page) = (Vec::new(), FIRST_PAGE);
+        loop {
+            let found = app.tokens(page).await?;
+            items.extend(found.items);
+            match found.next {
+                Some(next) => page = crate::app::PageQuery { after: Some(next), ..FIRST_PAGE },
+                None => return Ok(items),
+            }
+        }
+    })?;
+    let list = List { items };
+    common.print(&list, || text(&list.items))
+}
+
+fn text(items: &[TokenEntry]) -> String {
+    let word = |time: Option<crate::app::Timestamp>, none: &str| time.map_or(none.to_owned(), |time| time.to_string());
+    let rows = items.iter().map(|it| {
+        let ends = match it.revoked_at {
+            Some(at) => format!("revoked {at}"),
+            None => word(it.expires_at, "never"),
+        };
+        let role = format!("{:?}{}", it.role, if it.may_clear { ", may clear" } else { "" }).to_lowercase();
+        vec![it.id.clone(), it.name.clone(), role, it.created_at.to_string(), word(it.last_used_at, "never"), ends]
+    });
+    table(&["id", "name", "role", "made", "last used", "ends"], &rows.collect::<Vec<_>>())
+}
+
+/// Seconds of `90s`, `15m`, `12h` or `30d`.
+fn seconds(text: &str) -> Result<u64, FieldError> {
+    let wrong =
+        || FieldError::new("expires-in", format!("must be a whole number and s, m, h or d, as in 12h, got `{text}`"));
+    let unit = match text.chars().last() {
+        Some('s') => 1,
+        Some('m') => 60,
+        Some('h') => 3600,
+        Some('d') => 86_400,
+        _ => return Err(wrong()),
+    };
+    let number: u64 = text[..text.len() - 1].parse().map_err(|_| wrong())?;
+    number.checked_mul(unit).ok_or_else(wrong)
+}
+
+/// An admin's token if this data folder has none yet: whoever starts the service first makes the others.
 pub(super) async fn first(app: &App) -> Result<Option<String>, Failure> {
     if app.has_tokens().await? {
         return Ok(None);
     }
-    Ok(Some(app.create_token("first start", Role::Operator).await?))
+    Ok(Some(app.create_token("first start", Role::Admin).await?))
 }
 
 impl From<RoleFlag> for Role {
@@ -65,6 +145,21 @@ impl From<RoleFlag> for Role {
             RoleFlag::Viewer => Self::Viewer,
             RoleFlag::Operator => Self::Operator,
             RoleFlag::Admin => Self::Admin,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_life_is_a_number_with_its_unit() {
+        for (text, found) in [("90s", 90), ("15m", 900), ("12h", 43_200), ("30d", 2_592_000)] {
+            assert_eq!(seconds(text), Ok(found));
+        }
+        for wrong in ["", "12", "h", "1.5h", "-1d", "1 d", "99999999999999999d", "1é"] {
+            assert!(seconds(wrong).is_err(), "{wrong}");
         }
     }
 }

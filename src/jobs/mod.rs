@@ -180,6 +180,9 @@ impl Jobs {
         let (job, created) = tx.insert_job(&new_id(), spec.kind(), &text, &sha256, now()).await?;
         if created {
             queue::push(&mut tx, spec.kind(), &Lease { job: job.id.clone(), fence: 0 }).await?;
+            let kind = serde_json::json!(spec.kind());
+            let action = format!("start {}", kind.as_str().unwrap_or("job"));
+            tx.audit_deed(None, &action, serde_json::json!({ "job": job.id }), now()).await?;
             tx.commit().await?;
         }
         Ok((job, created))
@@ -192,6 +195,9 @@ impl Jobs {
     pub async fn cancel(&self, id: &str) -> store::Result<Option<Job>> {
         let mut tx = self.shared.store.write().await?;
         let job = tx.request_cancel(id, now()).await?;
+        if job.is_some() {
+            tx.audit_deed(None, "cancel job", serde_json::json!({ "job": id }), now()).await?;
+        }
         tx.commit().await?;
         if let Some(running) = self.shared.running().get(id) {
             running.stop.set(Stop::Cancelled);

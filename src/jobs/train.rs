@@ -50,7 +50,10 @@ pub struct TrainingResult {
 }
 
 pub(super) fn perform(context: &JobContext, spec: &TrainingSpec, checkpoint: Option<&str>) -> Result<(), JobError> {
-    let resume = checkpoint.map(|sha256| context.store.artifacts().get(sha256)).transpose()?;
+    let resume = match checkpoint {
+        Some(sha256) => saved(context, sha256)?,
+        None => None,
+    };
     let mut recorder = Recorder { context, spec, round: Vec::new(), recent: VecDeque::new(), unsaved: None };
     let from = resume.is_none().then(|| predecessor(context, spec)).transpose()?.flatten();
     let start = match (&resume, &from) {
@@ -71,6 +74,23 @@ pub(super) fn perform(context: &JobContext, spec: &TrainingSpec, checkpoint: Opt
         }
         (Err(error), None) => Err(JobError::Fail(error.to_string())),
     }
+}
+
+/// What the last attempt saved; `None` where it is gone or damaged: then the training begins again, and says so.
+fn saved(context: &JobContext, sha256: &str) -> Result<Option<Vec<u8>>, JobError> {
+    let lost = match context.store.artifacts().get(sha256) {
+        Ok(bytes) => return Ok(Some(bytes)),
+        Err(error) if error.is_lost_part() => error,
+        Err(error) => return Err(error.into()),
+    };
+    tracing::warn!(job = context.id(), %lost, "the checkpoint is lost: the training begins again");
+    let why = format!("its checkpoint is lost ({lost}): the training begins again");
+    context.save(async |tx| {
+        context.tell(tx, "checkpoint_lost", &serde_json::json!({ "why": why })).await?;
+        Ok(false)
+    })?;
+    context.report(&Progress { fraction: 0.0, message: why })?;
+    Ok(None)
 }
 
 /// The policy that the training goes on from.

@@ -6,6 +6,18 @@ use std::collections::HashSet;
 use std::fs::{self, File};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// How old a file that no row names must be to be removed: a restore may bring files first and the rows an hour later.
+const SWEEP_GRACE: Duration = Duration::from_secs(86_400);
+/// Most files that are swept at a start; each crash leaves one or two.
+const SWEPT_MAX: usize = 100;
+
+/// Every file that a row names.
+pub(super) const NAMED: &str = "SELECT checkpoint FROM job WHERE checkpoint IS NOT NULL \
+    UNION SELECT result ->> '$.posterior' FROM job WHERE kind = 'calibration' AND result ->> '$.posterior' IS NOT NULL \
+    UNION SELECT trace FROM weighing WHERE trace IS NOT NULL \
+    UNION SELECT json_tree.atom FROM pile, json_tree(pile.body, '$.frames') WHERE json_tree.atom IS NOT NULL";
 
 /// A folder of content-addressed files: `ab/<sha256>`.
 #[derive(Clone, Debug)]
@@ -55,17 +67,42 @@ impl Artifacts {
         }
     }
 
-    /// Remove everything except the named files. Only for whoever holds the folder alone.
-    fn keep_only(&self, named: &HashSet<String>) -> Result<()> {
-        for folder in entries(&self.folder)? {
-            for path in entries(&folder)? {
-                let kept = path.file_name().and_then(|name| name.to_str()).is_some_and(|name| named.contains(name));
-                if !kept {
-                    remove(&path)?;
-                }
-            }
+    /// Remove our files that are older than the grace and not named. Only for whoever holds the folder alone.
+    ///
+    /// So many that no crash leaves them are all left: then it is rather the rows that are missing.
+    fn sweep(&self, named: &HashSet<String>, grace: Duration) -> Result<()> {
+        let is_named = |path: &PathBuf| file_name(path).is_some_and(|name| named.contains(name));
+        let is_old = |path: &PathBuf| age(path).is_some_and(|age| age > grace);
+        let unnamed: Vec<_> = self.files()?.into_iter().filter(|path| !is_named(path) && is_old(path)).collect();
+        if unnamed.len() > SWEPT_MAX {
+            let count = unnamed.len();
+            tracing::warn!(count, "files that no row names were left where they are: is this the right database?");
+            return Ok(());
         }
-        Ok(())
+        unnamed.iter().try_for_each(|path| remove(path))
+    }
+
+    /// Whether there is any file of ours.
+    ///
+    /// # Errors
+    /// [`Error::File`]
+    pub(super) fn any(&self) -> Result<bool> {
+        Ok(!self.files()?.is_empty())
+    }
+
+    /// Our files by their names, whole ones and half-written ones; whatever else lies here is somebody else's.
+    fn files(&self) -> Result<Vec<PathBuf>> {
+        let is_hex = |name: &str, digits: usize| name.len() == digits && name.bytes().all(|b| b.is_ascii_hexdigit());
+        let mut found = Vec::new();
+        for folder in entries(&self.folder)? {
+            let Some(prefix) = file_name(&folder).filter(|name| is_hex(name, 2) && folder.is_dir()) else { continue };
+            let is_ours = |path: &PathBuf| {
+                let whole = |name: &str| is_hex(name, 64) && name.starts_with(prefix);
+                file_name(path).is_some_and(|name| whole(name) || name.ends_with(".part")) && path.is_file()
+            };
+            found.extend(entries(&folder)?.into_iter().filter(is_ours));
+        }
+        Ok(found)
     }
 
     fn path(&self, sha256: &str) -> PathBuf {
@@ -84,21 +121,25 @@ impl Store {
         if named { Ok(()) } else { remove(&self.artifacts.path(sha256)) }
     }
 
-    /// Remove files that no row names: a process that ended between file and row leaves one behind.
+    /// Remove files that no row has named for a day: a process that ended between file and row leaves one behind.
     pub(super) async fn sweep_artifacts(&self) -> Result<()> {
-        let named = "SELECT checkpoint FROM job WHERE checkpoint IS NOT NULL \
-                     UNION SELECT result ->> '$.posterior' FROM job \
-                     WHERE kind = 'calibration' AND result ->> '$.posterior' IS NOT NULL \
-                     UNION SELECT trace FROM weighing WHERE trace IS NOT NULL \
-                     UNION SELECT json_tree.atom FROM pile, json_tree(pile.body, '$.frames') WHERE json_tree.atom IS NOT NULL";
-        let named: Vec<String> = sqlx::query_scalar(named).fetch_all(&self.reader).await?;
-        self.artifacts.keep_only(&named.into_iter().collect())
+        let named: Vec<String> = sqlx::query_scalar(NAMED).fetch_all(&self.reader).await?;
+        self.artifacts.sweep(&named.into_iter().collect(), SWEEP_GRACE)
     }
 }
 
 /// SHA-256 in hexadecimal.
 pub fn sha256_hex(bytes: &[u8]) -> String {
     hex::encode(Sha256::digest(bytes))
+}
+
+fn file_name(path: &Path) -> Option<&str> {
+    path.file_name()?.to_str()
+}
+
+/// Since the file was written; `None` where that is not known, or is to come.
+fn age(path: &Path) -> Option<Duration> {
+    fs::metadata(path).ok()?.modified().ok()?.elapsed().ok()
 }
 
 fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
@@ -140,9 +181,40 @@ mod tests {
         let kept = artifacts.put(b"kept").unwrap();
         let lost = artifacts.put(b"lost").unwrap();
         fs::write(artifacts.path(&kept).with_extension("part"), b"half").unwrap();
-        artifacts.keep_only(&HashSet::from([kept.clone()])).unwrap();
+        artifacts.sweep(&HashSet::from([kept.clone()]), Duration::ZERO).unwrap();
         assert_eq!(artifacts.get(&kept).unwrap(), b"kept");
         assert!(artifacts.get(&lost).is_err());
         assert_eq!(entries(artifacts.path(&kept).parent().unwrap()).unwrap().len(), 1);
+    }
+
+    #[test]
+    fn sweeping_spares_what_is_young_and_what_is_so_much_that_the_rows_must_be_missing() {
+        let folder = tempfile::tempdir().unwrap();
+        let artifacts = Artifacts::in_folder(folder.path().to_owned());
+        let young = artifacts.put(b"a restore brought it a moment ago").unwrap();
+        artifacts.sweep(&HashSet::new(), SWEEP_GRACE).unwrap();
+        assert!(artifacts.get(&young).is_ok());
+        let many: Vec<_> = (0..=SWEPT_MAX).map(|k| artifacts.put(&k.to_le_bytes()).unwrap()).collect();
+        artifacts.sweep(&HashSet::new(), Duration::ZERO).unwrap();
+        assert!(many.iter().all(|sha256| artifacts.get(sha256).is_ok()));
+    }
+
+    #[test]
+    fn files_and_folders_of_others_are_neither_removed_nor_in_the_way() {
+        let folder = tempfile::tempdir().unwrap();
+        let artifacts = Artifacts::in_folder(folder.path().join("blobs"));
+        let kept = artifacts.put(b"kept").unwrap();
+        let foreign = ["README", "ab", "lost+found/x", ".snapshot/ab/y", "cd/notes.txt", "cd/deeper/z"];
+        for name in foreign {
+            let path = artifacts.folder.join(name);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, b"theirs").unwrap();
+        }
+        artifacts.sweep(&HashSet::from([kept.clone()]), Duration::ZERO).unwrap();
+        assert!(foreign.iter().all(|name| artifacts.folder.join(name).exists()) && artifacts.get(&kept).is_ok());
+        let others = Artifacts::in_folder(folder.path().join("others"));
+        fs::create_dir_all(&others.folder).unwrap();
+        fs::write(others.folder.join("README"), b"theirs").unwrap();
+        assert!(!others.any().unwrap() && artifacts.any().unwrap());
     }
 }

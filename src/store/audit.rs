@@ -4,12 +4,15 @@
 //! hash = SHA-256 of  previous hash LF seq LF milliseconds since 1970 LF weighing LF kind LF body     (in hexadecimal; 64 zeros before the first)
 //! ```
 //!
-//! The database refuses to change or delete a record, and whoever edits the file by other means breaks the chain. A chain that was cut off at its end
+//! `verify.rs` goes through it. The database refuses to change or delete a record, and whoever edits the file by other means breaks the chain. A chain that was cut off at its end
 //! looks whole: who wants to know keeps a hash elsewhere, as a printed certificate does, and asks whether the chain still holds it.
 
 use super::page::{Page, Window};
 use super::row::{Columns, json};
-use super::{Result, Store, Tx};
+use super::verify::ChangedRow;
+use super::weighings::Weighing;
+use super::who::Who;
+use super::{Error, Result, Store, Tx};
 use crate::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -29,8 +32,8 @@ pub struct AuditRecord {
     pub weighing: Option<String>,
     /// `intent`, `state`, `sent`, `received`, `reading`, `decision`, `outcome`, `person`, `latch`, `check` or `pile`.
     pub kind: String,
-    /// What happened; the fields depend on the kind.
-    #[schema(value_type = Object)]
+    /// What happened: for a `state` its name, else an object whose fields depend on the kind.
+    #[schema(value_type = serde_json::Value)]
     pub body: serde_json::Value,
     /// Hash of this record and, through the one before it, of all before.
     pub hash: String,
@@ -47,6 +50,9 @@ pub struct AuditVerification {
     pub broken: Option<AuditBreak>,
     /// Whether a hash that was asked for is in the chain.
     pub holds_hash: Option<bool>,
+    /// Weighings whose rows are not what the record says, at most a hundred; the first of them is `broken` too.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub changed: Vec<ChangedRow>,
 }
 
 /// Where an audit trail is broken.
@@ -58,6 +64,16 @@ pub struct AuditBreak {
     pub why: String,
 }
 
+/// What the record says of an outcome.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct OutcomeRecord {
+    #[serde(flatten)]
+    pub weighing: Weighing,
+    /// SHA-256 of the file with the ticks.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trace: Option<String>,
+}
+
 /// What an audit record is about.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct About<'a> {
@@ -65,7 +81,7 @@ pub(crate) struct About<'a> {
     pub kind: &'a str,
 }
 
-fn beginning() -> String {
+pub(super) fn beginning() -> String {
     "0".repeat(64)
 }
 
@@ -77,7 +93,10 @@ fn chained(previous: &str, seq: i64, at_ms: i64, about: About<'_>, body: &str) -
 impl Tx {
     /// Add a record at the end of the chain.
     pub(crate) async fn audit(&mut self, about: About<'_>, body: &impl Serialize, now: Timestamp) -> Result<()> {
-        let body = json(body)?;
+        let body = match about.kind {
+            "person" | "intent" => json(&signed(body)?)?,
+            _ => json(body)?,
+        };
         let last = sqlx::query("SELECT seq, hash FROM audit ORDER BY seq DESC LIMIT 1");
         let (seq, previous) = match last.fetch_optional(&mut *self.inner).await? {
             Some(row) => (row.plain::<i64>("seq")? + 1, row.plain::<String>("hash")?),
@@ -100,8 +119,29 @@ impl Tx {
 impl Tx {
     /// A person did something to a weighing or the bench.
     pub(crate) async fn audit_person(&mut self, weighing: Option<&str>, action: &str, now: Timestamp) -> Result<()> {
-        self.audit(About { weighing, kind: "person" }, &serde_json::json!({ "action": action }), now).await
+        self.audit_deed(weighing, action, serde_json::json!({}), now).await
     }
+
+    /// A person did something; `details` is an object that says what beside the action.
+    pub(crate) async fn audit_deed(
+        &mut self,
+        weighing: Option<&str>,
+        action: &str,
+        mut details: serde_json::Value,
+        now: Timestamp,
+    ) -> Result<()> {
+        details["action"] = action.into();
+        self.audit(About { weighing, kind: "person" }, &details, now).await
+    }
+}
+
+/// What a person did, with who it was where that is known.
+fn signed(body: &impl Serialize) -> Result<serde_json::Value> {
+    let mut body = serde_json::to_value(body).map_err(|error| Error::Corrupt(error.to_string()))?;
+    if let (Some(who), Some(fields)) = (Who::now(), body.as_object_mut()) {
+        fields.insert("who".to_owned(), serde_json::json!(who));
+    }
+    Ok(body)
 }
 
 impl Store {
@@ -129,32 +169,10 @@ impl Store {
                 .await?;
         rows.iter().map(record).collect()
     }
-
-    /// Go through the whole chain; `wanted` is a hash that it should hold.
-    pub(crate) async fn verify_audit(&self, wanted: Option<&str>) -> Result<AuditVerification> {
-        let (mut records, mut last_hash, mut found) = (0, beginning(), false);
-        loop {
-            let sql = "SELECT * FROM audit WHERE seq > ?1 ORDER BY seq LIMIT ?2";
-            let rows = sqlx::query(sql).bind(records).bind(BATCH).fetch_all(&self.reader).await?;
-            if rows.is_empty() {
-                let holds_hash = wanted.map(|_| found);
-                return Ok(AuditVerification { records, last_hash, broken: None, holds_hash });
-            }
-            for row in &rows {
-                if let Some(why) = flaw(row, records + 1, &last_hash)? {
-                    let broken = Some(AuditBreak { seq: row.plain("seq")?, why });
-                    return Ok(AuditVerification { records, last_hash, broken, holds_hash: wanted.map(|_| found) });
-                }
-                last_hash = row.plain("hash")?;
-                found |= wanted == Some(last_hash.as_str());
-                records += 1;
-            }
-        }
-    }
 }
 
 /// What is wrong with a record that should be the `seq`-th and follow this hash.
-fn flaw(row: &SqliteRow, seq: i64, previous: &str) -> Result<Option<String>> {
+pub(super) fn flaw(row: &SqliteRow, seq: i64, previous: &str) -> Result<Option<String>> {
     let found: i64 = row.plain("seq")?;
     if found != seq {
         return Ok(Some(format!("record {seq} is missing")));

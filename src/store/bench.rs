@@ -30,6 +30,12 @@ impl Store {
         row.as_ref().map(latch).transpose()
     }
 
+    /// As [`Store::latch`], on a connection that nobody else waits for.
+    pub(crate) async fn latch_apart(&self) -> Result<Option<Latch>> {
+        let row = sqlx::query("SELECT * FROM latch WHERE cleared_at IS NULL").fetch_optional(&self.apart).await?;
+        row.as_ref().map(latch).transpose()
+    }
+
     /// The newest check of this kind, and when it was made.
     pub(crate) async fn newest_check<T: DeserializeOwned>(&self, kind: CheckKind) -> Result<Option<(Timestamp, T)>> {
         let sql = "SELECT at, body FROM bench_check WHERE kind = ?1 ORDER BY seq DESC LIMIT 1";

@@ -44,7 +44,9 @@ impl Tx {
         }
         let sql = "INSERT INTO current_simulator (version, chosen_at) VALUES (?1, ?2)";
         sqlx::query(sql).bind(version).bind(now().unix_ms()).execute(&mut *self.inner).await?;
-        self.emit(SIMULATOR_TOPIC, "current", &Chosen { version, before: before.as_deref() }).await
+        let chosen = Chosen { version, before: before.as_deref() };
+        self.audit_deed(None, "choose simulator", serde_json::json!({ "simulator": chosen }), now()).await?;
+        self.emit(SIMULATOR_TOPIC, "current", &chosen).await
     }
 }
 

@@ -14,7 +14,7 @@ pub struct Event {
     pub seq: i64,
     /// `job:<id>`, `weighing:<id>`, `simulator` or `bench`.
     pub topic: String,
-    /// `state`, `progress`, `trial` or `episode` of a job; `state` or `tick` of a weighing; `current` of the simulator; `latched` or `cleared` of the bench.
+    /// `state`, `progress`, `trial`, `episode` or `checkpoint_lost` of a job; `state` or `tick` of a weighing; `current` of the simulator; `latched` or `cleared` of the bench.
     pub kind: String,
     /// What happened; the fields depend on the kind.
     #[schema(value_type = Object)]

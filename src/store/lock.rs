@@ -2,12 +2,16 @@
 
 use super::{Error, Result};
 use std::fs::{File, OpenOptions, TryLockError};
-use std::path::Path;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
 
-/// The operating system's lock on a data folder; it ends with the process, however that ends.
+/// The operating system's locks on a data folder; they end with the process, however that ends.
 #[derive(Debug)]
 pub struct DataLock {
-    _file: File,
+    path: PathBuf,
+    file: File,
+    /// The folder itself, where its file system can lock one: a lock file can be deleted by hand, and then says nothing.
+    _folder: Option<File>,
 }
 
 impl DataLock {
@@ -18,13 +22,34 @@ impl DataLock {
     pub fn take(data_dir: &Path) -> Result<Self> {
         let path = data_dir.join("flip.lock");
         let failed = |source| Error::File { path: path.clone(), source };
-        let file = OpenOptions::new().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
+        let held = || Error::Held(data_dir.to_owned());
+        let mut options = OpenOptions::new();
+        let file = options.create(true).truncate(false).write(true).mode(0o600).open(&path).map_err(failed)?;
         match file.try_lock() {
-            Ok(()) => Ok(Self { _file: file }),
-            Err(TryLockError::WouldBlock) => Err(Error::Held(data_dir.to_owned())),
-            Err(TryLockError::Error(source)) => Err(failed(source)),
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Err(held()),
+            Err(TryLockError::Error(source)) => return Err(failed(source)),
         }
+        let folder = File::open(data_dir).map_err(failed)?;
+        let folder = match folder.try_lock() {
+            Ok(()) => Some(folder),
+            Err(TryLockError::WouldBlock) => return Err(held()),
+            // Not every file system can (NFS): the file's lock has to do.
+            Err(TryLockError::Error(_)) => None,
+        };
+        Ok(Self { path, file, _folder: folder })
     }
+
+    /// Whether the lock file is still the one that was locked.
+    pub fn is_in_place(&self) -> bool {
+        let ours = self.file.metadata().ok().map(|it| (it.dev(), it.ino()));
+        ours.is_some() && ours == inode(&self.path)
+    }
+}
+
+/// Which file this name leads to: device and inode.
+fn inode(path: &Path) -> Option<(u64, u64)> {
+    std::fs::metadata(path).ok().map(|it| (it.dev(), it.ino()))
 }
 
 #[cfg(test)]
@@ -39,5 +64,15 @@ mod tests {
         assert!(matches!(refused, Error::Held(_)) && refused.to_string().contains("flip serve holds this database"));
         drop(first);
         DataLock::take(folder.path()).unwrap();
+    }
+
+    #[test]
+    fn a_lock_file_that_was_deleted_by_hand_lets_no_second_process_in() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = DataLock::take(folder.path()).unwrap();
+        assert!(first.is_in_place());
+        std::fs::remove_file(folder.path().join("flip.lock")).unwrap();
+        assert!(matches!(DataLock::take(folder.path()), Err(Error::Held(_))));
+        assert!(!first.is_in_place());
     }
 }

@@ -5,11 +5,14 @@
 
 pub mod artifacts;
 pub mod audit;
+pub mod backup;
 pub mod bench;
 pub mod counts;
 pub mod current_simulator;
+mod error;
 pub mod evaluations;
 pub mod events;
+pub mod health;
 pub mod jobs;
 pub mod ledger;
 mod lock;
@@ -18,83 +21,57 @@ mod open;
 pub mod page;
 pub mod parameter_sets;
 pub mod piles;
+mod place;
 pub mod policies;
 pub mod powders;
 mod row;
 pub mod simulators;
+mod sound;
 pub mod tokens;
 pub mod trials;
+pub mod verify;
 pub mod weighings;
+pub mod who;
+
+pub use error::{Error, Result};
 
 use crate::domain::timestamp::Timestamp;
 use artifacts::Artifacts;
 use lock::DataLock;
+use place::Place;
 use sqlx::{Sqlite, SqliteConnection, SqlitePool, Transaction};
-use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
-
-/// Why the store did not do what it was asked.
-#[derive(Debug, thiserror::Error)]
-pub enum Error {
-    /// Another process holds the data folder.
-    #[error("flip serve holds this database ({0}): stop it, or ask it through its API")]
-    Held(PathBuf),
-    /// The writer's fence is not the row's any more: somebody else has the job, or it has ended.
-    #[error("the job has been taken over or has ended")]
-    Fenced,
-    /// Opened to read only.
-    #[error("the database was opened to read only")]
-    ReadOnly,
-    /// The SQLite in this program is older than the one that fixed the reset of the write-ahead log.
-    #[error("SQLite {0} is too old: 3.51.3 or newer is needed")]
-    Old(String),
-    /// What was read is not what was written.
-    #[error("{0}")]
-    Corrupt(String),
-    /// The database says no.
-    #[error(transparent)]
-    Database(#[from] sqlx::Error),
-    /// The file system says no.
-    #[error("{path}: {source}")]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-}
-
-impl Error {
-    /// The store has been closed.
-    pub fn is_closed(&self) -> bool {
-        matches!(self, Self::Database(sqlx::Error::PoolClosed))
-    }
-}
-
-/// What every function of the store returns.
-pub type Result<T> = std::result::Result<T, Error>;
 
 /// One opened data folder. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Store {
     reader: SqlitePool,
+    /// One more connection that reads, for what must not wait behind other readers.
+    apart: SqlitePool,
     /// `None` when opened to read only.
     writer: Option<SqlitePool>,
     artifacts: Artifacts,
     /// Number of the newest event that is committed.
     newest_event: watch::Sender<i64>,
+    /// The database that was opened: its name, and which file that led to.
+    place: Place,
+    /// Why the last transaction that was to be written was not, if it was not.
+    unwritten: Arc<Mutex<Option<String>>>,
     /// Held until the last clone is gone.
-    _lock: Option<Arc<DataLock>>,
+    lock: Option<Arc<DataLock>>,
 }
 
 impl Store {
     /// Begin a transaction that writes.
     ///
     /// # Errors
-    /// [`Error::ReadOnly`]; [`Error::Database`] when the write lock is not free within the time-outs.
+    /// [`Error::ReadOnly`]; [`Error::Locked`] when the write lock is not free within the time-outs; [`Error::Gone`].
     pub async fn write(&self) -> Result<Tx> {
-        let inner = self.writer()?.begin_with("BEGIN IMMEDIATE").await?;
+        let writer = self.writer()?;
+        self.place.check()?;
+        let begun = writer.begin_with("BEGIN IMMEDIATE").await.map_err(Error::from);
+        let inner = begun.inspect_err(|error| self.note_written(Some(error)))?;
         Ok(Tx { inner, store: self.clone(), newest_event: None, unnamed: Vec::new() })
     }
 
@@ -111,6 +88,13 @@ impl Store {
         &self.reader
     }
 
+    /// Remember whether a transaction was written, for those who ask whether the store is well.
+    fn note_written(&self, error: Option<&Error>) {
+        let mut unwritten = self.unwritten.lock().unwrap_or_else(PoisonError::into_inner);
+        // Closing is no trouble.
+        *unwritten = error.filter(|error| !error.is_closed()).map(ToString::to_string);
+    }
+
     /// Artifacts: checkpoints and traces.
     pub fn artifacts(&self) -> &Artifacts {
         &self.artifacts
@@ -120,6 +104,7 @@ impl Store {
     pub async fn close(&self) {
         // Readers would keep the log from being moved.
         self.reader.close().await;
+        self.apart.close().await;
         if let Some(writer) = self.writer.as_ref().filter(|writer| !writer.is_closed()) {
             if let Err(error) = sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(writer).await {
                 tracing::warn!(%error, "the write-ahead log was not checkpointed; SQLite does it at the next start");
@@ -145,7 +130,10 @@ impl Tx {
     /// # Errors
     /// [`Error::Database`]: nothing was written.
     pub async fn commit(self) -> Result<()> {
-        self.inner.commit().await?;
+        self.store.place.check()?;
+        let committed = self.inner.commit().await.map_err(Error::from);
+        self.store.note_written(committed.as_ref().err());
+        committed?;
         if let Some(seq) = self.newest_event {
             self.store.newest_event.send_if_modified(|newest| std::mem::replace(newest, seq.max(*newest)) < seq);
         }

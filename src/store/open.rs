@@ -2,7 +2,8 @@
 
 use super::artifacts::Artifacts;
 use super::lock::DataLock;
-use super::{Error, Result, Store};
+use super::place::Place;
+use super::{Error, Result, Store, sound};
 use sqlx::migrate::Migrator;
 use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
 use sqlx::{Row, SqlitePool};
@@ -12,9 +13,13 @@ use std::time::Duration;
 use tokio::sync::watch;
 
 /// Name of the database in the data folder.
-const DATABASE: &str = "flip.db";
+pub(super) const DATABASE: &str = "flip.db";
 /// How long a statement waits for another connection's lock.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
+/// How long the connection that writes is waited for: longer than two others wait for another program's lock.
+const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long whoever only asks whether the database is well waits for a lock.
+const GIVES_UP: Duration = Duration::from_millis(250);
 /// Connections that read.
 const READERS: u32 = 4;
 /// The first SQLite whose write-ahead log cannot be reset under a reader (3.7.0 to 3.51.2 can corrupt the file).
@@ -24,20 +29,17 @@ impl Store {
     /// Open a data folder for reading and writing; create, migrate and seed it when needed.
     ///
     /// # Errors
-    /// [`Error::Held`] while another process has it, [`Error::Old`], [`Error::Database`], [`Error::File`].
+    /// [`Error::Held`] while another process has it; [`Error::Lost`], [`Error::Damaged`], [`Error::Newer`]: nothing was changed;
+    /// [`Error::Old`], [`Error::Database`], [`Error::File`].
     pub async fn open(data_dir: &Path) -> Result<Self> {
-        let failed = |source| Error::File { path: data_dir.to_owned(), source };
-        std::fs::create_dir_all(data_dir).map_err(failed)?;
+        sound::make_folder(data_dir)?;
         let lock = DataLock::take(data_dir)?;
-        let options = connection(data_dir)
-            .create_if_missing(true)
-            .journal_mode(SqliteJournalMode::Wal)
-            // A committed intent to weigh must survive a power cut.
-            .synchronous(SqliteSynchronous::Full)
-            .auto_vacuum(SqliteAutoVacuum::Incremental)
-            .pragma("journal_size_limit", "67108864");
-        let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options).await?;
-        check_version(&writer).await?;
+        let database = data_dir.join(DATABASE);
+        sound::prepare(data_dir, &database, &artifacts(data_dir))?;
+        let writer = write_connection(connection(data_dir)).await?;
+        check_library(&writer).await?;
+        sound::check(&writer, &database).await?;
+        sound::check_version(&writer, &migrations()).await?;
         migrations().run(&writer).await.map_err(sqlx::Error::from)?;
         let store = Self::assemble(data_dir, Some(writer), Some(Arc::new(lock))).await?;
         store.seed_published_powders().await?;
@@ -53,17 +55,61 @@ impl Store {
         Self::assemble(data_dir, None, None).await
     }
 
+    /// Open an existing data folder beside the process that holds it: for short transactions that need no worker.
+    ///
+    /// # Errors
+    /// [`Error::Database`] when there is none.
+    pub async fn open_beside(data_dir: &Path) -> Result<Self> {
+        let writer = write_connection(connection(data_dir)).await?;
+        Self::assemble(data_dir, Some(writer), None).await
+    }
+
     async fn assemble(data_dir: &Path, writer: Option<SqlitePool>, lock: Option<Arc<DataLock>>) -> Result<Self> {
         let options = connection(data_dir).read_only(true);
-        let reader = SqlitePoolOptions::new().max_connections(READERS).connect_with(options).await?;
+        let reader = connections(READERS).connect_with(options.clone()).await?;
+        let apart = connections(1).connect_with(options).await?;
+        sound::check_version(&reader, &migrations()).await?;
         let newest: i64 = sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM event").fetch_one(&reader).await?;
-        let artifacts = Artifacts::in_folder(data_dir.join("blobs"));
-        Ok(Self { reader, writer, artifacts, newest_event: watch::Sender::new(newest), _lock: lock })
+        Ok(Self {
+            reader,
+            apart,
+            writer,
+            artifacts: artifacts(data_dir),
+            newest_event: watch::Sender::new(newest),
+            place: Place::of(&data_dir.join(DATABASE))?,
+            unwritten: Arc::default(),
+            lock,
+        })
     }
 }
 
 fn connection(data_dir: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new().filename(data_dir.join(DATABASE)).foreign_keys(true).busy_timeout(BUSY_TIMEOUT)
+}
+
+/// A connection to an existing database that waits for nobody for long.
+pub(super) fn connection_that_gives_up(database: &Path) -> SqliteConnectOptions {
+    SqliteConnectOptions::new().filename(database).busy_timeout(GIVES_UP)
+}
+
+/// The one connection of a process that writes.
+async fn write_connection(options: SqliteConnectOptions) -> Result<SqlitePool> {
+    let options = options
+        .journal_mode(SqliteJournalMode::Wal)
+        // A committed intent to weigh must survive a power cut.
+        .synchronous(SqliteSynchronous::Full)
+        .auto_vacuum(SqliteAutoVacuum::Incremental)
+        .pragma("journal_size_limit", "67108864");
+    Ok(connections(1).acquire_timeout(ACQUIRE_TIMEOUT).connect_with(options).await?)
+}
+
+/// Connections are kept: one that is made anew may lead to another file.
+fn connections(max: u32) -> SqlitePoolOptions {
+    SqlitePoolOptions::new().max_connections(max).max_lifetime(None).idle_timeout(None)
+}
+
+pub(super) fn artifacts(data_dir: &Path) -> Artifacts {
+    Artifacts::in_folder(data_dir.join("blobs"))
 }
 
 /// FLIP's migrations. The queue library keeps its own in the same table, so each ignores the other's.
@@ -73,7 +119,7 @@ fn migrations() -> Migrator {
     migrations
 }
 
-async fn check_version(pool: &SqlitePool) -> Result<()> {
+async fn check_library(pool: &SqlitePool) -> Result<()> {
     let version: String = sqlx::query("SELECT sqlite_version()").fetch_one(pool).await?.try_get(0)?;
     match is_new_enough(&version) {
         true => Ok(()),

@@ -7,7 +7,7 @@ use crate::domain::bench::{BenchKind, Tick};
 use crate::domain::conditions::{Patch, Under};
 use crate::domain::timestamp::Timestamp;
 use crate::domain::weighing::{Asked, MeasuredMass, Outcome, WeighRequest, WeighingState};
-use crate::store::audit::About;
+use crate::store::audit::{About, OutcomeRecord};
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
@@ -87,6 +87,14 @@ pub(crate) struct Intent {
     pub request_sha256: Vec<u8>,
     pub request: WeighRequest,
     pub parameter_set: String,
+}
+
+/// What the record says of an intent.
+#[derive(Serialize)]
+struct IntentRecord<'a> {
+    #[serde(flatten)]
+    weighing: &'a Weighing,
+    idempotency_key: &'a str,
 }
 
 /// How a weighing ended.
@@ -203,7 +211,8 @@ impl Tx {
             .fetch_one(&mut *self.inner)
             .await?;
         let weighing = self.announce_weighing(&row).await?;
-        self.audit(About { weighing: Some(&weighing.id), kind: "intent" }, &weighing, now).await?;
+        let said = IntentRecord { weighing: &weighing, idempotency_key: &intent.idempotency_key };
+        self.audit(About { weighing: Some(&weighing.id), kind: "intent" }, &said, now).await?;
         Ok(weighing)
     }
 
@@ -266,8 +275,9 @@ impl Tx {
             .await?;
         let Some(row) = row else { return Ok(None) };
         let weighing = self.announce_weighing(&row).await?;
-        self.audit(About { weighing: Some(id), kind: "outcome" }, &weighing, now).await?;
-        Ok(Some(weighing))
+        let said = OutcomeRecord { weighing, trace: ending.trace.clone() };
+        self.audit(About { weighing: Some(id), kind: "outcome" }, &said, now).await?;
+        Ok(Some(said.weighing))
     }
 
     /// Weighings that were moving when the process ended: what lies in their vials nobody knows.
@@ -284,7 +294,7 @@ impl Tx {
     }
 }
 
-fn weighing_row(row: &SqliteRow) -> Result<WeighingRow> {
+pub(super) fn weighing_row(row: &SqliteRow) -> Result<WeighingRow> {
     Ok(WeighingRow {
         weighing: weighing(row)?,
         request_sha256: row.plain("request_sha256")?,

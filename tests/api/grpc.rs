@@ -235,6 +235,7 @@ async fn health_and_reflection_know_every_service() {
         "Bench",
         "ReposeMeasurements",
         "Jobs",
+        "Tokens",
     ] {
         let name = format!("flip.v1.{name}");
         assert!(names.contains(&name), "{name} in {names:?}");

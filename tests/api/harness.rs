@@ -69,6 +69,11 @@ impl Service {
         self.ended.await.unwrap().unwrap();
     }
 
+    /// The data folder.
+    pub fn folder(&self) -> &std::path::Path {
+        self.data.path()
+    }
+
     pub fn url(&self, path: &str) -> String {
         format!("http://127.0.0.1:{}{path}", self.address.port())
     }

@@ -82,6 +82,11 @@ async fn a_version_is_made_current_and_rolled_back_and_each_choice_is_an_event()
     let still: Value = service.get(&format!("/v1/simulators/{version}")).await.json().await.unwrap();
     assert_eq!(still, listed["items"][0], "versions never change");
     assert_eq!(chosen(&service, fresh["base"].as_str().unwrap()).await, back, "the base goes by its own name too");
+    let record: Value = service.get("/v1/audit?limit=200").await.json().await.unwrap();
+    let bodies = record["items"].as_array().unwrap().iter().map(|record| &record["body"]);
+    let choices: Vec<_> = bodies.filter(|body| body["action"] == "choose simulator").collect();
+    assert_eq!(choices.len(), 2, "{record:#}");
+    assert!(choices.iter().all(|body| body["who"]["role"] == "operator"), "{choices:?}");
 }
 
 #[tokio::test]

@@ -117,10 +117,15 @@ fn fixed_policy() -> (String, String, Vec<u8>) {
     (policy::id(&bytes), text, bytes)
 }
 
+/// The database of a data folder, as anybody with the file has it.
+pub async fn database(data_dir: &Path) -> SqlitePool {
+    let options = SqliteConnectOptions::new().filename(data_dir.join("flip.db")).busy_timeout(Duration::from_secs(5));
+    SqlitePool::connect_with(options).await.unwrap()
+}
+
 /// Puts a calibrated salt and a policy into the database of a data folder, as a calibration and a training would.
 pub async fn calibrate_salt(data_dir: &Path) {
-    let options = SqliteConnectOptions::new().filename(data_dir.join("flip.db")).busy_timeout(Duration::from_secs(5));
-    let pool = SqlitePool::connect_with(options).await.unwrap();
+    let pool = database(data_dir).await;
     let set = ParameterSet::default();
     sqlx::query(
         "INSERT INTO job (id, kind, spec, spec_sha256, state, result, created_at, finished_at)

@@ -2,11 +2,12 @@
 
 use crate::harness::{OnEvent, calibrated, ended, functions, mg, open, open_in, pour, trained, training_of, until};
 use flip::app::{App, Episode, Error, EvaluationRequest, Functions, JobState, PageQuery, SERIES_LIMIT_MAX};
-use flip::app::{Preset, TrainingRequest};
+use flip::app::{Preset, Topic, TrainingRequest};
 use flip::domain::bench_check::{ExecutedShake, ShakeCalibration};
 use flip::domain::motion::{MotionLimits, Move};
 use flip::jobs::bench::{Poured, Pouring};
 use flip::policy::{self, Controller};
+use futures::StreamExt;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -33,6 +34,17 @@ async fn a_training_stores_its_episodes_and_a_policy_that_can_be_downloaded() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_shut_down_training_resumes_and_ends_with_the_same_policy() {
+    assert_eq!(events_of_a_resumed_training(|_| {}).await, 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_training_whose_checkpoint_is_lost_begins_again_says_so_and_ends_with_the_same_policy() {
+    assert_eq!(events_of_a_resumed_training(|file| std::fs::remove_file(file).unwrap()).await, 1);
+    assert_eq!(events_of_a_resumed_training(|file| std::fs::write(file, b"half").unwrap()).await, 1);
+}
+
+/// How often a training that was shut down says that its checkpoint is lost, after this was done to the file.
+async fn events_of_a_resumed_training(damage: impl Fn(&std::path::Path)) -> usize {
     let request = TrainingRequest { episodes: Some(40), ..training_of("sand", 40) };
     let (_folder, undisturbed) = open(functions()).await;
     calibrated(&undisturbed, "sand").await;
@@ -58,6 +70,7 @@ async fn a_shut_down_training_resumes_and_ends_with_the_same_policy() {
     until("eight episodes", async || all_episodes(&app, &job.id).await.len() >= 8).await;
     app.shutdown().await.unwrap();
     drop(app);
+    walk(folder.path().join("blobs")).iter().for_each(|file| damage(file));
 
     let app = open_in(folder.path(), functions()).await;
     let job = ended(&app, &job.id).await;
@@ -66,8 +79,10 @@ async fn a_shut_down_training_resumes_and_ends_with_the_same_policy() {
     assert_eq!(all_episodes(&app, &job.id).await, all_episodes(&undisturbed, &whole.id).await);
     // It is deleted after the job is told to have ended, not before: a row must never name what is gone.
     until("no checkpoint", async || walk(folder.path().join("blobs")).is_empty()).await;
+    let events: Vec<_> = app.events(Topic::Job(job.id.clone()), 0).await.unwrap().collect().await;
     app.shutdown().await.unwrap();
     undisturbed.shutdown().await.unwrap();
+    events.iter().filter(|event| event.as_ref().is_ok_and(|event| event.kind == "checkpoint_lost")).count()
 }
 
 #[tokio::test(flavor = "multi_thread")]

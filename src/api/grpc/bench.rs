@@ -2,7 +2,7 @@
 
 use super::convert::{all, page};
 use super::proto::*;
-use super::{Service, read, write};
+use super::{Service, clear, read, write};
 use crate::app::{ClearRequest, RepeatabilityRequest};
 use tonic::{Request, Response, Status};
 
@@ -19,7 +19,7 @@ impl bench_server::Bench for Service {
     }
 
     async fn clear_bench(&self, request: Request<ClearBenchRequest>) -> Result<Response<BenchStatus>, Status> {
-        let ClearBenchRequest { by, note, looked, vial_ready } = write(request)?;
+        let ClearBenchRequest { by, note, looked, vial_ready } = clear(request)?;
         let cleared = self.app.clear_bench(ClearRequest { by, note, looked, vial_ready }).await?;
         Ok(Response::new(cleared.into()))
     }

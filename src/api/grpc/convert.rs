@@ -263,7 +263,9 @@ same_fields! {
     v: app::AuditVerification => AuditVerification { records last_hash holds_hash } {
         broken_seq: v.broken.as_ref().map(|broken| broken.seq),
         broken_why: v.broken.map(|broken| broken.why),
+        changed: all(v.changed),
     }
+    c: app::ChangedRow => ChangedRow { weighing seq why } {}
     r: app::ReposeMeasurement => ReposeMeasurement { powder run } {
         job: Some(r.job.into()),
         bench: bench_kind(r.bench),
@@ -295,6 +297,7 @@ same_fields! {
     d: app::WeighingDetail => WeighingDetail {} {
         weighing: Some(d.weighing.into()),
         ticks: all(d.ticks),
+        trace_lost: d.trace_lost,
     }
     t: Tick => Tick { step t_s pitch_deg } {
         incline_change_deg: t.action.incline_change_deg,
@@ -425,7 +428,7 @@ pub fn page(request: Option<proto::PageRequest>) -> PageQuery {
     request.map_or_else(PageQuery::default, |page| PageQuery { limit: page.limit, after: page.after })
 }
 
-fn at(time: app::Timestamp) -> Option<Timestamp> {
+pub(super) fn at(time: app::Timestamp) -> Option<Timestamp> {
     let ms = time.unix_ms();
     Some(Timestamp { seconds: ms.div_euclid(1000), nanos: (ms.rem_euclid(1000) * 1_000_000) as i32 })
 }

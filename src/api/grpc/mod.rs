@@ -4,6 +4,7 @@ mod bench;
 mod calibrations;
 mod convert;
 mod evaluations;
+mod health;
 mod investigations;
 mod jobs;
 mod policies;
@@ -11,6 +12,7 @@ mod powders;
 mod repose;
 mod simulators;
 pub mod status;
+mod tokens;
 mod trainings;
 mod weighings;
 
@@ -33,12 +35,12 @@ use proto::policies_server::PoliciesServer;
 use proto::powders_server::PowdersServer;
 use proto::repose_measurements_server::ReposeMeasurementsServer;
 use proto::simulators_server::SimulatorsServer;
+use proto::tokens_server::TokensServer;
 use proto::trainings_server::TrainingsServer;
 use proto::weighings_server::WeighingsServer;
 use tokio_util::sync::CancellationToken;
 use tonic::service::Routes;
 use tonic::{Request, Status};
-use tonic_health::ServingStatus;
 
 /// Messages, servers and clients, generated from the contract.
 #[expect(missing_docs, reason = "generated; the contract has the comments")]
@@ -48,34 +50,10 @@ pub mod proto {
 
 const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/flip.v1.bin"));
 
-/// Names that the health service knows; the empty one is the whole service.
-const SERVICES: [&str; 12] = [
-    "",
-    "flip.v1.Powders",
-    "flip.v1.Calibrations",
-    "flip.v1.Trainings",
-    "flip.v1.Policies",
-    "flip.v1.Evaluations",
-    "flip.v1.Investigations",
-    "flip.v1.Simulators",
-    "flip.v1.Weighings",
-    "flip.v1.Bench",
-    "flip.v1.ReposeMeasurements",
-    "flip.v1.Jobs",
-];
-
 /// All services with health and reflection; once `closing` is cancelled, health says that they do not serve.
 pub fn router(app: App, closing: CancellationToken) -> Router {
     let (reporter, health) = tonic_health::server::health_reporter();
-    tokio::spawn(async move {
-        for name in SERVICES {
-            reporter.set_service_status(name, ServingStatus::Serving).await;
-        }
-        closing.cancelled().await;
-        for name in SERVICES {
-            reporter.set_service_status(name, ServingStatus::NotServing).await;
-        }
-    });
+    tokio::spawn(health::report(app.clone(), reporter, closing));
     let service = Service { app };
     macro_rules! limited {
         ($server:ident) => {
@@ -108,6 +86,7 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         .add_service(limited!(BenchServer))
         .add_service(frames)
         .add_service(limited!(JobsServer))
+        .add_service(limited!(TokensServer))
         .into_axum_router()
         .reset_fallback()
 }
@@ -139,6 +118,18 @@ fn read<T>(request: Request<T>) -> Result<T, Status> {
 /// The message of a caller who may start, stop and add things.
 fn write<T>(request: Request<T>) -> Result<T, Status> {
     auth::require(request.extensions(), Role::Operator)?;
+    Ok(request.into_inner())
+}
+
+/// The message of a caller who may make and end tokens.
+fn govern<T>(request: Request<T>) -> Result<T, Status> {
+    auth::require(request.extensions(), Role::Admin)?;
+    Ok(request.into_inner())
+}
+
+/// The message of a caller who may clear a latched bench.
+fn clear<T>(request: Request<T>) -> Result<T, Status> {
+    auth::require_clearer(request.extensions())?;
     Ok(request.into_inner())
 }
 

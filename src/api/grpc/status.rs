@@ -31,6 +31,7 @@ fn code(problem: &Problem) -> Code {
         405 => Code::Unimplemented,
         409 if problem.kind.ends_with(":queue-full") => Code::ResourceExhausted,
         409 => Code::FailedPrecondition,
+        410 => Code::DataLoss,
         413 => Code::ResourceExhausted,
         422 => Code::AlreadyExists,
         503 => Code::Unavailable,

@@ -1,7 +1,7 @@
 //! `/v1/bench`: the bench, its latch and its checks.
 
 use super::extract::Input;
-use crate::api::auth::{Operator, Viewer};
+use crate::api::auth::{Clearer, Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::{App, BenchStatus, ClearRequest, Repeatability, RepeatabilityRequest};
 use axum::Json;
@@ -30,7 +30,7 @@ pub async fn stop_bench(_: Operator, State(app): State<App>) -> Result<Json<Benc
     responses((status = 200, description = "The bench, which may be used again", body = BenchStatus),
         (status = 409, description = "It is not latched", body = Problem, content_type = "application/problem+json")))]
 pub async fn clear_bench(
-    _: Operator,
+    _: Clearer,
     State(app): State<App>,
     Input(request): Input<ClearRequest>,
 ) -> Result<Json<BenchStatus>, Problem> {

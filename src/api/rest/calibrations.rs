@@ -55,6 +55,7 @@ pub async fn get_calibration(
 #[utoipa::path(get, path = "/v1/calibrations/{id}/posterior", tag = "calibrations",
     params(("id" = String, Path, description = "Id of the calibration")),
     responses((status = 200, description = "The posterior", body = Posterior),
+        (status = 410, description = "Its file is gone or damaged", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "It has none, or none yet", body = Problem,
             content_type = "application/problem+json")))]
 pub async fn get_posterior(

@@ -91,7 +91,8 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(events::watch_all))
         .routes(routes!(events::watch_job))
         .routes(routes!(events::watch_weighing))
-        .routes(routes!(tokens::create_token))
+        .routes(routes!(tokens::list_tokens, tokens::create_token))
+        .routes(routes!(tokens::revoke_token))
 }
 
 /// Routes whose bodies are images or tables: so few at once that their bytes fit.

@@ -109,7 +109,8 @@ pub async fn add_frame(
     params(("id" = String, Path, description = "Id of the measurement"),
         ("pile" = u32, Path, description = "Which pile, from 1"), ("frame" = u32, Path, description = "Which frame, from 1"),
         ("part" = String, Path, description = "`depth`, `colour` or `description`")),
-    responses((status = 200, description = "The bytes", body = Vec<u8>, content_type = "application/octet-stream")))]
+    responses((status = 200, description = "The bytes", body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 410, description = "Its file is gone or damaged", body = Problem, content_type = "application/problem+json")))]
 pub async fn download_frame(
     _: Viewer,
     State(app): State<App>,

@@ -1,32 +1,22 @@
 //! `/v1/tokens`: keys for programs and people.
 
-use super::extract::Input;
+use super::extract::{Input, Path, Query};
+use super::list::{ListParams, respond};
 use crate::api::auth::Admin;
 use crate::api::problem::Problem;
-use crate::app::App;
-use crate::app::Role;
+use crate::app::{App, NewToken, Page, TokenEntry};
 use axum::Json;
-use axum::extract::State;
+use axum::extract::{OriginalUri, State};
 use axum::http::StatusCode;
-use serde::{Deserialize, Serialize};
-
-/// A token to make.
-#[derive(Debug, Deserialize, utoipa::ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct NewToken {
-    /// Who will hold it, for the record.
-    name: String,
-    /// What its holder may do.
-    role: Role,
-}
+use axum::response::Response;
+use serde::Serialize;
 
 /// A token, shown this once.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub struct Token {
-    /// Who holds it.
-    name: String,
-    /// What its holder may do.
-    role: Role,
+    /// What is known of it from now on.
+    #[serde(flatten)]
+    entry: TokenEntry,
     /// Send it as `Authorization: Bearer …`. Only its hash is stored.
     secret: String,
 }
@@ -37,8 +27,34 @@ pub struct Token {
 pub async fn create_token(
     _: Admin,
     State(app): State<App>,
-    Input(NewToken { name, role }): Input<NewToken>,
+    Input(new): Input<NewToken>,
 ) -> Result<(StatusCode, Json<Token>), Problem> {
-    let secret = app.create_token(&name, role).await?;
-    Ok((StatusCode::CREATED, Json(Token { name, role, secret })))
+    let (entry, secret) = app.make_token(&new).await?;
+    Ok((StatusCode::CREATED, Json(Token { entry, secret })))
+}
+
+/// List tokens, newest first, with those that have ended; never their secrets.
+#[utoipa::path(get, path = "/v1/tokens", tag = "tokens", params(ListParams),
+    responses((status = 200, description = "A page of tokens", body = Page<TokenEntry>)))]
+pub async fn list_tokens(
+    _: Admin,
+    State(app): State<App>,
+    OriginalUri(uri): OriginalUri,
+    Query(params): Query<ListParams>,
+) -> Result<Response, Problem> {
+    Ok(respond(&uri, app.tokens(params.into()).await?))
+}
+
+/// End a token from now on.
+///
+/// One that has ended stays as it was. Records go on naming it.
+#[utoipa::path(delete, path = "/v1/tokens/{id}", tag = "tokens",
+    params(("id" = String, Path, description = "Token id: the first part of its secret")),
+    responses((status = 200, description = "The token, which has ended", body = TokenEntry)))]
+pub async fn revoke_token(
+    _: Admin,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Json<TokenEntry>, Problem> {
+    Ok(Json(app.revoke_token(&id).await?))
 }

@@ -71,22 +71,24 @@ pub async fn get_weighing(
 /// The ticks of a weighing: what the bench did and the balance showed.
 #[utoipa::path(get, path = "/v1/weighings/{id}/trace", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
-    responses((status = 200, description = "The ticks in order", body = Vec<Tick>)))]
+    responses((status = 200, description = "The ticks in order", body = Vec<Tick>),
+        (status = 410, description = "Their file is gone or damaged", body = Problem, content_type = "application/problem+json")))]
 pub async fn get_trace(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Json<Vec<Tick>>, Problem> {
-    Ok(Json(app.weighing(&id).await?.ticks))
+    Ok(Json(app.trace(&id).await?))
 }
 
 /// Download the ticks of a weighing as CSV.
 #[utoipa::path(get, path = "/v1/weighings/{id}/trace.csv", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
-    responses((status = 200, description = "One line for each tick", body = String, content_type = "text/csv")))]
+    responses((status = 200, description = "One line for each tick", body = String, content_type = "text/csv"),
+        (status = 410, description = "Their file is gone or damaged", body = Problem, content_type = "application/problem+json")))]
 pub async fn download_trace(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
-    let detail = app.weighing(&id).await?;
+    let ticks = app.trace(&id).await?;
     let headers = [
         (header::CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()),
-        (header::CONTENT_DISPOSITION, format!("attachment; filename=\"weighing-{}.csv\"", detail.weighing.id)),
+        (header::CONTENT_DISPOSITION, format!("attachment; filename=\"weighing-{id}.csv\"")),
     ];
-    Ok((headers, csv(&detail.ticks)).into_response())
+    Ok((headers, csv(&ticks)).into_response())
 }
 
 /// Numbers as in JSON, so that both forms of a trace hold the same digits.

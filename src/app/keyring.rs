@@ -1,0 +1,209 @@
+//! The tokens in memory: who holds a secret is known without asking the database, so that a stop waits for no reader.
+//!
+//! The table stays the truth. It is looked at again each second, after every change made here, and when a secret is not known: another process
+//! may have made it a moment ago. Guesses share one look at a time, no more than twenty a second, on a connection that nobody else waits for.
+
+use crate::domain::timestamp::Timestamp;
+use crate::store::tokens::{HashedToken, Role};
+use crate::store::{self, Store, now};
+use sha2::{Digest, Sha256};
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::sync::{PoisonError, RwLock, RwLockReadGuard};
+use std::time::{Duration, Instant};
+use subtle::ConstantTimeEq;
+use tokio::sync::Mutex;
+
+/// Looks that unknown secrets cause are at least this far apart.
+const LOOKS_APART: Duration = Duration::from_millis(50);
+/// How long a look may take before the caller is told what is known so far.
+const LOOK_MAX: Duration = Duration::from_secs(1);
+
+/// Who holds a token that is good.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Holder {
+    /// The token's id.
+    pub id: String,
+    /// The token's name.
+    pub name: String,
+    /// What they may do.
+    pub role: Role,
+    /// Whether they may clear a latched bench.
+    pub may_clear: bool,
+}
+
+/// Every token by its id.
+pub(super) struct Keyring {
+    known: RwLock<HashMap<String, Key>>,
+    /// When the table was last asked.
+    looked: Mutex<Option<Instant>>,
+}
+
+struct Key {
+    token: HashedToken,
+    /// Last use, ms since 1970; 0 for never.
+    used_ms: AtomicI64,
+}
+
+impl Keyring {
+    /// With what the table holds now.
+    pub(super) async fn of(store: &Store) -> store::Result<Self> {
+        let keyring = Self { known: RwLock::default(), looked: Mutex::default() };
+        keyring.look(store).await?;
+        Ok(keyring)
+    }
+
+    /// Ask the table.
+    pub(super) async fn look(&self, store: &Store) -> store::Result<()> {
+        let mut looked = self.looked.lock().await;
+        *looked = Some(Instant::now());
+        self.replace(store.every_token().await?);
+        Ok(())
+    }
+
+    /// Ask the table because a secret is not known; who asks while another look is due waits for it. Whether it was this caller who asked.
+    pub(super) async fn look_after_a_miss(&self, store: &Store) -> bool {
+        let missed = Instant::now();
+        let look = async {
+            let mut looked = self.looked.lock().await;
+            match *looked {
+                // It began after the miss, so it has seen what was there then.
+                Some(last) if last >= missed => return Ok(false),
+                Some(last) => tokio::time::sleep(LOOKS_APART.saturating_sub(last.elapsed())).await,
+                None => {}
+            }
+            *looked = Some(Instant::now());
+            self.replace(store.every_token().await?);
+            store::Result::Ok(true)
+        };
+        match tokio::time::timeout(LOOK_MAX, look).await {
+            Ok(Ok(asked)) => return asked,
+            Ok(Err(error)) => tracing::warn!(%error, "the tokens could not be looked up; those known so far count"),
+            Err(_) => tracing::warn!("the tokens could not be looked up within a second; those known so far count"),
+        }
+        true
+    }
+
+    fn replace(&self, tokens: Vec<HashedToken>) {
+        let mut known = self.known.write().unwrap_or_else(PoisonError::into_inner);
+        let before = std::mem::take(&mut *known);
+        *known = tokens.into_iter().map(|token| (token.entry.id.clone(), Key::new(token, &before))).collect();
+    }
+
+    /// Who holds this secret; `None` when nobody does, or not any more.
+    pub(super) fn holder(&self, secret: &str) -> Option<Holder> {
+        let id = secret.strip_prefix("flip_").and_then(|rest| rest.split('_').next())?;
+        let known = self.known();
+        let key = known.get(id)?;
+        let same = Sha256::digest(secret).ct_eq(key.token.sha256.as_slice());
+        let at = now();
+        if !bool::from(same) || !key.is_good(at) {
+            return None;
+        }
+        key.used_ms.fetch_max(at.unix_ms(), Ordering::Relaxed);
+        let entry = &key.token.entry;
+        let may_clear = entry.may_clear || entry.role == Role::Admin;
+        Some(Holder { id: entry.id.clone(), name: entry.name.clone(), role: entry.role, may_clear })
+    }
+
+    /// Uses that are not written down yet.
+    pub(super) fn uses(&self) -> Vec<(String, Timestamp)> {
+        let known = self.known();
+        let unwritten = known.values().filter_map(|key| {
+            let used = Timestamp::from_unix_ms(key.used_ms.load(Ordering::Relaxed));
+            (Some(used) > key.token.entry.last_used_at && used.unix_ms() > 0)
+                .then(|| (key.token.entry.id.clone(), used))
+        });
+        unwritten.collect()
+    }
+
+    fn known(&self) -> RwLockReadGuard<'_, HashMap<String, Key>> {
+        self.known.read().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Key {
+    /// A token as the table has it; its use is remembered.
+    fn new(token: HashedToken, before: &HashMap<String, Self>) -> Self {
+        let used_ms = before.get(&token.entry.id).map_or(0, |key| key.used_ms.load(Ordering::Relaxed));
+        Self { token, used_ms: AtomicI64::new(used_ms) }
+    }
+
+    fn is_good(&self, at: Timestamp) -> bool {
+        let entry = &self.token.entry;
+        entry.revoked_at.is_none() && entry.expires_at.is_none_or(|end| at < end)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::tokens::TokenEntry;
+
+    const SECRET: &str = "flip_00_11";
+
+    fn ring(change: impl FnOnce(&mut TokenEntry)) -> Keyring {
+        let mut entry = TokenEntry {
+            id: "00".into(),
+            name: "test".into(),
+            role: Role::Operator,
+            may_clear: false,
+            created_at: now(),
+            expires_at: None,
+            revoked_at: None,
+            last_used_at: None,
+        };
+        change(&mut entry);
+        let ring = Keyring { known: RwLock::default(), looked: Mutex::default() };
+        ring.replace(vec![HashedToken { entry, sha256: Sha256::digest(SECRET).to_vec() }]);
+        ring
+    }
+
+    #[test]
+    fn a_token_that_has_expired_or_was_revoked_opens_nothing() {
+        let past = Timestamp::from_unix_ms(now().unix_ms() - 1);
+        let future = Timestamp::from_unix_ms(now().unix_ms() + 3_600_000);
+        assert!(ring(|_| {}).holder(SECRET).is_some());
+        assert!(ring(|it| it.expires_at = Some(future)).holder(SECRET).is_some());
+        assert_eq!(ring(|it| it.expires_at = Some(past)).holder(SECRET), None);
+        assert_eq!(ring(|it| it.revoked_at = Some(past)).holder(SECRET), None);
+        assert_eq!(ring(|it| it.revoked_at = Some(future)).holder(SECRET), None, "revoked is revoked");
+    }
+
+    #[test]
+    fn only_admins_and_operators_whose_token_says_so_may_clear() {
+        let may_clear = |role, flag| {
+            let ring = ring(|it| (it.role, it.may_clear) = (role, flag));
+            ring.holder(SECRET).unwrap().may_clear
+        };
+        assert!(!may_clear(Role::Operator, false) && may_clear(Role::Operator, true) && may_clear(Role::Admin, false));
+    }
+
+    #[test]
+    fn uses_are_remembered_until_they_are_in_the_table_also_when_the_table_is_read_again() {
+        let ring = ring(|_| {});
+        assert_eq!(ring.uses(), []);
+        ring.holder(SECRET).unwrap();
+        let uses = ring.uses();
+        assert_eq!(uses[0].0, "00");
+        let read_again = |last_used_at| {
+            let mut token = ring.known()["00"].token.clone();
+            token.entry.last_used_at = last_used_at;
+            ring.replace(vec![token]);
+        };
+        read_again(None);
+        assert_eq!(ring.uses(), uses);
+        read_again(Some(uses[0].1));
+        assert_eq!(ring.uses(), []);
+    }
+
+    #[tokio::test]
+    async fn a_thousand_guesses_at_once_share_a_few_looks() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        let ring = Keyring::of(&store).await.unwrap();
+        let asked = futures::future::join_all((0..1000).map(|_| ring.look_after_a_miss(&store))).await;
+        let looks = asked.iter().filter(|asked| **asked).count();
+        assert!((1..10).contains(&looks), "{looks} looks");
+    }
+}

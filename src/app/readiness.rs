@@ -1,0 +1,81 @@
+//! Whether FLIP could weigh now, for those who watch over it.
+
+use super::App;
+use crate::store::health::{Check, Health};
+use serde::Serialize;
+use std::time::{Duration, Instant};
+use tokio::sync::Mutex;
+
+/// However many ask, it is looked at this often.
+const LOOKS_APART: Duration = Duration::from_secs(1);
+
+/// Whether a weighing that is asked for now would be begun and recorded, and what is in the way.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Readiness {
+    /// Nothing is in the way.
+    pub ready: bool,
+    /// What was looked at.
+    pub checks: Checks,
+}
+
+/// Each by its name.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Checks {
+    /// Room on the disk of the data folder.
+    pub disk: Check,
+    /// The database can be written: it is whole and no other program holds it.
+    pub database: Check,
+    /// The data folder is where it was when FLIP started.
+    pub folder: Check,
+    /// The lock that keeps a second FLIP out is in place.
+    pub lock: Check,
+    /// The bench is not latched, and no ending of a dose waits to be written.
+    pub bench: Check,
+}
+
+impl Checks {
+    /// All but the bench: what those need who never weigh.
+    pub fn store_is_ready(&self) -> bool {
+        [&self.disk, &self.database, &self.folder, &self.lock].iter().all(|check| check.ok)
+    }
+
+    /// As for somebody who may not read: what, but not why.
+    pub fn without_reasons(mut self) -> Self {
+        for check in [&mut self.disk, &mut self.database, &mut self.folder, &mut self.lock, &mut self.bench] {
+            check.why = None;
+        }
+        self
+    }
+}
+
+/// What was found last, and when.
+pub(super) type LastLook = Mutex<Option<(Instant, Readiness)>>;
+
+impl App {
+    /// Whether FLIP could weigh now. Looked at once a second at most, however many ask.
+    pub async fn readiness(&self) -> Readiness {
+        let mut last = self.inner.readiness.lock().await;
+        if let Some((at, found)) = &*last
+            && at.elapsed() < LOOKS_APART
+        {
+            return found.clone();
+        }
+        let found = self.look_whether_ready().await;
+        *last = Some((Instant::now(), found.clone()));
+        found
+    }
+
+    async fn look_whether_ready(&self) -> Readiness {
+        let Health { disk, database, folder, lock } = self.store().health().await;
+        let checks = Checks { disk, database, folder, lock, bench: Check::of(self.bench_is_in_the_way().await) };
+        Readiness { ready: checks.store_is_ready() && checks.bench.ok, checks }
+    }
+
+    async fn bench_is_in_the_way(&self) -> Option<String> {
+        match self.store().latch_apart().await {
+            Ok(None) => None,
+            Ok(Some(latch)) => Some(format!("latched since {}: {}", latch.at, latch.reason)),
+            Err(error) => Some(format!("whether it is latched is not known: {error}")),
+        }
+    }
+}

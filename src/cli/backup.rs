@@ -1,0 +1,59 @@
+//! `flip backup` and `flip restore`: whole copies of a data folder, also while a server runs.
+
+use super::Common;
+use super::failure::Failure;
+use super::session::runtime;
+use crate::app::{BackupError, Copied, back_up, restore};
+use std::path::PathBuf;
+
+/// Arguments of `flip backup`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    /// Folder to make: it must not be there yet, or be empty.
+    #[arg(value_name = "DIR")]
+    to: PathBuf,
+}
+
+/// Arguments of `flip restore`.
+#[derive(Debug, clap::Args)]
+pub(super) struct RestoreArguments {
+    /// A folder that `flip backup` made. `--data-dir` names the data folder to make of it: it must not be there yet, or be empty.
+    #[arg(value_name = "BACKUP")]
+    from: PathBuf,
+}
+
+/// Copy the data folder.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    let made = runtime()?.block_on(back_up(&common.data_dir, &arguments.to))?;
+    common.print(&made, || text(&made))
+}
+
+/// Make a data folder of a copy.
+pub(super) fn run_restore(common: &Common, arguments: &RestoreArguments) -> Result<(), Failure> {
+    let made = runtime()?.block_on(restore(&arguments.from, &common.data_dir))?;
+    common.print(&made, || text(&made))
+}
+
+fn text(made: &Copied) -> String {
+    let Copied { folder, database_bytes, files, lost, records, last_hash, audit_broken } = made;
+    let mut text = format!(
+        "{} holds a whole copy: {database_bytes} bytes of database, {files} files, {records} records\nlast hash {last_hash}",
+        folder.display()
+    );
+    if !lost.is_empty() {
+        text += &format!("\n{} files that it names are lost in the original already: {}", lost.len(), lost.join(", "));
+    }
+    if let Some(why) = audit_broken {
+        text += &format!("\nits audit trail is kept as it is, and is not what was written: {why}");
+    }
+    text
+}
+
+impl From<BackupError> for Failure {
+    fn from(error: BackupError) -> Self {
+        match error {
+            BackupError::Refused(message) => Self::NotNow(message),
+            BackupError::Failed(message) => Self::Failed(anyhow::anyhow!(message)),
+        }
+    }
+}

@@ -1,0 +1,198 @@
+//! Copies of a data folder that are whole: the database as it is at one moment, the files that it names, and all of it read back.
+//!
+//! A backup is a data folder like any other, and restoring is the same work the other way round. Neither writes over anything: the copy is made
+//! beside its place under another name, looked at, and put there in one step.
+
+use super::artifacts::{Artifacts, NAMED};
+use super::open::{DATABASE, artifacts};
+use super::{Error, Result, Store, new_id, sound};
+use serde::Serialize;
+use std::fs::{self, DirBuilder, File, Permissions};
+use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+
+/// What a copy holds, as it was read back.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Copied {
+    /// The copy.
+    pub folder: PathBuf,
+    /// Size of its database.
+    pub database_bytes: u64,
+    /// Files beside the database, whole by their hashes.
+    pub files: usize,
+    /// Files that the database names and the original has no more, or only damaged, by SHA-256: what they hold is lost, and nothing else.
+    pub lost: Vec<String>,
+    /// Records of the audit trail.
+    pub records: i64,
+    /// Hash of the last one; `flip audit verify --hash` asks for it.
+    pub last_hash: String,
+    /// Why the audit trail is not what was written, if it is not: the copy keeps it as it is.
+    pub audit_broken: Option<String>,
+}
+
+/// Copy the data folder `from`, also while another process writes there, to `to`, which must not be there or be empty.
+///
+/// # Errors
+/// [`Error::Occupied`], [`Error::Absent`]; [`Error::Damaged`], [`Error::Newer`] of the database; [`Error::Full`], [`Error::File`].
+/// Nothing is left behind.
+pub async fn copy(from: &Path, to: &Path) -> Result<Copied> {
+    if fs::read_dir(to).is_ok_and(|mut found| found.next().is_some()) || (to.exists() && !to.is_dir()) {
+        return Err(Error::Occupied(to.to_owned()));
+    }
+    if !fs::metadata(from.join(DATABASE)).is_ok_and(|it| it.len() > 0) {
+        return Err(Error::Absent(from.to_owned()));
+    }
+    let beside = Beside::make(to)?;
+    let made = fill(from, &beside.folder).await?;
+    beside.put_in_place(to)?;
+    Ok(Copied { folder: to.to_owned(), ..made })
+}
+
+/// Database first: every file that it names is there already.
+async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
+    let database = folder.join(DATABASE);
+    let original = Store::open_to_read(from).await?;
+    let name = database.to_string_lossy().into_owned();
+    let copied = sqlx::query("VACUUM INTO ?1").bind(name).execute(original.reader()).await;
+    copied.map_err(Error::from)?;
+    let failed = |source| Error::File { path: database.clone(), source };
+    fs::set_permissions(&database, Permissions::from_mode(0o600)).map_err(failed)?;
+    File::open(&database).and_then(|file| file.sync_all()).map_err(failed)?;
+
+    let copy = Store::open_to_read(folder).await?;
+    sound::check(copy.reader(), &database).await?;
+    let named: Vec<String> = sqlx::query_scalar(NAMED).fetch_all(copy.reader()).await?;
+    let lost = copy_files(&named, original.artifacts(), &artifacts(folder))?;
+    let found = copy.verify_audit(None).await?;
+    original.close().await;
+    copy.close().await;
+    Ok(Copied {
+        folder: folder.to_owned(),
+        database_bytes: fs::metadata(&database).map_err(failed)?.len(),
+        files: named.len() - lost.len(),
+        lost,
+        records: found.records,
+        last_hash: found.last_hash,
+        audit_broken: found.broken.map(|broken| format!("record {}: {}", broken.seq, broken.why)),
+    })
+}
+
+/// Copy these files and read each copy back; those that the original does not have whole.
+fn copy_files(named: &[String], from: &Artifacts, to: &Artifacts) -> Result<Vec<String>> {
+    let mut lost = Vec::new();
+    for sha256 in named {
+        match from.get(sha256) {
+            Ok(bytes) => {
+                to.put(&bytes)?;
+                to.get(sha256)?;
+            }
+            Err(error) if error.is_lost_part() => lost.push(sha256.clone()),
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(lost)
+}
+
+/// A folder beside the place that a copy will have; gone when dropped before that.
+struct Beside {
+    folder: PathBuf,
+    parent: PathBuf,
+}
+
+impl Beside {
+    fn make(to: &Path) -> Result<Self> {
+        let parent = match to.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent.to_owned(),
+            _ => PathBuf::from("."),
+        };
+        let folder = parent.join(format!(".flip-{}.part", new_id()));
+        let failed = |source| Error::File { path: folder.clone(), source };
+        fs::create_dir_all(&parent).map_err(failed)?;
+        DirBuilder::new().mode(0o700).create(&folder).map_err(failed)?;
+        Ok(Self { folder, parent })
+    }
+
+    /// Rename it: an empty folder there is replaced, anything else refuses.
+    fn put_in_place(&self, to: &Path) -> Result<()> {
+        let failed = |source| Error::File { path: to.to_owned(), source };
+        File::open(&self.folder).and_then(|folder| folder.sync_all()).map_err(failed)?;
+        fs::rename(&self.folder, to).map_err(failed)?;
+        File::open(&self.parent).and_then(|folder| folder.sync_all()).map_err(failed)
+    }
+}
+
+impl Drop for Beside {
+    fn drop(&mut self) {
+        // Renamed, it is not there any more.
+        let _ = fs::remove_dir_all(&self.folder);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::domain::timestamp::Timestamp;
+
+    async fn with_powders(folder: &Path, n: i64) -> Store {
+        let store = Store::open(folder).await.unwrap();
+        for k in 0..n {
+            let mut tx = store.write().await.unwrap();
+            tx.insert_powder(&format!("powder_{k}"), "Powder").await.unwrap();
+            tx.audit_person(None, "new powder", Timestamp::from_unix_ms(k)).await.unwrap();
+            tx.commit().await.unwrap();
+        }
+        store
+    }
+
+    #[tokio::test]
+    async fn a_backup_while_serving_holds_every_committed_row_and_comes_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let (data, kept, back) = (folder.path().join("data"), folder.path().join("kept"), folder.path().join("back"));
+        // Open, so that all of it may still be in the write-ahead log: a copy of flip.db alone had 0 of 20.
+        let store = with_powders(&data, 20).await;
+        let made = copy(&data, &kept).await.unwrap();
+        let again = copy(&kept, &back).await.unwrap();
+        assert_eq!((made.records, &made.audit_broken, &made.lost), (20, &None, &Vec::new()));
+        assert_eq!((&again.last_hash, again.records), (&made.last_hash, 20));
+        let restored = Store::open(&back).await.unwrap();
+        let count = "SELECT count(*) FROM powder WHERE id LIKE 'powder_%'";
+        assert_eq!(sqlx::query_scalar::<_, i64>(count).fetch_one(restored.reader()).await.unwrap(), 20);
+        store.close().await;
+        for path in [&kept, &back] {
+            assert_eq!(fs::metadata(path).unwrap().permissions().mode() & 0o777, 0o700);
+            assert_eq!(fs::metadata(path.join(DATABASE)).unwrap().permissions().mode() & 0o777, 0o600);
+        }
+    }
+
+    #[tokio::test]
+    async fn nothing_is_written_over_and_nothing_is_left_behind_where_there_is_nothing_to_copy() {
+        let folder = tempfile::tempdir().unwrap();
+        let data = folder.path().join("data");
+        with_powders(&data, 1).await.close().await;
+        let before = fs::read(data.join(DATABASE)).unwrap();
+        assert!(matches!(copy(&data, &data).await, Err(Error::Occupied(_))));
+        assert_eq!(fs::read(data.join(DATABASE)).unwrap(), before);
+        let none = copy(&folder.path().join("none"), &folder.path().join("copy")).await;
+        assert!(matches!(none, Err(Error::Absent(_))), "{none:?}");
+        fs::write(folder.path().join("file"), b"x").unwrap();
+        assert!(matches!(copy(&data, &folder.path().join("file")).await, Err(Error::Occupied(_))));
+        let names: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|it| it.unwrap().file_name()).collect();
+        assert_eq!(names.len(), 2, "{names:?}");
+    }
+
+    #[tokio::test]
+    async fn a_damaged_database_is_not_restored() {
+        let folder = tempfile::tempdir().unwrap();
+        let data = folder.path().join("data");
+        with_powders(&data, 50).await.close().await;
+        let path = data.join(DATABASE);
+        let mut bytes = fs::read(&path).unwrap();
+        // The second half, but for the last page: trees point to what are no pages any more.
+        let (from, to) = (bytes.len() / 2, bytes.len() - 4096);
+        bytes[from..to].fill(0x5a);
+        fs::write(&path, bytes).unwrap();
+        let refused = copy(&data, &folder.path().join("copy")).await.unwrap_err();
+        assert!(matches!(refused, Error::Damaged(_)), "{refused}");
+        assert!(!folder.path().join("copy").exists());
+    }
+}

@@ -1,0 +1,117 @@
+//! Why the store did not do what it was asked, told apart where a person can do something about it.
+
+use std::path::PathBuf;
+
+/// Why the store did not do what it was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// Another process holds the data folder.
+    #[error("flip serve holds this database ({0}): stop it, or ask it through its API")]
+    Held(PathBuf),
+    /// Somebody else's transaction did not end in time.
+    #[error("another program holds the database: close it there (a database browser, a backup) and try again")]
+    Locked,
+    /// Too many wait for it already.
+    #[error("the database is busy: try again in a moment")]
+    Busy,
+    /// No room to write.
+    #[error("the disk of the data folder is full: make room there and try again")]
+    Full,
+    /// The file that is written is no longer the one at its path.
+    #[error(
+        "{0} is no longer the database that is being written: it was moved, removed or replaced. Stop FLIP, put it back, and start FLIP again"
+    )]
+    Gone(PathBuf),
+    /// The database's own structure is broken.
+    #[error(
+        "flip.db is damaged ({0}): nothing was changed. Put a backup in its place (`flip restore BACKUP --data-dir NEW`), or keep the folder and ask for help"
+    )]
+    Damaged(String),
+    /// No database beside files that only a database can name.
+    #[error(
+        "{0} holds files but no database (flip.db is missing or empty): a wrong mount, or half of a restore? Put flip.db back (`flip restore` \
+         makes a whole folder of a backup), or name another --data-dir. Nothing was changed"
+    )]
+    Lost(PathBuf),
+    /// A copy would write over something.
+    #[error("{0} is there already and not empty: name a folder that is not there yet")]
+    Occupied(PathBuf),
+    /// Nothing to copy.
+    #[error("{0} holds no flip.db: name a data folder, or a folder that `flip backup` made")]
+    Absent(PathBuf),
+    /// Made by a FLIP that knows more.
+    #[error(
+        "the database was made by a newer FLIP (it has migration {0}, which this one does not know): use that version, or a backup from before it"
+    )]
+    Newer(i64),
+    /// Somebody else has the job, or it has ended.
+    #[error("the job has been taken over or has ended")]
+    Fenced,
+    /// Opened to read only.
+    #[error("the database was opened to read only")]
+    ReadOnly,
+    /// The SQLite in this program is older than the one that fixed the reset of the write-ahead log.
+    #[error("SQLite {0} is too old: 3.51.3 or newer is needed")]
+    Old(String),
+    /// What was read is not what was written.
+    #[error("{0}")]
+    Corrupt(String),
+    /// The database says no.
+    #[error(transparent)]
+    Database(sqlx::Error),
+    /// The file system says no.
+    #[error("{path}: {source}")]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+}
+
+impl Error {
+    /// The store has been closed.
+    pub fn is_closed(&self) -> bool {
+        matches!(self, Self::Database(sqlx::Error::PoolClosed))
+    }
+
+    /// What is in the way of a record, and what a person can do about it.
+    pub fn remedy(&self) -> String {
+        self.to_string()
+    }
+
+    /// Bytes that a row names are not there, or are others: that costs the part that they are, and nothing else.
+    pub fn is_lost_part(&self) -> bool {
+        matches!(self, Self::File { .. } | Self::Corrupt(_))
+    }
+}
+
+impl From<sqlx::Error> for Error {
+    fn from(error: sqlx::Error) -> Self {
+        if matches!(error, sqlx::Error::PoolTimedOut) {
+            return Self::Busy;
+        }
+        match primary_code(&error) {
+            Some(BUSY | LOCKED) => Self::Locked,
+            Some(FULL) => Self::Full,
+            Some(CORRUPT | NOT_A_DATABASE) => Self::Damaged(error.to_string()),
+            _ => Self::Database(error),
+        }
+    }
+}
+
+// Primary result codes, https://www.sqlite.org/rescode.html.
+const BUSY: i32 = 5;
+const LOCKED: i32 = 6;
+const CORRUPT: i32 = 11;
+const FULL: i32 = 13;
+const NOT_A_DATABASE: i32 = 26;
+
+/// SQLite's code, without what extends it.
+fn primary_code(error: &sqlx::Error) -> Option<i32> {
+    let sqlx::Error::Database(database) = error else { return None };
+    Some(database.code()?.parse::<i32>().ok()? & 0xff)
+}
+
+/// What every function of the store returns.
+pub type Result<T> = std::result::Result<T, Error>;

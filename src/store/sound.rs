@@ -1,0 +1,74 @@
+//! What is looked at before a data folder is used: is its database there, whole, and of a version that this program knows?
+
+use super::artifacts::Artifacts;
+use super::{Error, Result};
+use sqlx::SqlitePool;
+use sqlx::migrate::Migrator;
+use std::fs::{self, DirBuilder, OpenOptions};
+use std::io::ErrorKind;
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
+use std::path::Path;
+
+/// Up to here a database is looked at in full at each start, bytes; a larger one without its indexes, which takes a tenth of the time.
+const CHECKED_IN_FULL: u64 = 64 << 20;
+/// FLIP numbers its migrations from 1; the queue library's, in the same table, are numbered by the day, in 14 digits.
+const OWN_MAX: i64 = 10_000_000_000;
+
+/// Make the folder and an empty database, for this user alone, where there is nothing yet.
+///
+/// # Errors
+/// [`Error::Lost`]: no database, but files that one names; [`Error::File`].
+pub(super) fn prepare(data_dir: &Path, database: &Path, artifacts: &Artifacts) -> Result<()> {
+    let size = |path: &Path| fs::metadata(path).map_or(0, |it| it.len());
+    let log = database.with_extension("db-wal");
+    if size(database) == 0 && (size(&log) > 0 || artifacts.any()?) {
+        return Err(Error::Lost(data_dir.to_owned()));
+    }
+    let made = OpenOptions::new().create_new(true).write(true).mode(0o600).open(database);
+    match made {
+        Err(error) if error.kind() != ErrorKind::AlreadyExists => {
+            Err(Error::File { path: database.to_owned(), source: error })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Make the folder, for this user alone; one that is there stays as it is.
+pub(super) fn make_folder(data_dir: &Path) -> Result<()> {
+    let made = DirBuilder::new().recursive(true).mode(0o700).create(data_dir);
+    made.map_err(|source| Error::File { path: data_dir.to_owned(), source })
+}
+
+/// Read the database and see whether it hangs together.
+///
+/// # Errors
+/// [`Error::Damaged`] with the first thing found.
+pub(super) async fn check(pool: &SqlitePool, database: &Path) -> Result<()> {
+    let large = fs::metadata(database).is_ok_and(|it| it.len() > CHECKED_IN_FULL);
+    let pragma = if large { "PRAGMA quick_check(1)" } else { "PRAGMA integrity_check(1)" };
+    let found: String = sqlx::query_scalar(pragma).fetch_one(pool).await.map_err(damaged)?;
+    if found == "ok" { Ok(()) } else { Err(Error::Damaged(found)) }
+}
+
+/// Whatever stops the check says that the file is not what it should be, except what says that it cannot be read now.
+fn damaged(error: sqlx::Error) -> Error {
+    match Error::from(error) {
+        Error::Database(sqlx::Error::Database(error)) => Error::Damaged(error.to_string()),
+        other => other,
+    }
+}
+
+/// Refuse what a newer FLIP has migrated: this one would not know what its columns mean.
+///
+/// # Errors
+/// [`Error::Newer`]
+pub(super) async fn check_version(pool: &SqlitePool, known: &Migrator) -> Result<()> {
+    let table = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = '_sqlx_migrations')";
+    if !sqlx::query_scalar::<_, bool>(table).fetch_one(pool).await? {
+        return Ok(());
+    }
+    let applied: Vec<i64> =
+        sqlx::query_scalar("SELECT version FROM _sqlx_migrations ORDER BY version").fetch_all(pool).await?;
+    let unknown = |version: &i64| *version < OWN_MAX && !known.iter().any(|migration| migration.version == *version);
+    applied.into_iter().find(unknown).map_or(Ok(()), |version| Err(Error::Newer(version)))
+}

@@ -1,0 +1,165 @@
+//! The record against those who change what it is about: rows by SQL, files by hand.
+
+use crate::harness::{Service, problem};
+use crate::toy::database;
+use flip::app::Role;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+
+async fn weighed(service: &Service, key: &str) -> String {
+    let request = json!({
+        "powder": "salt",
+        "target": { "value": 15, "unit": "mg" },
+        "tolerance": { "lower": 10, "upper": 10, "unit": "%" },
+    });
+    let planned: Value = service.weigh(key, &request).await.json().await.unwrap();
+    let id = planned["id"].as_str().unwrap().to_owned();
+    service.watch(&format!("/v1/weighings/{id}/events"), None).await;
+    id
+}
+
+async fn change(service: &Service, sql: &'static str) {
+    let pool = database(service.folder()).await;
+    let done = sqlx::query(sql).execute(&pool).await.unwrap();
+    assert!(done.rows_affected() > 0, "{sql}");
+    pool.close().await;
+}
+
+async fn verified(service: &Service) -> Value {
+    service.get("/v1/audit/verification").await.json().await.unwrap()
+}
+
+/// Where a weighing's ticks are.
+async fn trace_file(service: &Service, id: &str) -> PathBuf {
+    let pool = database(service.folder()).await;
+    let sha256: String =
+        sqlx::query_scalar("SELECT trace FROM weighing WHERE id = ?1").bind(id).fetch_one(&pool).await.unwrap();
+    service.folder().join("blobs").join(&sha256[..2]).join(sha256)
+}
+
+#[tokio::test]
+async fn a_result_row_that_was_changed_by_sql_neither_passes_verification_nor_is_certified() {
+    let service = Service::ready().await;
+    let id = weighed(&service, "one").await;
+    let certificate = format!("/v1/weighings/{id}/certificate.html");
+    assert_eq!(verified(&service).await["broken"], Value::Null);
+    assert_eq!(service.get(&certificate).await.status(), 200);
+    for sql in [
+        "UPDATE weighing SET reading_mg = 10",
+        "UPDATE weighing SET outcome = 'under'",
+        "UPDATE weighing SET powder = 'sand'",
+        "UPDATE weighing SET asked = '{\"vial\":\"another\"}'",
+        "UPDATE weighing SET finished_at = finished_at + 1000",
+        "UPDATE weighing SET tolerance_upper_mg = 15",
+        "UPDATE weighing SET trace = lower(hex(zeroblob(32)))",
+    ] {
+        let service = Service::ready().await;
+        let id = weighed(&service, "one").await;
+        change(&service, sql).await;
+        let found = verified(&service).await;
+        assert_eq!(found["changed"][0]["weighing"], json!(id), "{sql}: {found}");
+        assert!(found["broken"]["why"].as_str().unwrap().contains("changed outside FLIP"), "{sql}: {found}");
+        let refused = problem(service.get(&format!("/v1/weighings/{id}/certificate.html")).await, 409).await;
+        assert_eq!(refused["type"], "urn:flip:problem:record-differs", "{sql}");
+    }
+}
+
+#[tokio::test]
+async fn rows_that_were_slipped_in_or_taken_out_by_sql_are_noticed() {
+    let service = Service::ready().await;
+    weighed(&service, "one").await;
+    change(&service, "DELETE FROM weighing").await;
+    assert!(verified(&service).await["broken"]["why"].as_str().unwrap().contains("is gone"));
+
+    let service = Service::ready().await;
+    weighed(&service, "one").await;
+    change(
+        &service,
+        "INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, tolerance_upper_mg, \
+         policy, parameter_set, seed, state, outcome, reading_mg, created_at, finished_at) \
+         SELECT 'forged', 'forged', request_sha256, powder, target_mg, tolerance_lower_mg, tolerance_upper_mg, policy, parameter_set, \
+         seed, state, outcome, reading_mg, created_at, finished_at FROM weighing",
+    )
+    .await;
+    assert_eq!(verified(&service).await["changed"][0]["weighing"], "forged");
+    problem(service.get("/v1/weighings/forged/certificate.html").await, 409).await;
+}
+
+#[tokio::test]
+async fn an_intent_that_was_changed_before_its_dose_is_noticed() {
+    let service = Service::ready().await;
+    let hold = service.hold_bench();
+    let request = json!({ "powder": "salt", "target": { "value": 15, "unit": "mg" },
+        "tolerance": { "lower": 1, "upper": 1, "unit": "mg" } });
+    service.weigh("first", &request).await;
+    service.until_pouring().await;
+    let second: Value = service.weigh("second", &request).await.json().await.unwrap();
+    assert_eq!(verified(&service).await["broken"], Value::Null, "what moves and what waits is as it was asked for");
+    change(&service, "UPDATE weighing SET target_mg = 30 WHERE idempotency_key = 'second'").await;
+    assert_eq!(verified(&service).await["changed"][0]["weighing"], second["id"]);
+    drop(hold);
+}
+
+#[tokio::test]
+async fn an_intent_says_who_asked_and_with_which_key() {
+    let service = Service::ready().await;
+    let id = weighed(&service, "the-key").await;
+    let page: Value = service.get(&format!("/v1/audit?weighing={id}&limit=200")).await.json().await.unwrap();
+    let intent = page["items"].as_array().unwrap().iter().find(|it| it["kind"] == "intent").unwrap();
+    assert_eq!(intent["body"]["idempotency_key"], "the-key");
+    assert_eq!(
+        (&intent["body"]["who"]["name"], &intent["body"]["who"]["role"]),
+        (&json!("test"), &json!("operator")),
+        "{intent}"
+    );
+    let outcome = page["items"].as_array().unwrap().iter().find(|it| it["kind"] == "outcome").unwrap();
+    assert!(outcome["body"]["who"].is_null(), "the bench's own work has nobody");
+    let certificate = service.get(&format!("/v1/weighings/{id}/certificate.html")).await.text().await.unwrap();
+    assert!(certificate.contains("test (operator)"), "{certificate}");
+}
+
+#[tokio::test]
+async fn a_lost_or_damaged_trace_costs_the_trace_and_nothing_else() {
+    let service = Service::ready().await;
+    let id = weighed(&service, "one").await;
+    let path = format!("/v1/weighings/{id}");
+    let whole: Value = service.get(&path).await.json().await.unwrap();
+    assert!(whole["trace_lost"].is_null() && !whole["ticks"].as_array().unwrap().is_empty());
+    let file = trace_file(&service, &id).await;
+    let damages: [fn(&std::path::Path); 3] = [
+        |file| std::fs::write(file, b"[]").unwrap(),
+        |file| std::fs::write(file, b"").unwrap(),
+        |file| std::fs::remove_file(file).unwrap(),
+    ];
+    for damage in damages {
+        damage(&file);
+        let detail: Value = service.get(&path).await.json().await.unwrap();
+        assert_eq!((&detail["weighing"], &detail["ticks"]), (&whole["weighing"], &json!([])));
+        assert!(detail["trace_lost"].as_str().unwrap().contains("gone or damaged"), "{detail}");
+        for part in ["trace", "trace.csv"] {
+            let lost = problem(service.get(&format!("{path}/{part}")).await, 410).await;
+            assert!(lost["detail"].as_str().unwrap().contains("the trace of this weighing is lost"), "{lost}");
+        }
+        let certificate = service.get(&format!("{path}/certificate.html")).await;
+        assert_eq!(certificate.status(), 200);
+        assert!(certificate.text().await.unwrap().contains("is lost"));
+        assert!(service.watch(&format!("{path}/events"), None).await.is_some());
+    }
+    assert_eq!(verified(&service).await["broken"], Value::Null, "the record is not the trace");
+}
+
+#[tokio::test]
+async fn a_damaged_policy_is_lost_by_name_and_the_list_goes_on() {
+    let service = Service::ready().await;
+    let list: Value = service.get("/v1/policies").await.json().await.unwrap();
+    let id = list["items"][0]["id"].as_str().unwrap();
+    change(&service, "UPDATE policy SET bytes = x'00'").await;
+    problem(service.get(&format!("/v1/policies/{id}/weights")).await, 410).await;
+    assert_eq!(service.get("/v1/policies").await.status(), 200);
+    assert_eq!(service.get(&format!("/v1/policies/{id}")).await.status(), 200);
+    let token = service.token(Role::Viewer).await;
+    let mut client = flip::api::grpc::proto::policies_client::PoliciesClient::connect(service.url("")).await.unwrap();
+    let mut request = tonic::Request::new(flip::api::grpc::proto::DownloadWeightsRequest { id: id.to_owned() });
+    request.metadata_mut().insert("authorization", format!("Bearer {token}").parse().unwrap());
+    assert_eq!(client.download_weights(request).await.unwrap_err().code(), tonic::Code::DataLoss);
+}

@@ -1,0 +1,139 @@
+//! Tokens: made, listed, ended, also by another process; and who did what in the record.
+
+use crate::harness::{Service, problem};
+use flip::api::grpc::proto::tokens_client::TokensClient;
+use flip::api::grpc::proto::{CreateTokenRequest, ListTokensRequest, RevokeTokenRequest, Role as WireRole};
+use flip::app::{App, Role, Who, acting};
+use serde_json::{Value, json};
+use tonic::{Code, Request};
+
+async fn may_write(service: &Service, token: &str, powder: &str) -> u16 {
+    let new = json!({ "id": powder, "name": powder });
+    service.request("POST", "/v1/powders").bearer_auth(token).json(&new).send().await.unwrap().status().as_u16()
+}
+
+/// Bodies of what persons did, newest first.
+async fn deeds(service: &Service) -> Vec<Value> {
+    let page: Value = service.get("/v1/audit?limit=200").await.json().await.unwrap();
+    let records = page["items"].as_array().unwrap().iter().filter(|record| record["kind"] == "person");
+    records.map(|record| record["body"].clone()).collect()
+}
+
+#[tokio::test]
+async fn a_token_that_another_process_made_opens_at_once_and_one_that_it_revoked_closes() {
+    let service = Service::start().await;
+    let other = App::open_beside(service.folder()).await.unwrap();
+    let secret = other.create_token("from beside", Role::Operator).await.unwrap();
+    assert_eq!(may_write(&service, &secret, "flour").await, 201);
+    let id = secret.split('_').nth(1).unwrap();
+    other.revoke_token(id).await.unwrap();
+    while may_write(&service, &secret, "flour").await != 401 {
+        tokio::task::yield_now().await;
+    }
+    // Both wrote into one chain.
+    assert_eq!(service.app.verify_audit(None).await.unwrap().broken, None);
+    other.shutdown().await.unwrap();
+}
+
+#[tokio::test]
+async fn tokens_are_listed_without_their_secrets_and_end_when_they_are_revoked() {
+    let service = Service::start().await;
+    let admin = service.token(Role::Admin).await;
+    let as_admin = |method: &str, path: &str| service.request(method, path).bearer_auth(&admin);
+    let new = json!({ "name": "robot", "role": "operator", "may_clear": true, "expires_in_s": 3600 });
+    let made: Value = as_admin("POST", "/v1/tokens").json(&new).send().await.unwrap().json().await.unwrap();
+    let (id, secret) = (made["id"].as_str().unwrap(), made["secret"].as_str().unwrap());
+    assert_eq!((made["may_clear"].as_bool(), made["expires_at"].is_string()), (Some(true), true), "{made}");
+    assert_eq!(may_write(&service, secret, "flour").await, 201);
+
+    let list = as_admin("GET", "/v1/tokens").send().await.unwrap().text().await.unwrap();
+    assert!(!list.contains(secret) && !list.contains("sha256"), "{list}");
+    let list: Value = serde_json::from_str(&list).unwrap();
+    let entry = list["items"].as_array().unwrap().iter().find(|it| it["id"] == id).unwrap();
+    assert_eq!((&entry["name"], &entry["role"]), (&json!("robot"), &json!("operator")));
+    assert!(entry["last_used_at"].is_string() && entry["revoked_at"].is_null(), "{entry}");
+
+    let path = format!("/v1/tokens/{id}");
+    let ended: Value = as_admin("DELETE", &path).send().await.unwrap().json().await.unwrap();
+    assert!(ended["revoked_at"].is_string(), "{ended}");
+    assert_eq!(may_write(&service, secret, "rye").await, 401);
+    let again: Value = as_admin("DELETE", &path).send().await.unwrap().json().await.unwrap();
+    assert_eq!(again["revoked_at"], ended["revoked_at"]);
+    problem(as_admin("DELETE", "/v1/tokens/0000").send().await.unwrap(), 404).await;
+    for wrong in [json!(0), json!(u64::MAX), json!(-1)] {
+        let new = json!({ "name": "robot", "role": "viewer", "expires_in_s": wrong });
+        problem(as_admin("POST", "/v1/tokens").json(&new).send().await.unwrap(), 400).await;
+    }
+}
+
+#[tokio::test]
+async fn the_record_names_who_made_and_ended_a_token_and_who_changed_the_data() {
+    let service = Service::start().await;
+    let admin = service.app.create_token("Ada", Role::Admin).await.unwrap();
+    let as_admin = |method: &str, path: &str| service.request(method, path).bearer_auth(&admin);
+    let new = json!({ "name": "robot", "role": "operator" });
+    let made: Value = as_admin("POST", "/v1/tokens").json(&new).send().await.unwrap().json().await.unwrap();
+    as_admin("DELETE", &format!("/v1/tokens/{}", made["id"].as_str().unwrap())).send().await.unwrap();
+    let flour = json!({ "id": "flour", "name": "Flour" });
+    as_admin("POST", "/v1/powders").json(&flour).send().await.unwrap();
+    let measured = json!({ "method": "manual", "repose_deg": 40, "sd_deg": 1, "n": 3 });
+    as_admin("POST", "/v1/powders/flour/measurements").json(&measured).send().await.unwrap();
+    let job: Value = as_admin("POST", "/v1/calibrations")
+        .json(&json!({ "powder": "flour" }))
+        .send()
+        .await
+        .unwrap()
+        .json()
+        .await
+        .unwrap();
+    as_admin("POST", &format!("/v1/jobs/{}/cancel", job["id"].as_str().unwrap())).send().await.unwrap();
+
+    let deeds = deeds(&service).await;
+    for action in ["new token", "revoke token", "new powder", "new measurement", "start calibration", "cancel job"] {
+        let deed = deeds.iter().find(|deed| deed["action"] == action && deed["who"].is_object());
+        let deed = deed.unwrap_or_else(|| panic!("nobody did `{action}` in {deeds:#?}"));
+        assert_eq!((&deed["who"]["name"], &deed["who"]["role"]), (&json!("Ada"), &json!("admin")), "{deed}");
+    }
+    let text = serde_json::to_string(&deeds).unwrap();
+    assert!(!text.contains(made["secret"].as_str().unwrap()) && !text.contains(&admin));
+}
+
+#[tokio::test]
+async fn the_command_line_is_named_as_such() {
+    let service = Service::start().await;
+    let other = App::open_beside(service.folder()).await.unwrap();
+    acting(Who::command_line(), other.create_token("robot", Role::Viewer)).await.unwrap();
+    other.shutdown().await.unwrap();
+    assert_eq!(deeds(&service).await[0]["who"]["name"], "command line");
+}
+
+#[tokio::test]
+async fn grpc_makes_lists_and_ends_tokens_for_admins_alone() {
+    let service = Service::start().await;
+    let admin = service.token(Role::Admin).await;
+    let operator = service.token(Role::Operator).await;
+    let mut client = TokensClient::connect(service.url("")).await.unwrap();
+    let new = CreateTokenRequest {
+        name: "robot".into(),
+        role: WireRole::Viewer.into(),
+        may_clear: false,
+        expires_in_s: None,
+    };
+    let refused = client.create_token(with(&operator, new.clone())).await.unwrap_err();
+    assert_eq!(refused.code(), Code::PermissionDenied);
+    let made = client.create_token(with(&admin, new)).await.unwrap().into_inner();
+    assert!(service.app.authenticate(&made.secret).is_some());
+    let id = made.token.unwrap().id;
+    let list = client.list_tokens(with(&admin, ListTokensRequest::default())).await.unwrap().into_inner();
+    assert!(list.items.iter().any(|token| token.id == id && token.revoked_at.is_none()));
+    let ended = client.revoke_token(with(&admin, RevokeTokenRequest { id: id.clone() })).await.unwrap().into_inner();
+    assert!(ended.revoked_at.is_some() && service.app.authenticate(&made.secret).is_none());
+    let unknown = CreateTokenRequest { name: "robot".into(), ..CreateTokenRequest::default() };
+    assert_eq!(client.create_token(with(&admin, unknown)).await.unwrap_err().code(), Code::InvalidArgument);
+}
+
+fn with<T>(token: &str, message: T) -> Request<T> {
+    let mut request = Request::new(message);
+    request.metadata_mut().insert("authorization", format!("Bearer {token}").parse().unwrap());
+    request
+}
