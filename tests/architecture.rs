@@ -47,12 +47,14 @@ const EXCEPTIONS: [(&str, &[&str]); 1] = [
 ];
 
 /// What may be named only in some modules: crates that talk to the world, and words that mark asynchronous code.
-const CONFINED: [(&str, &[&str]); 25] = [
+const CONFINED: [(&str, &[&str]); 27] = [
     ("sqlx::", &["store", "jobs"]),
     ("apalis::", &["jobs"]),
     ("apalis_", &["jobs"]),
     ("axum::", &["api"]),
-    ("axum_server::", &["api"]),
+    ("hyper_util::", &["api", "hardware", "emulate"]),
+    ("http_body::", &["api"]),
+    ("tokio_rustls::", &["api"]),
     // The arm's driver is a gRPC server, emulated or not.
     ("tonic::", &["api", "hardware", "emulate"]),
     ("prost::", &["api"]),
@@ -67,7 +69,7 @@ const CONFINED: [(&str, &[&str]); 25] = [
     ("rayon::", &["calibrate", "discover", "train", "jobs", "cli"]),
     ("clap::", &["cli"]),
     ("indicatif::", &["cli"]),
-    ("rustix::", &["cli", "emulate", "hardware", "jobs", "store"]),
+    ("rustix::", &["api", "cli", "emulate", "hardware", "jobs", "store"]),
     ("anyhow::", &["cli"]),
     // Drivers and emulators are synchronous outside; runtimes of their own wait for remote calls.
     ("tokio::", &["store", "jobs", "app", "api", "cli", "hardware", "emulate"]),

@@ -20,7 +20,7 @@ use axum::extract::FromRequestParts;
 use axum::extract::Request;
 use axum::extract::State;
 use axum::http::request::Parts;
-use axum::http::{Extensions, HeaderMap, HeaderValue, Method, header};
+use axum::http::{Extensions, HeaderMap, HeaderValue, Method, Version, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
@@ -37,6 +37,16 @@ pub enum Caller {
 }
 
 impl Caller {
+    /// As [`identify`] found; whoever never passed it may nothing.
+    pub fn of(extensions: &Extensions) -> Self {
+        extensions.get().cloned().unwrap_or(Self::Anonymous { may_read: false })
+    }
+
+    /// Whether no token was shown.
+    pub fn is_anonymous(&self) -> bool {
+        matches!(self, Self::Anonymous { .. })
+    }
+
     /// Nothing, if the caller may do what needs `role`.
     ///
     /// # Errors
@@ -82,6 +92,14 @@ impl Caller {
     }
 }
 
+#[cfg(test)]
+impl Caller {
+    /// The holder of some token of this role.
+    pub fn of_role(role: Role) -> Self {
+        Self::Holder(Holder { id: "1".to_owned(), name: "test".to_owned(), role, may_clear: false })
+    }
+}
+
 fn name(role: Role) -> &'static str {
     match role {
         Role::Viewer => "viewer",
@@ -117,7 +135,7 @@ pub async fn identify(State(gate): State<Gate>, mut request: Request, next: Next
 
 /// Lets all that a request does know who called, as [`identify`] found: on the task that carries it out, which may be another than identified them.
 pub async fn on_behalf(request: Request, next: Next) -> Response {
-    let who = caller(request.extensions()).who();
+    let who = Caller::of(request.extensions()).who();
     acting(who, next.run(request)).await
 }
 
@@ -143,6 +161,15 @@ fn authority(request: &Request) -> &str {
     request.uri().authority().map(|a| a.as_str()).or_else(host).unwrap_or_default()
 }
 
+/// Refuses requests of HTTP/1.1 that do not name exactly one host: two readers of such a request may believe two things.
+pub async fn one_host(request: Request, next: Next) -> Response {
+    let hosts = request.headers().get_all(header::HOST).iter().count();
+    if hosts > 1 || hosts == 0 && request.version() == Version::HTTP_11 {
+        return Problem::malformed("a request names one host: send one Host header").into_response();
+    }
+    next.run(request).await
+}
+
 /// Refuses unsafe requests that a page of another origin made a browser send (CSRF).
 pub async fn same_origin(request: Request, next: Next) -> Response {
     let safe = matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
@@ -165,7 +192,7 @@ fn is_same_origin(headers: &HeaderMap, authority: &str) -> bool {
 /// # Errors
 /// As [`Caller::require`]; a request that never passed [`identify`] is anonymous and may nothing.
 pub fn require(extensions: &Extensions, role: Role) -> Result<(), Problem> {
-    caller(extensions).require(role)
+    Caller::of(extensions).require(role)
 }
 
 /// Nothing, if the caller found by [`identify`] may clear a latched bench.
@@ -173,11 +200,7 @@ pub fn require(extensions: &Extensions, role: Role) -> Result<(), Problem> {
 /// # Errors
 /// As [`Caller::require_clearer`].
 pub fn require_clearer(extensions: &Extensions) -> Result<(), Problem> {
-    caller(extensions).require_clearer()
-}
-
-fn caller(extensions: &Extensions) -> &Caller {
-    extensions.get().unwrap_or(&Caller::Anonymous { may_read: false })
+    Caller::of(extensions).require_clearer()
 }
 
 macro_rules! extractors {

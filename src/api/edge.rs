@@ -27,12 +27,15 @@ pub async fn edge(request: Request, next: Next) -> Response {
     let id = uuid::Uuid::now_v7().to_string();
     let grpc = grpc::is_grpc(request.headers());
     let method = request.method().clone();
-    // The route, not the path: ids would make a metric per weighing.
-    let route = request.extensions().get::<MatchedPath>().map_or("none", MatchedPath::as_str).to_owned();
-    let span = tracing::info_span!("request", id, method = counted(&method), route);
+    let own_route = request.extensions().get::<MatchedPath>().cloned();
+    let span = tracing::info_span!("request", id, method = counted(&method), route = tracing::field::Empty);
 
     let started = Instant::now();
-    let response = next.run(request).instrument(span.clone()).await;
+    let mut response = next.run(request).instrument(span.clone()).await;
+    // The route, not the path: ids would make a metric per weighing.
+    let route = response.extensions_mut().remove::<MatchedPath>().or(own_route);
+    let route = route.as_ref().map_or("none", MatchedPath::as_str).to_owned();
+    span.record("route", route.as_str());
     let mut response = in_callers_protocol(response, grpc, &id);
     harden(response.headers_mut(), &id);
 
@@ -59,6 +62,16 @@ fn counted(method: &Method) -> &str {
         Method::TRACE,
     ];
     if known.contains(method) { method.as_str() } else { "other" }
+}
+
+/// Tells [`edge`], which stands before another router, which route was taken.
+pub async fn tell_route(request: Request, next: Next) -> Response {
+    let route = request.extensions().get::<MatchedPath>().cloned();
+    let mut response = next.run(request).await;
+    if let Some(route) = route {
+        response.extensions_mut().insert(route);
+    }
+    response
 }
 
 /// Writes a [`Problem`] as the caller reads it: with the request's id, and as a status over gRPC.

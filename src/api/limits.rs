@@ -1,63 +1,236 @@
-//! What one client may take from the others: seats and time.
+//! What one client may take from the others: seats of its class, and streams.
+//!
+//! A stop needs neither, and what only tells that the service lives has a row of its own.
 
+use super::complaint::Complaint;
+use super::front::Connection;
 use super::problem::Problem;
-use axum::extract::{Request, State};
-use axum::middleware::Next;
-use axum::response::{IntoResponse, Response};
-use std::sync::Arc;
+use std::collections::HashMap;
+use std::net::IpAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// How much there is for all; cheap to clone.
-#[derive(Debug, Clone)]
-pub struct Limits {
-    /// Requests worked on at once; event streams count only until they begin.
-    seats: Arc<Semaphore>,
-    /// Until the head of the answer.
-    patience: Duration,
+/// How long a request may wait for a seat.
+const WAIT: Duration = Duration::from_secs(5);
+/// Streams of events that may be open at once.
+const STREAMS: usize = 256;
+/// Of these, without a token.
+const STREAMS_ANONYMOUS: usize = 128;
+/// Of these, for one address of the network; on this machine all have one.
+const STREAMS_PEER: usize = 64;
+/// Of these, on one connection: HTTP/2 carries no more requests beside them than it has streams left.
+const STREAMS_CONNECTION: usize = 32;
+
+/// Who waits with whom.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Class {
+    /// Health, reflection and metrics.
+    Probe,
+    /// Without a token.
+    Anonymous,
+    /// With a token, only reading.
+    Reader,
+    /// With a token, changing something.
+    Writer,
+    /// A long answer, without a token.
+    LongAnonymous,
+    /// A long answer, with a token.
+    Long,
 }
 
-impl Default for Limits {
-    /// 256 requests at once, 30 s each: nothing here computes for longer than a database takes.
-    fn default() -> Self {
-        Self { seats: Arc::new(Semaphore::new(256)), patience: Duration::from_secs(30) }
+/// Requests worked on at once; cheap to clone.
+#[derive(Debug, Clone)]
+pub struct Seats(Arc<[Row; 6]>);
+
+#[derive(Debug)]
+struct Row {
+    seats: Arc<Semaphore>,
+    /// Requests that may wait for a seat; more are refused at once, which is kinder than a queue that nobody outlives.
+    queue: Semaphore,
+    full: Complaint,
+}
+
+impl Row {
+    fn new(seats: usize, queue: usize) -> Self {
+        Self { seats: Arc::new(Semaphore::new(seats)), queue: Semaphore::new(queue), full: Complaint::default() }
+    }
+
+    async fn take(&self) -> Option<OwnedSemaphorePermit> {
+        if let Ok(seat) = self.seats.clone().try_acquire_owned() {
+            return Some(seat);
+        }
+        let _place = self.queue.try_acquire().ok()?;
+        tokio::time::timeout(WAIT, self.seats.clone().acquire_owned()).await.ok()?.ok()
     }
 }
 
-/// Refuses at once when all seats are taken, which is kinder than a queue that nobody outlives, and ends what takes too
-/// long, such as a body that never comes.
-pub async fn fair(State(limits): State<Limits>, request: Request, next: Next) -> Response {
-    let Ok(_seat) = limits.seats.try_acquire() else {
-        return Problem::unavailable("too many requests at once; try again in a moment").into_response();
-    };
-    match tokio::time::timeout(limits.patience, next.run(request)).await {
-        Ok(response) => response,
-        Err(_) => Problem::unavailable("the request took too long; it may still have been carried out").into_response(),
+impl Default for Seats {
+    /// 256 in all, so that no class can take the seats of another. Long answers take a seat until they are sent.
+    fn default() -> Self {
+        let rows = [(24, 64), (96, 256), (64, 256), (64, 128), (4, 16), (4, 16)];
+        Self(Arc::new(rows.map(|(seats, queue)| Row::new(seats, queue))))
+    }
+}
+
+impl Seats {
+    /// A seat, at once or after a short wait.
+    ///
+    /// # Errors
+    /// 503 when too many wait already or none became free in time.
+    pub async fn take(&self, class: Class) -> Result<OwnedSemaphorePermit, Problem> {
+        let row = &self.0[class as usize];
+        if let Some(seat) = row.take().await {
+            return Ok(seat);
+        }
+        row.full
+            .happened(1, move |refused| tracing::warn!(?class, refused, "all seats of a class of requests are taken"));
+        Err(Problem::unavailable("too many requests at once; try again in a moment"))
+    }
+}
+
+/// Streams of events that are open; cheap to clone.
+#[derive(Debug, Clone, Default)]
+pub struct Streams(Arc<Following>);
+
+#[derive(Debug, Default)]
+struct Following {
+    open: Mutex<Open>,
+    full: Complaint,
+}
+
+#[derive(Debug, Default)]
+struct Open {
+    all: usize,
+    anonymous: usize,
+    by_peer: HashMap<IpAddr, usize>,
+}
+
+/// One stream's seat, until it is dropped.
+#[derive(Debug)]
+pub struct StreamSeat {
+    streams: Streams,
+    peer: IpAddr,
+    anonymous: bool,
+}
+
+impl Streams {
+    /// A seat for a stream on this connection, which counts it already.
+    ///
+    /// # Errors
+    /// 429 for a connection or an address with too many, 503 when too many are open in all.
+    pub fn take(&self, connection: &Connection, anonymous: bool) -> Result<StreamSeat, Problem> {
+        let refused = match connection.streams() > STREAMS_CONNECTION {
+            true => Some(Problem::too_many(format!(
+                "this connection follows {STREAMS_CONNECTION} streams already: end some, or follow GET /v1/events, which tells of everything"
+            ))),
+            false => self.open().refusal(connection.peer, anonymous),
+        };
+        if let Some(problem) = refused {
+            let (peer, why) = (connection.peer, problem.detail.clone());
+            self.0.full.happened(1, move |refused| {
+                tracing::warn!(%peer, refused, why, "a stream of events was refused");
+            });
+            return Err(problem);
+        }
+        self.open().count(connection.peer, anonymous, 1);
+        Ok(StreamSeat { streams: self.clone(), peer: connection.peer, anonymous })
+    }
+
+    fn open(&self) -> MutexGuard<'_, Open> {
+        self.0.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Open {
+    fn refusal(&self, peer: IpAddr, anonymous: bool) -> Option<Problem> {
+        let of_peer = self.by_peer.get(&peer).copied().unwrap_or(0);
+        if !peer.is_loopback() && of_peer >= STREAMS_PEER {
+            let advice =
+                "streams of events are open from this address already: end some, or follow GET /v1/events once";
+            return Some(Problem::too_many(format!("{STREAMS_PEER} {advice}")));
+        }
+        let full = self.all >= STREAMS || anonymous && self.anonymous >= STREAMS_ANONYMOUS;
+        let advice = "too many streams of events are open: end some, come with a token, or read GET /v1/weighings/{id} and /v1/jobs/{id}";
+        full.then(|| Problem::unavailable(advice))
+    }
+
+    fn count(&mut self, peer: IpAddr, anonymous: bool, change: isize) {
+        let of_peer = self.by_peer.entry(peer).or_default();
+        *of_peer = of_peer.saturating_add_signed(change);
+        if *of_peer == 0 {
+            self.by_peer.remove(&peer);
+        }
+        self.all = self.all.saturating_add_signed(change);
+        if anonymous {
+            self.anonymous = self.anonymous.saturating_add_signed(change);
+        }
+    }
+}
+
+impl Drop for StreamSeat {
+    fn drop(&mut self) {
+        self.streams.open().count(self.peer, self.anonymous, -1);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use axum::Router;
-    use axum::middleware::from_fn_with_state;
-    use axum::routing::get;
-    use tower::ServiceExt;
+    use std::time::Instant;
 
-    async fn status(seats: usize, path: &str) -> u16 {
-        let limits = Limits { seats: Arc::new(Semaphore::new(seats)), patience: Duration::from_millis(5) };
-        let router = Router::new()
-            .route("/quick", get(async || ()))
-            .route("/never", get(std::future::pending::<()>))
-            .layer(from_fn_with_state(limits, fair));
-        let request = Request::builder().uri(path).body(axum::body::Body::empty()).unwrap();
-        router.oneshot(request).await.unwrap().status().as_u16()
+    #[tokio::test]
+    async fn a_class_that_is_full_takes_nothing_from_the_others() {
+        let seats = Seats::default();
+        let mut taken = Vec::new();
+        while let Ok(seat) = seats.0[Class::Anonymous as usize].seats.clone().try_acquire_owned() {
+            taken.push(seat);
+        }
+        let _all_places = seats.0[Class::Anonymous as usize].queue.try_acquire_many(256).unwrap();
+        assert_eq!(seats.take(Class::Anonymous).await.unwrap_err().status, 503);
+        for class in [Class::Probe, Class::Reader, Class::Writer, Class::LongAnonymous, Class::Long] {
+            assert!(seats.take(class).await.is_ok(), "{class:?}");
+        }
     }
 
     #[tokio::test]
-    async fn a_request_without_a_seat_or_without_an_end_is_refused() {
-        assert_eq!(status(1, "/quick").await, 200);
-        assert_eq!(status(0, "/quick").await, 503);
-        assert_eq!(status(1, "/never").await, 503);
+    async fn who_waits_gets_the_seat_that_becomes_free() {
+        let row = Arc::new(Row::new(1, 1));
+        let first = row.take().await.unwrap();
+        let waiting = tokio::spawn({
+            let row = row.clone();
+            async move { row.take().await.is_some() }
+        });
+        while row.queue.available_permits() > 0 {
+            tokio::task::yield_now().await;
+        }
+        assert!(row.take().await.is_none(), "one waits already");
+        drop(first);
+        assert!(waiting.await.unwrap());
+    }
+
+    fn refused(streams: &Streams, peer: [u8; 4], anonymous: bool, n: usize) -> (Vec<StreamSeat>, Option<u16>) {
+        let connection = Connection::new(IpAddr::from(peer), Instant::now());
+        let mut seats = Vec::new();
+        for _ in 0..n {
+            match streams.take(&connection, anonymous) {
+                Ok(seat) => seats.push(seat),
+                Err(problem) => return (seats, Some(problem.status)),
+            }
+        }
+        (seats, None)
+    }
+
+    #[test]
+    fn streams_are_capped_for_an_address_and_in_all_and_come_back() {
+        let streams = Streams::default();
+        let (of_one, status) = refused(&streams, [10, 0, 0, 1], true, 100);
+        assert_eq!((of_one.len(), status), (STREAMS_PEER, Some(429)));
+        let (here, status) = refused(&streams, [127, 0, 0, 1], true, 500);
+        assert_eq!((of_one.len() + here.len(), status), (STREAMS_ANONYMOUS, Some(503)));
+        let (holders, status) = refused(&streams, [127, 0, 0, 1], false, 500);
+        assert_eq!((STREAMS_ANONYMOUS + holders.len(), status), (STREAMS, Some(503)));
+        drop((of_one, here, holders));
+        assert!(streams.open().by_peer.is_empty() && streams.open().all == 0);
     }
 }

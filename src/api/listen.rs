@@ -1,9 +1,16 @@
 //! Where the service listens, and what it refuses to expose.
 
-use axum_server::tls_rustls::RustlsConfig;
+use rustls::ServerConfig;
 use rustls::crypto::ring;
+use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::path::PathBuf;
+use std::sync::Arc;
+use tokio_rustls::TlsAcceptor;
+
+/// Connections that may wait to be taken: a flood of others fills a short queue, and then a stop waits a second for its second try.
+const BACKLOG: i32 = 4096;
 
 /// Where and how to serve.
 #[derive(Debug, Clone)]
@@ -70,6 +77,8 @@ impl ServeConfig {
         }
         let broken = |source| ServeError::Listen { address: self.listen, source };
         let listener = TcpListener::bind(self.listen).map_err(broken)?;
+        // A second call only makes the queue longer than the standard library's 128.
+        rustix::net::listen(&listener, BACKLOG).map_err(|error| broken(error.into()))?;
         listener.set_nonblocking(true).map_err(broken)?;
         Ok(listener)
     }
@@ -78,12 +87,22 @@ impl ServeConfig {
     ///
     /// # Errors
     /// [`ServeError::Tls`] if a file is missing, is not PEM, or certificate and key do not belong together.
-    pub async fn tls(&self) -> Result<Option<RustlsConfig>, ServeError> {
+    pub fn tls(&self) -> Result<Option<TlsAcceptor>, ServeError> {
         let Some(tls) = &self.tls else { return Ok(None) };
         // A second call in one process finds the provider in place, which is as good.
         let _installed = ring::default_provider().install_default();
-        let config = RustlsConfig::from_pem_file(&tls.certificate, &tls.key);
-        Ok(Some(config.await.map_err(ServeError::Tls)?))
+        let config = tls.config().map_err(|error| ServeError::Tls(std::io::Error::other(error)))?;
+        Ok(Some(TlsAcceptor::from(Arc::new(config))))
+    }
+}
+
+impl Tls {
+    fn config(&self) -> Result<ServerConfig, Box<dyn std::error::Error + Send + Sync>> {
+        let certificates = CertificateDer::pem_file_iter(&self.certificate)?.collect::<Result<Vec<_>, _>>()?;
+        let key = PrivateKeyDer::from_pem_file(&self.key)?;
+        let mut config = ServerConfig::builder().with_no_client_auth().with_single_cert(certificates, key)?;
+        config.alpn_protocols = vec![b"h2".to_vec(), b"http/1.1".to_vec()];
+        Ok(config)
     }
 }
 
@@ -92,6 +111,9 @@ impl ServeConfig {
 /// A page elsewhere can point its own name at 127.0.0.1 (DNS rebinding) and then read as if it were ours; its name gives it away.
 pub fn is_loopback_name(authority: &str) -> bool {
     let Ok(authority) = authority.parse::<axum::http::uri::Authority>() else { return false };
+    if authority.as_str().contains('@') {
+        return false;
+    }
     let host = authority.host();
     let address = host.trim_start_matches('[').trim_end_matches(']').parse::<IpAddr>();
     host.eq_ignore_ascii_case("localhost") || address.is_ok_and(|ip| ip.is_loopback())
@@ -106,7 +128,9 @@ mod tests {
         for name in ["localhost", "LOCALHOST:8080", "127.0.0.1:1", "127.9.9.9", "[::1]:8080", "[::1]"] {
             assert!(is_loopback_name(name), "{name}");
         }
-        for name in ["localhost.evil.example", "example.org:8080", "10.0.0.1", "127.0.0.1.nip.io", "", "a b"] {
+        for name in
+            ["localhost.evil.example", "example.org:8080", "10.0.0.1", "127.0.0.1.nip.io", "evil@127.0.0.1", "", "a b"]
+        {
             assert!(!is_loopback_name(name), "{name}");
         }
     }

@@ -1,10 +1,13 @@
 //! REST, gRPC and the page on one port, all through [`crate::app`].
 //!
-//! A request passes, from the outside in: [`edge`] (id, protocol of refusals, headers, counts), a net for panics,
-//! [`limits::fair`], [`auth::same_origin`], [`auth::identify`], then its route in [`rest`], [`grpc`], [`probes`] or [`page`].
+//! A request passes, from the outside in: [`front`] (connections, on threads of its own), [`edge`] (id, protocol of refusals, headers, counts), a net
+//! for panics, [`auth::same_origin`], [`auth::identify`]; a stop then goes to the bench, and everything else waits for its body and its seat
+//! ([`limits`]) and goes on to its route in [`rest`], [`grpc`], [`probes`] or [`page`] on the runtime of the rest.
 
 mod auth;
+mod complaint;
 mod edge;
+mod front;
 pub mod grpc;
 mod journal;
 mod limits;
@@ -18,9 +21,8 @@ pub use listen::{ServeConfig, ServeError, Tls};
 
 use crate::app::App;
 use axum::Router;
-use axum::middleware::{from_fn, from_fn_with_state};
-use axum_server::tls_rustls::{RustlsAcceptor, RustlsConfig};
-use hyper_util::rt::TokioTimer;
+use axum::middleware::from_fn;
+use front::Front;
 use std::future::Future;
 use std::net::{SocketAddr, TcpListener};
 use std::time::Duration;
@@ -29,9 +31,6 @@ use tower_http::catch_panic::CatchPanicLayer;
 
 /// How long open requests may take to end once the service shuts down.
 const DRAIN: Duration = Duration::from_secs(10);
-
-/// How long a client may take to send the head of a request, and how often silent HTTP/2 ones are asked for a sign of life.
-const HEAD: Duration = Duration::from_secs(15);
 
 /// The service, bound to its address and not yet answering.
 pub struct Server {
@@ -73,63 +72,33 @@ impl Server {
     /// [`ServeError::Tls`] for unusable certificates, [`ServeError::Broken`] if the server breaks down.
     pub async fn run(self, shutdown: impl Future<Output = ()> + Send) -> Result<(), ServeError> {
         let closing = CancellationToken::new();
-        let handle = axum_server::Handle::new();
-        let mut close = std::pin::pin!(async {
-            shutdown.await;
-            closing.cancel();
-            handle.graceful_shutdown(Some(DRAIN));
+        // However this ends: who follows tokens, health and the journal must not outlive it.
+        let _ending = closing.clone().drop_guard();
+        let tls = self.config.tls()?;
+        let main = main_router(&self.app, closing.clone());
+        let router = front::router(self.app.clone(), self.config.is_loopback(), main, closing.clone());
+        let front = Front::open(self.listener, tls, router, closing.clone())?;
+        tokio::spawn(closing.clone().run_until_cancelled_owned(self.app.clone().keep_tokens()));
+        tokio::spawn(journal::keep(self.app.clone(), closing.clone()));
+        shutdown.await;
+        closing.cancel();
+        let close = async {
             if let Err(error) = self.app.shutdown().await {
                 tracing::error!(%error, "the application did not close cleanly");
             }
-        });
-        // However this ends: who follows tokens and health must not outlive it.
-        let _ending = closing.clone().drop_guard();
-        tokio::spawn(closing.clone().run_until_cancelled_owned(self.app.clone().keep_tokens()));
-        let router = router(&self.app, &self.config, closing.clone());
-        tokio::spawn(journal::keep(self.app.clone(), closing.clone()));
-        let tls = self.config.tls().await?;
-        let mut answer = std::pin::pin!(answer(self.listener, tls, handle.clone(), router));
-        tokio::select! {
-            ended = &mut answer => {
-                // Drained before the application was closed; or broken, and then nothing closes it but us.
-                if closing.is_cancelled() {
-                    close.await;
-                }
-                ended
-            }
-            () = &mut close => answer.await,
-        }
+        };
+        tokio::join!(front.leave(DRAIN), close);
+        Ok(())
     }
 }
 
-async fn answer(
-    listener: TcpListener,
-    tls: Option<RustlsConfig>,
-    handle: axum_server::Handle<SocketAddr>,
-    router: Router,
-) -> Result<(), ServeError> {
-    let mut server = axum_server::from_tcp(listener)?.handle(handle);
-    let http = server.http_builder();
-    http.http1().timer(TokioTimer::new()).header_read_timeout(HEAD);
-    http.http2().timer(TokioTimer::new()).keep_alive_interval(HEAD);
-    let service = router.into_make_service();
-    match tls {
-        None => server.serve(service).await?,
-        Some(tls) => server.acceptor(RustlsAcceptor::new(tls)).serve(service).await?,
-    }
-    Ok(())
-}
-
-fn router(app: &App, config: &ServeConfig, closing: CancellationToken) -> Router {
-    let gate = auth::Gate { app: app.clone(), loopback: config.is_loopback() };
+/// All that the front hands over.
+fn main_router(app: &App, closing: CancellationToken) -> Router {
     rest::router(app.clone())
-        .merge(grpc::router(app.clone(), closing.clone()))
-        .merge(probes::router(app.clone(), closing))
+        .merge(grpc::router(app.clone(), closing))
+        .merge(probes::metrics(app.clone()))
         .fallback(page::fallback)
         .layer(from_fn(auth::on_behalf))
-        .layer(from_fn_with_state(gate, auth::identify))
-        .layer(from_fn(auth::same_origin))
-        .layer(from_fn_with_state(limits::Limits::default(), limits::fair))
         .layer(CatchPanicLayer::custom(edge::panicked))
-        .layer(from_fn(edge::edge))
+        .layer(from_fn(edge::tell_route))
 }

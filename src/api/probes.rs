@@ -22,19 +22,22 @@ const BUCKETS: [(&str, &[f64]); 5] = [
     ("flip_dose_shakes", &[1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0]),
 ];
 
-/// The three routes; `closing` is cancelled once the service shuts down.
-pub fn router(app: App, closing: CancellationToken) -> Router {
-    let asked = app.clone();
+/// `/metrics`.
+pub fn metrics(app: App) -> Router {
+    recorder();
+    let refused = async || Problem::method_not_allowed();
+    Router::new().route("/metrics", get(exposition)).with_state(app).method_not_allowed_fallback(refused)
+}
+
+/// `/healthz` and `/readyz`, which answer whatever the rest of the service does; `closing` is cancelled once it shuts down.
+pub fn alive(app: App, closing: CancellationToken) -> Router {
     let ready = move |extensions: Extensions| async move {
         match closing.is_cancelled() {
             true => Problem::unavailable("shutting down").into_response(),
-            false => readiness(&asked, &extensions).await,
+            false => readiness(&app, &extensions).await,
         }
     };
-    recorder();
     Router::new()
-        .route("/metrics", get(exposition))
-        .with_state(app)
         .route("/healthz", get(async || "alive\n"))
         .route("/readyz", get(ready))
         .method_not_allowed_fallback(async || Problem::method_not_allowed())

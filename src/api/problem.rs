@@ -92,6 +92,11 @@ impl Problem {
         Self::new(StatusCode::GONE, "lost", "Lost", detail)
     }
 
+    /// 408: a request that does not come to its end.
+    pub fn too_slow(detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::REQUEST_TIMEOUT, "too-slow", "The request did not come in time", detail)
+    }
+
     /// 413: the body is larger than the service reads.
     pub fn too_large(limit_bytes: usize) -> Self {
         let detail = format!("a request body may hold at most {limit_bytes} bytes");
@@ -112,6 +117,11 @@ impl Problem {
             "The key belongs to another request",
             detail,
         )
+    }
+
+    /// 429: this client has too much of it already.
+    pub fn too_many(detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::TOO_MANY_REQUESTS, "too-many", "Too many at once", detail)
     }
 
     /// 500: our fault; the cause is in the log under the request's id.

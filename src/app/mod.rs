@@ -18,6 +18,7 @@ mod inference;
 mod investigations;
 mod jobs;
 mod keyring;
+mod long_answers;
 mod measurement_csv;
 mod measurements;
 mod policies;

@@ -165,7 +165,7 @@ impl Store {
                 .bind(after)
                 .bind(BATCH)
                 .bind(weighing)
-                .fetch_all(&self.reader)
+                .fetch_all(&self.long)
                 .await?;
         rows.iter().map(record).collect()
     }

@@ -1,6 +1,6 @@
 //! The only SQL and the only files: one SQLite database and a folder of content-addressed artifacts.
 //!
-//! One connection writes and four read. A transaction that writes begins with `BEGIN IMMEDIATE`: a deferred one that
+//! One connection writes and four read; two more read for answers that grow with all that was ever done. A transaction that writes begins with `BEGIN IMMEDIATE`: a deferred one that
 //! read first and writes later can fail with a snapshot conflict that the busy time-out does not wait for.
 
 pub mod artifacts;
@@ -49,6 +49,8 @@ pub struct Store {
     reader: SqlitePool,
     /// One more connection that reads, for what must not wait behind other readers.
     apart: SqlitePool,
+    /// For answers that grow with all that was ever done: nobody else waits for these.
+    long: SqlitePool,
     /// `None` when opened to read only.
     writer: Option<SqlitePool>,
     artifacts: Artifacts,
@@ -105,6 +107,7 @@ impl Store {
         // Readers would keep the log from being moved.
         self.reader.close().await;
         self.apart.close().await;
+        self.long.close().await;
         if let Some(writer) = self.writer.as_ref().filter(|writer| !writer.is_closed()) {
             if let Err(error) = sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(writer).await {
                 tracing::warn!(%error, "the write-ahead log was not checkpointed; SQLite does it at the next start");

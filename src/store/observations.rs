@@ -1,6 +1,6 @@
 //! What powders were measured by beside their angle of repose.
 
-use super::page::{Page, Window};
+use super::page::{LONG_BATCH, Page, Window};
 use super::row::{Columns, json};
 use super::{Result, Store, Tx, new_id, now};
 use crate::domain::observable::{Observable, Observation};
@@ -45,6 +45,18 @@ impl Store {
     pub(crate) async fn all_observations(&self, powder: Option<&str>) -> Result<Vec<PowderObservation>> {
         let sql = "SELECT * FROM observation WHERE ?1 IS NULL OR powder = ?1 ORDER BY seq";
         sqlx::query(sql).bind(powder).fetch_all(&self.reader).await?.iter().map(observation).collect()
+    }
+
+    /// Observations after a position, oldest first, at most some thousands, and the position of the last one; of one powder when named.
+    pub(crate) async fn observations_after(
+        &self,
+        powder: Option<&str>,
+        after: i64,
+    ) -> Result<(Vec<PowderObservation>, i64)> {
+        let sql = "SELECT * FROM observation WHERE seq > ?2 AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
+        let rows = sqlx::query(sql).bind(powder).bind(after).bind(LONG_BATCH).fetch_all(&self.long).await?;
+        let last = rows.last().map_or(Ok(after), |row| row.plain("seq"))?;
+        Ok((rows.iter().map(observation).collect::<Result<_>>()?, last))
     }
 
     /// What is known of a powder now: the newest observation of each equal observable, in the order of their JSON, which does not depend on

@@ -22,6 +22,8 @@ const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(10);
 const GIVES_UP: Duration = Duration::from_millis(250);
 /// Connections that read.
 const READERS: u32 = 4;
+/// Connections that read for long answers alone.
+const LONG_READERS: u32 = 2;
 /// The first SQLite whose write-ahead log cannot be reset under a reader (3.7.0 to 3.51.2 can corrupt the file).
 const SQLITE_MIN: [u32; 3] = [3, 51, 3];
 
@@ -67,12 +69,14 @@ impl Store {
     async fn assemble(data_dir: &Path, writer: Option<SqlitePool>, lock: Option<Arc<DataLock>>) -> Result<Self> {
         let options = connection(data_dir).read_only(true);
         let reader = connections(READERS).connect_with(options.clone()).await?;
+        let long = connections(LONG_READERS).connect_lazy_with(options.clone());
         let apart = connections(1).connect_with(options).await?;
         sound::check_version(&reader, &migrations()).await?;
         let newest: i64 = sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM event").fetch_one(&reader).await?;
         Ok(Self {
             reader,
             apart,
+            long,
             writer,
             artifacts: artifacts(data_dir),
             newest_event: watch::Sender::new(newest),

@@ -15,6 +15,9 @@ pub const SERIES_LIMIT_MAX: u32 = 5000;
 /// Items on a page when the caller names no limit.
 pub const LIMIT_DEFAULT: u32 = 50;
 
+/// Rows read at once for an answer that grows with all that was ever done.
+pub(super) const LONG_BATCH: i64 = 2000;
+
 /// Which page a caller wants.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct PageQuery {

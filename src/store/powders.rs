@@ -1,6 +1,6 @@
 //! Powders and their measurements.
 
-use super::page::{Page, Window};
+use super::page::{LONG_BATCH, Page, Window};
 use super::row::{Columns, word};
 use super::{Result, Store, Tx, new_id, now};
 use crate::domain::powder::{Flowability, Method, PUBLISHED, PUBLISHED_SOURCE};
@@ -79,6 +79,14 @@ impl Store {
     pub(crate) async fn all_measurements(&self, powder: Option<&str>) -> Result<Vec<Measurement>> {
         let sql = "SELECT * FROM measurement WHERE ?1 IS NULL OR powder = ?1 ORDER BY seq";
         sqlx::query(sql).bind(powder).fetch_all(&self.reader).await?.iter().map(measurement).collect()
+    }
+
+    /// Measurements after a position, oldest first, at most some thousands, and the position of the last one; of one powder when named.
+    pub(crate) async fn measurements_after(&self, powder: Option<&str>, after: i64) -> Result<(Vec<Measurement>, i64)> {
+        let sql = "SELECT * FROM measurement WHERE seq > ?2 AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
+        let rows = sqlx::query(sql).bind(powder).bind(after).bind(LONG_BATCH).fetch_all(&self.long).await?;
+        let last = rows.last().map_or(Ok(after), |row| row.plain("seq"))?;
+        Ok((rows.iter().map(measurement).collect::<Result<_>>()?, last))
     }
 
     /// Register the published powders, once: what a user has removed or renamed later is left alone.

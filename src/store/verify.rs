@@ -47,7 +47,7 @@ impl Store {
     /// Go through the whole chain and all weighings, as they are at this moment; `wanted` is a hash that the chain should hold.
     pub(crate) async fn verify_audit(&self, wanted: Option<&str>) -> Result<AuditVerification> {
         // One snapshot: a dose that ends meanwhile would look like a changed row.
-        let mut tx = self.reader().begin().await?;
+        let mut tx = self.long.begin().await?;
         let mut walk = Walk { last_hash: beginning(), since_ms: i64::MAX, ..Walk::default() };
         let broken = walk.go_through_records(&mut tx, wanted).await?;
         if broken.is_none() {
@@ -72,7 +72,7 @@ impl Store {
     /// The row of a weighing from before there was a record differs from nothing.
     pub(crate) async fn outcome_on_record(&self, row: &WeighingRow) -> Result<(Option<ChangedRow>, Option<Weighing>)> {
         let id = &row.weighing.id;
-        let mut tx = self.reader().begin().await?;
+        let mut tx = self.long.begin().await?;
         let sql = "SELECT * FROM audit WHERE weighing = ?1 AND kind = 'outcome' ORDER BY seq DESC LIMIT 1";
         let Some(record) = sqlx::query(sql).bind(id).fetch_optional(&mut *tx).await? else {
             let first: Option<i64> =

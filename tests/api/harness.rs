@@ -112,6 +112,11 @@ impl Service {
         Some(frames(&response.text().await.unwrap()))
     }
 
+    /// Where the database is.
+    pub fn data_dir(&self) -> &std::path::Path {
+        self.data.path()
+    }
+
     /// Pours that the bench has begun.
     pub fn pours(&self) -> usize {
         self.bench.pours()

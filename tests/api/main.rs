@@ -12,6 +12,7 @@ mod record;
 mod refusals;
 mod repose;
 mod simulators;
+mod stop;
 mod tls;
 mod tokens;
 mod toy;

@@ -2,6 +2,7 @@
 
 use crate::harness::{Service, problem};
 use flip::api::{self, ServeConfig, ServeError};
+use tokio::io::{AsyncBufReadExt, AsyncWriteExt};
 
 #[tokio::test]
 async fn unknown_paths_and_wrong_methods_are_problems() {
@@ -40,6 +41,40 @@ async fn the_page_is_served_at_the_root_and_at_addresses_of_its_own() {
     let browser = service.request("GET", "/weighings/some").header("accept", "text/html,*/*;q=0.8");
     assert_eq!(browser.send().await.unwrap().text().await.unwrap(), root);
     problem(service.get("/assets/missing.js").await, 404).await;
+}
+
+/// The first line of the answer to these bytes.
+async fn answer_to(service: &Service, bytes: &str) -> String {
+    let mut connection = tokio::net::TcpStream::connect(service.address).await.unwrap();
+    connection.write_all(bytes.as_bytes()).await.unwrap();
+    let mut answer = String::new();
+    tokio::io::BufReader::new(connection).read_line(&mut answer).await.unwrap();
+    answer.trim_end().to_owned()
+}
+
+#[tokio::test]
+async fn a_request_names_one_host_and_nobody_is_let_in_by_a_name_before_it() {
+    let service = Service::start().await;
+    let get = |hosts: &str| format!("GET /v1/powders HTTP/1.1\r\n{hosts}connection: close\r\n\r\n");
+    for (hosts, status) in [
+        ("host: 127.0.0.1\r\n", "200 OK"),
+        ("", "400 Bad Request"),
+        ("host: 127.0.0.1\r\nhost: evil.example\r\n", "400 Bad Request"),
+        ("host: evil@127.0.0.1\r\n", "401 Unauthorized"),
+    ] {
+        assert_eq!(answer_to(&service, &get(hosts)).await, format!("HTTP/1.1 {status}"), "{hosts}");
+    }
+}
+
+#[tokio::test]
+async fn a_body_that_says_it_is_too_long_is_not_asked_for() {
+    let service = Service::start().await;
+    let token = service.token(flip::app::Role::Operator).await;
+    let head = format!(
+        "POST /v1/powders HTTP/1.1\r\nhost: 127.0.0.1\r\nauthorization: Bearer {token}\r\ncontent-type: application/json\r\n\
+         content-length: 1073741824\r\nexpect: 100-continue\r\n\r\n"
+    );
+    assert_eq!(answer_to(&service, &head).await, "HTTP/1.1 413 Payload Too Large");
 }
 
 #[tokio::test]

@@ -104,6 +104,8 @@ async fn bad_queries_are_refused_by_parameter() {
         let problem = problem(service.get(path).await, 400).await;
         assert_eq!(fields(&problem), [field], "{path}: {problem}");
     }
+    let both = service.request("GET", "/v1/events?after_seq=-1").header("last-event-id", "0");
+    assert_eq!(fields(&problem(both.send().await.unwrap(), 400).await), ["after_seq"]);
     let request = service.request("GET", "/v1/events").header("last-event-id", "yesterday");
     assert_eq!(fields(&problem(request.send().await.unwrap(), 400).await), ["Last-Event-ID"]);
 }

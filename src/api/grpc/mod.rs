@@ -1,5 +1,6 @@
 //! gRPC: one file for each service of `proto/flip/v1/flip.proto`, each method one call of the application.
 
+pub mod access;
 mod bench;
 mod calibrations;
 mod convert;
@@ -23,7 +24,9 @@ use crate::app::Event;
 use crate::app::Role;
 use crate::domain::FieldError;
 use axum::Router;
+use axum::body::Body;
 use axum::http::{HeaderMap, header};
+use axum::middleware::map_request;
 use futures::StreamExt;
 use futures::stream::BoxStream;
 use proto::bench_server::BenchServer;
@@ -49,6 +52,9 @@ pub mod proto {
 }
 
 const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/flip.v1.bin"));
+
+/// A message without fields as it is sent: not compressed, no bytes.
+const EMPTY_MESSAGE: &[u8] = &[0; 5];
 
 /// All services with health and reflection; once `closing` is cancelled, health says that they do not serve.
 pub fn router(app: App, closing: CancellationToken) -> Router {
@@ -89,6 +95,20 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         .add_service(limited!(TokensServer))
         .into_axum_router()
         .reset_fallback()
+}
+
+/// `StopBench`, for the front. Its message says nothing, so it is not waited for.
+pub fn bench_stop(app: App) -> Router {
+    let without_message =
+        map_request(async |request: axum::extract::Request| request.map(|_| Body::from(EMPTY_MESSAGE)));
+    Router::new()
+        .route_service("/flip.v1.Bench/StopBench", BenchServer::new(Service { app }))
+        .route_layer(without_message)
+}
+
+/// `StopWeighing`, for the front.
+pub fn weighing_stop(app: App) -> Router {
+    Router::new().route_service("/flip.v1.Weighings/StopWeighing", WeighingsServer::new(Service { app }))
 }
 
 fn reflection() -> tonic_reflection::server::Builder<'static> {

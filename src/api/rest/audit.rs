@@ -1,14 +1,18 @@
 //! `/v1/audit`: the record of all that happened on the bench.
 
-use super::csv_file;
 use super::extract::Query;
 use super::list::{ListParams, respond};
+use super::{csv_pieces, pieces};
 use crate::api::auth::Viewer;
 use crate::api::problem::Problem;
+use crate::app;
 use crate::app::{AUDIT_CSV_HEADER, App, AuditRecord, AuditVerification, Page, audit_csv};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
-use axum::response::Response;
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+use futures::StreamExt;
+use futures::stream;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
@@ -73,10 +77,17 @@ pub async fn export_audit(
     _: Viewer,
     State(app): State<App>,
     Query(params): Query<ExportParams>,
-) -> Result<Json<Vec<AuditRecord>>, Problem> {
-    let mut records = Vec::new();
-    app.export_audit(params.weighing.as_deref(), |record| records.push(record.clone())).await?;
-    Ok(Json(records))
+) -> Result<Response, Problem> {
+    let batches = app.audit_trail(params.weighing).enumerate();
+    let begun = batches.map(|(k, batch)| Ok(format!("{}{}", ["[", ","][k.min(1)], json_items(&batch?)?)));
+    let document = begun.chain(stream::once(async { Ok("]".to_owned()) }));
+    Ok(([(header::CONTENT_TYPE, "application/json")], pieces(document.boxed()).await?).into_response())
+}
+
+/// Records with commas between them.
+fn json_items(records: &[AuditRecord]) -> app::Result<String> {
+    let items = records.iter().map(serde_json::to_string).collect::<Result<Vec<_>, _>>();
+    Ok(items.map_err(|error| app::Error::Internal(error.into()))?.join(","))
 }
 
 /// Download the audit trail as CSV, oldest first.
@@ -87,7 +98,10 @@ pub async fn export_audit_csv(
     State(app): State<App>,
     Query(params): Query<ExportParams>,
 ) -> Result<Response, Problem> {
-    let mut text = AUDIT_CSV_HEADER.to_owned();
-    app.export_audit(params.weighing.as_deref(), |record| text += &audit_csv(record)).await?;
-    Ok(csv_file("audit", text))
+    let batches = app.audit_trail(params.weighing).enumerate();
+    let lines = batches.map(|(k, batch)| {
+        let lines: String = batch?.iter().map(audit_csv).collect();
+        Ok([AUDIT_CSV_HEADER, ""][k.min(1)].to_owned() + &lines)
+    });
+    csv_pieces("audit", lines.boxed()).await
 }

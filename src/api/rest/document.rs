@@ -55,7 +55,7 @@ pub fn head() -> OpenApi {
 /// hold images or tables.
 pub fn complete(mut document: OpenApi, large: impl Fn(&str) -> bool) -> OpenApi {
     for (path, item) in &mut document.paths.paths {
-        let has_id = path.contains('{');
+        let (has_id, follows) = (path.contains('{'), path.ends_with("/events"));
         for (safe, operation) in operations(item) {
             operation.security = Some(security(safe));
             let has_body = operation.request_body.is_some();
@@ -68,8 +68,12 @@ pub fn complete(mut document: OpenApi, large: impl Fn(&str) -> bool) -> OpenApi 
             if has_id {
                 refuse(operation, "404", "No such thing");
             }
+            if follows {
+                refuse(operation, "429", "This connection or address follows too many streams already");
+            }
             if has_body {
                 let bytes_max = if large(path) { LARGE_BYTES_MAX } else { BODY_BYTES_MAX };
+                refuse(operation, "408", "The body did not come in time");
                 refuse(operation, "413", &format!("The body is larger than {} MiB", bytes_max / (1024 * 1024)));
                 refuse(operation, "415", "The body is not JSON");
             }

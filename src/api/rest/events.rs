@@ -36,7 +36,8 @@ pub struct WatchParams {
 impl WatchParams {
     /// The header counts more: it is what a reconnecting browser adds to the address it first asked for.
     fn after(&self, headers: &HeaderMap) -> Result<Option<i64>, Problem> {
-        let Some(header) = headers.get("last-event-id") else { return checked("after_seq", self.after_seq) };
+        let asked = checked("after_seq", self.after_seq)?;
+        let Some(header) = headers.get("last-event-id") else { return Ok(asked) };
         let number = header.to_str().ok().and_then(|text| text.trim().parse().ok());
         checked("Last-Event-ID", Some(number.unwrap_or(-1)))
     }

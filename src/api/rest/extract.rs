@@ -16,6 +16,17 @@ pub const BODY_BYTES_MAX: usize = 1024 * 1024;
 /// Most bytes of a body that holds images or tables.
 pub const LARGE_BYTES_MAX: usize = 16 * 1024 * 1024;
 
+/// Most bytes of the body, or of the message of gRPC, that is sent to this path.
+pub fn bytes_max(path: &str) -> usize {
+    let services = ["/flip.v1.ReposeMeasurements/", "/flip.v1.Investigations/", "/flip.v1.Simulators/"];
+    let tables = ["/v1/measurements/import", "/v1/investigations"];
+    let of_things = ["/frames", "/predictions"];
+    let is_large = services.iter().any(|service| path.starts_with(service))
+        || tables.contains(&path)
+        || path.starts_with("/v1/") && of_things.iter().any(|end| path.ends_with(end));
+    if is_large { LARGE_BYTES_MAX } else { BODY_BYTES_MAX }
+}
+
 /// A JSON body.
 #[derive(Debug)]
 pub struct Input<T>(pub T);

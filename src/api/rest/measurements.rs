@@ -2,7 +2,7 @@
 
 use super::extract::{Csv, Input, Path, Query};
 use super::list::{ListParams, respond};
-use super::{created, csv_file};
+use super::{created, csv_pieces};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::App;
@@ -107,7 +107,7 @@ pub async fn import_measurements(
 #[utoipa::path(get, path = "/v1/measurements.csv", tag = "powders",
     responses((status = 200, description = "A summary a row", body = String, content_type = "text/csv")))]
 pub async fn export_measurements(_: Viewer, State(app): State<App>) -> Result<Response, Problem> {
-    Ok(csv_file("measurements", app.measured(None).await?.csv()))
+    csv_pieces("measurements", app.measured_csv(None).await?).await
 }
 
 /// Download everything that was measured of a powder, as a CSV file that the import reads.
@@ -119,5 +119,5 @@ pub async fn export_powder_measurements(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Response, Problem> {
-    Ok(csv_file(&format!("{id}-measurements"), app.measured(Some(&id)).await?.csv()))
+    csv_pieces(&format!("{id}-measurements"), app.measured_csv(Some(id.clone())).await?).await
 }

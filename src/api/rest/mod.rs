@@ -21,12 +21,16 @@ mod trainings;
 mod weighings;
 
 use super::problem::Problem;
+use crate::app;
 use crate::app::App;
+use axum::body::Body;
 use axum::extract::DefaultBodyLimit;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{get, post};
 use axum::{Json, Router};
+use futures::stream::{self, BoxStream};
+use futures::{StreamExt, TryStreamExt};
 use tower::limit::GlobalConcurrencyLimitLayer;
 use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
@@ -95,6 +99,14 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(tokens::revoke_token))
 }
 
+/// The stops, for the front: the same handlers as in the document, which read no body.
+pub fn stops(app: App) -> Router {
+    Router::new()
+        .route("/v1/bench/stop", post(bench::stop_bench))
+        .route("/v1/weighings/{id}/stop", post(weighings::stop_weighing))
+        .with_state(app)
+}
+
 /// Routes whose bodies are images or tables: so few at once that their bytes fit.
 fn large_routes() -> OpenApiRouter<App> {
     OpenApiRouter::new()
@@ -131,6 +143,21 @@ fn csv_file(name: &str, text: String) -> Response {
         (header::CONTENT_DISPOSITION, format!("attachment; filename=\"{name}.csv\"")),
     ];
     (headers, text).into_response()
+}
+
+/// As [`csv_file`], made while it is sent.
+async fn csv_pieces(name: &str, text: BoxStream<'static, app::Result<String>>) -> Result<Response, Problem> {
+    let body = pieces(text).await?;
+    let mut response = csv_file(name, String::new());
+    *response.body_mut() = body;
+    Ok(response)
+}
+
+/// A body that is made while it is sent. The first piece is waited for, so that what fails at once is a refusal; later the answer breaks off.
+async fn pieces(mut text: BoxStream<'static, app::Result<String>>) -> Result<Body, Problem> {
+    let first = text.next().await.transpose()?;
+    let rest = text.inspect_err(|error| tracing::warn!(%error, "a long answer broke off"));
+    Ok(Body::from_stream(stream::iter(first.map(Ok)).chain(rest)))
 }
 
 /// 202 for work that was taken on, with where to look for it.

@@ -1,0 +1,65 @@
+//! A complaint that the log hears often enough to be seen and seldom enough not to fill a disk.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Time between two lines about one thing.
+const QUIET: Duration = Duration::from_secs(10);
+
+/// One thing to complain about.
+#[derive(Debug, Default)]
+pub struct Complaint {
+    heard: Mutex<Heard>,
+    /// The last one is still being written.
+    saying: Arc<AtomicBool>,
+}
+
+#[derive(Debug, Default)]
+struct Heard {
+    last: Option<Instant>,
+    /// Times that were kept quiet since.
+    quiet: u64,
+}
+
+impl Complaint {
+    /// It happened `times` more: `log` is called with how often since it was last called, at most once in [`QUIET`]; on a thread of its own, because a log
+    /// that nobody reads must not hold up who complains.
+    pub fn happened(&self, times: u64, log: impl FnOnce(u64) + Send + 'static) {
+        let Some(times) = self.due(times, Instant::now()) else { return };
+        if self.saying.swap(true, Ordering::SeqCst) {
+            return;
+        }
+        let saying = self.saying.clone();
+        let thread = std::thread::Builder::new().name("log".to_owned()).spawn(move || {
+            log(times);
+            saying.store(false, Ordering::SeqCst);
+        });
+        if thread.is_err() {
+            self.saying.store(false, Ordering::SeqCst);
+        }
+    }
+
+    fn due(&self, times: u64, now: Instant) -> Option<u64> {
+        let mut heard = self.heard.lock().unwrap_or_else(PoisonError::into_inner);
+        heard.quiet += times;
+        if heard.last.is_some_and(|last| now.duration_since(last) < QUIET) {
+            return None;
+        }
+        heard.last = Some(now);
+        Some(std::mem::take(&mut heard.quiet))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flood_is_one_line_that_counts_it() {
+        let (complaint, start) = (Complaint::default(), Instant::now());
+        assert_eq!(complaint.due(1, start), Some(1));
+        assert_eq!(complaint.due(3, start + QUIET / 2), None);
+        assert_eq!(complaint.due(1, start + QUIET), Some(4));
+    }
+}

@@ -1,0 +1,252 @@
+//! The front of the service: threads of its own that take connections, read heads of requests, and carry stops through.
+//!
+//! ```text
+//!  socket ─► table ─► TLS, HTTP ─► edge, origin, token ─┬─► stop ────────────────────────► bench
+//!            (room for one more)                        ├─► /healthz, /readyz
+//!                                                       └─► hall: role, body, seat ─► main runtime: every other route
+//! ```
+//!
+//! Nothing here computes, asks the database or waits for a driver, so that whatever the rest of the service does, and whatever clients do to it, a stop
+//! is read and carried out. `table.rs` and `connection.rs` say who may stay connected, `hall.rs` and `arrival.rs` what a request has to wait for.
+
+mod answer;
+mod arrival;
+mod connection;
+mod descriptors;
+mod hall;
+mod stop;
+mod table;
+mod wire;
+
+pub use connection::Connection;
+
+use super::complaint::Complaint;
+use super::{auth, edge, probes};
+use crate::app::App;
+use answer::Answer;
+use axum::Router;
+use axum::body::Body;
+use axum::extract::{Extension, Request};
+use axum::middleware::{Next, from_fn, from_fn_with_state};
+use axum::response::Response;
+use connection::{HEAD, Kind};
+use hall::{Hall, hall, is_stream};
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
+use hyper_util::server::conn::auto;
+use hyper_util::service::TowerToHyperService;
+use std::io;
+use std::net::{SocketAddr, TcpListener};
+use std::pin::pin;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use table::Table;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::net::TcpStream;
+use tokio::runtime::{Handle, Runtime};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio_rustls::TlsAcceptor;
+use tokio_util::sync::CancellationToken;
+use tower::Layer;
+use tower_http::catch_panic::CatchPanicLayer;
+use wire::Wire;
+
+/// Threads that read and write; two, so that one which does a TLS handshake does not hold up a stop.
+const THREADS: usize = 2;
+/// Threads for stops that wait for an arm.
+const STOPS: usize = 64;
+/// Connections that may be open beyond the table's room: those that it has just closed.
+const CLOSING: usize = 16;
+/// How often connections are looked at.
+const SWEEP: Duration = Duration::from_millis(500);
+/// Requests at once on one connection of HTTP/2.
+const HTTP2_STREAMS: u32 = 64;
+/// Most bytes of a request's head, and of what one connection is read ahead.
+const HEAD_BYTES: usize = 32 * 1024;
+/// Bytes of a body that HTTP/2 sends ahead: of one request, and of a connection.
+const HTTP2_AHEAD: [u32; 2] = [128 * 1024, 512 * 1024];
+
+/// The front, at work until it is dropped.
+pub struct Front {
+    /// `Some` until it is dropped.
+    runtime: Option<Runtime>,
+    doors: Doors,
+}
+
+/// What each connection needs; cheap to clone.
+#[derive(Clone)]
+struct Doors {
+    table: Arc<Table>,
+    /// Bounds the descriptors, whatever the table believes.
+    free: Arc<Semaphore>,
+    tls: Option<TlsAcceptor>,
+    http: Arc<auto::Builder<TokioExecutor>>,
+    router: Router,
+    closing: CancellationToken,
+}
+
+impl Front {
+    /// Begins to take connections; what is no stop goes to `main`, on the runtime that this is called on.
+    ///
+    /// # Errors
+    /// The system gives no threads.
+    pub fn open(
+        listener: TcpListener,
+        tls: Option<TlsAcceptor>,
+        router: Router,
+        closing: CancellationToken,
+    ) -> io::Result<Self> {
+        let room = descriptors::room();
+        let doors = Doors {
+            table: Arc::new(Table::new(room)),
+            free: Arc::new(Semaphore::new(room + CLOSING)),
+            tls,
+            http: Arc::new(http()),
+            router,
+            closing,
+        };
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(THREADS)
+            .max_blocking_threads(STOPS)
+            .thread_name("front")
+            .enable_all()
+            .build()?;
+        runtime.spawn(doors.clone().take_all(listener));
+        runtime.spawn(doors.clone().sweep());
+        Ok(Self { runtime: Some(runtime), doors })
+    }
+
+    /// Lets what is under way end, for at most `limit`; then closes every connection.
+    pub async fn leave(&self, limit: Duration) {
+        self.doors.closing.cancel();
+        let all = u32::try_from(self.doors.table.room() + CLOSING).unwrap_or(u32::MAX);
+        self.doors.table.all(|connection| connection.leave.cancel());
+        let _all_ended = tokio::time::timeout(limit, self.doors.free.acquire_many(all)).await;
+        self.doors.table.all(|connection| connection.cut.cancel());
+    }
+}
+
+impl Drop for Front {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.runtime.take() {
+            runtime.shutdown_background();
+        }
+    }
+}
+
+/// Everything from the head of a request to its answer; `main` answers what is no stop and no sign of life.
+pub fn router(app: App, loopback: bool, main: Router, closing: CancellationToken) -> Router {
+    let gate = auth::Gate { app: app.clone(), loopback };
+    stop::router(app.clone())
+        .merge(probes::alive(app, closing))
+        .fallback_service(Router::new().fallback(hall).with_state(Hall::new(Handle::current(), main)))
+        .layer(from_fn(known))
+        .layer(from_fn_with_state(gate, auth::identify))
+        .layer(from_fn(auth::same_origin))
+        .layer(from_fn(auth::one_host))
+        .layer(CatchPanicLayer::custom(edge::panicked))
+        .layer(from_fn(edge::edge))
+        .layer(from_fn(follow))
+}
+
+/// Tells the connection what is under way on it.
+async fn follow(Extension(connection): Extension<Arc<Connection>>, request: Request, next: Next) -> Response {
+    let kind = if is_stream(request.uri().path()) { Kind::Stream } else { Kind::Ordinary };
+    let under_way = connection.begin(kind);
+    next.run(request).await.map(|body| Body::new(Answer::new(body, under_way)))
+}
+
+/// Tells the connection that whoever is there has a token.
+async fn known(Extension(connection): Extension<Arc<Connection>>, request: Request, next: Next) -> Response {
+    if !auth::Caller::of(request.extensions()).is_anonymous() {
+        connection.shown_token();
+    }
+    next.run(request).await
+}
+
+fn http() -> auto::Builder<TokioExecutor> {
+    let mut http = auto::Builder::new(TokioExecutor::new());
+    http.http1().timer(TokioTimer::new()).header_read_timeout(HEAD).max_buf_size(HEAD_BYTES);
+    let [stream, connection] = HTTP2_AHEAD;
+    http.http2()
+        .timer(TokioTimer::new())
+        .keep_alive_interval(HEAD)
+        .max_concurrent_streams(HTTP2_STREAMS)
+        .max_header_list_size(HEAD_BYTES as u32)
+        .initial_stream_window_size(stream)
+        .initial_connection_window_size(connection);
+    http
+}
+
+impl Doors {
+    async fn take_all(self, listener: TcpListener) {
+        let listener = match tokio::net::TcpListener::from_std(listener) {
+            Ok(listener) => listener,
+            Err(error) => return tracing::error!(%error, "no connection can be taken"),
+        };
+        let no_descriptor = Complaint::default();
+        loop {
+            let Ok(door) = self.free.clone().acquire_owned().await else { return };
+            let taken = tokio::select! {
+                taken = listener.accept() => taken,
+                () = self.closing.cancelled() => return,
+            };
+            match taken {
+                Ok((stream, peer)) => drop(tokio::spawn(self.clone().serve(stream, peer, door))),
+                Err(error) => self.make_room(&error, &no_descriptor).await,
+            }
+        }
+    }
+
+    /// A connection could not be taken, which mostly means that something else has taken the descriptors.
+    async fn make_room(&self, error: &io::Error, complaint: &Complaint) {
+        let error = error.to_string();
+        complaint.happened(1, move |times| {
+            tracing::warn!(error, times, "a connection could not be taken: the least useful one is closed for it");
+        });
+        self.table.give_way();
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+
+    async fn sweep(self) {
+        let mut every = tokio::time::interval(SWEEP);
+        loop {
+            every.tick().await;
+            self.table.sweep(Instant::now());
+        }
+    }
+
+    async fn serve(self, stream: TcpStream, peer: SocketAddr, _door: OwnedSemaphorePermit) {
+        // Only slower without.
+        let _nodelay = stream.set_nodelay(true);
+        let place = self.table.admit(peer.ip(), Instant::now());
+        let connection = &place.connection;
+        let wire = Wire::new(stream, connection.clone());
+        let work = async {
+            match &self.tls {
+                None => self.speak(wire, connection).await,
+                Some(tls) => {
+                    if let Ok(stream) = tls.accept(wire).await {
+                        self.speak(stream, connection).await;
+                    }
+                }
+            }
+        };
+        tokio::select! {
+            () = work => {}
+            () = connection.cut.cancelled() => {}
+        }
+    }
+
+    /// Answers requests until either side has enough; what breaks off is the client's to notice.
+    async fn speak(&self, stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, connection: &Arc<Connection>) {
+        let service = TowerToHyperService::new(Extension(connection.clone()).layer(self.router.clone()));
+        let mut conversation = pin!(self.http.serve_connection(TokioIo::new(stream), service));
+        tokio::select! {
+            _ended = conversation.as_mut() => {}
+            () = connection.leave.cancelled() => {
+                conversation.as_mut().graceful_shutdown();
+                let _ended = conversation.await;
+            }
+        }
+    }
+}

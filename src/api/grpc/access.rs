@@ -1,0 +1,84 @@
+//! Which role the methods need at least, known before a message is waited for or decoded.
+//!
+//! Every method asks for its role itself; this is a first sieve, so it may ask for less and never for more.
+
+use super::DESCRIPTORS;
+use crate::app::Role;
+use prost::Message;
+use prost_types::FileDescriptorSet;
+use std::collections::HashMap;
+use std::sync::LazyLock;
+
+/// Names of methods that only read begin with one of these.
+const READING: [&str; 6] = ["Get", "List", "Watch", "Compare", "Verify", "Download"];
+
+/// Who may call a method.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Access {
+    /// Anybody: health and reflection.
+    Anybody,
+    /// Callers of this role or a higher one.
+    Least(Role),
+}
+
+/// Every method of `flip.v1` by its path.
+static METHODS: LazyLock<HashMap<String, Role>> = LazyLock::new(|| {
+    let files = FileDescriptorSet::decode(DESCRIPTORS).unwrap_or_default().file;
+    let services = files.into_iter().flat_map(|file| {
+        let package = file.package().to_owned();
+        file.service.into_iter().map(move |service| (package.clone(), service))
+    });
+    let methods = services.flat_map(|(package, service)| {
+        let name = service.name().to_owned();
+        service.method.into_iter().map(move |method| {
+            let path = format!("/{package}.{name}/{}", method.name());
+            (path, least(method.name()))
+        })
+    });
+    methods.collect()
+});
+
+fn least(method: &str) -> Role {
+    match READING.iter().any(|word| method.starts_with(word)) {
+        true => Role::Viewer,
+        false => Role::Operator,
+    }
+}
+
+/// Who may call what is at this path; `None` if there is no such method.
+pub fn access(path: &str) -> Option<Access> {
+    if path.starts_with("/grpc.health.v1.") || path.starts_with("/grpc.reflection.") {
+        return Some(Access::Anybody);
+    }
+    METHODS.get(path).map(|role| Access::Least(*role))
+}
+
+/// The path of every method of `flip.v1`.
+pub fn methods() -> impl Iterator<Item = &'static str> {
+    METHODS.keys().map(String::as_str)
+}
+
+/// Whether a method goes on listening while it answers, so that its messages cannot be waited for.
+pub fn listens(path: &str) -> bool {
+    path.ends_with("/ServerReflectionInfo")
+}
+
+/// Whether a method answers with events for as long as they come.
+pub fn streams(path: &str) -> bool {
+    listens(path) || path.rsplit('/').next().is_some_and(|method| method.starts_with("Watch"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_moves_the_arm_needs_an_operator_and_what_is_not_there_has_no_role() {
+        assert_eq!(access("/flip.v1.Weighings/StartWeighing"), Some(Access::Least(Role::Operator)));
+        assert_eq!(access("/flip.v1.Simulators/Predict"), Some(Access::Least(Role::Operator)));
+        assert_eq!(access("/flip.v1.Weighings/GetWeighing"), Some(Access::Least(Role::Viewer)));
+        assert_eq!(access("/grpc.health.v1.Health/Check"), Some(Access::Anybody));
+        assert_eq!(access("/flip.v1.Weighings/Nothing"), None);
+        assert!(METHODS.len() >= 54, "{}", METHODS.len());
+    }
+}

@@ -1,0 +1,72 @@
+//! Answers that grow with all that was ever done, batch by batch, so that no reader and no memory is held for the whole of one.
+
+use super::measurement_csv;
+use super::{App, Error, Result};
+use crate::store::audit::AuditRecord;
+use futures::StreamExt;
+use futures::stream::{self, BoxStream};
+
+/// Where the next batch begins: after this position of this part.
+#[derive(Debug, Clone, Copy)]
+enum Next {
+    Measurements(i64),
+    Observations(i64),
+}
+
+impl App {
+    /// The audit trail, oldest first; of one weighing when named. The first batch may be empty, no other is.
+    pub fn audit_trail(&self, weighing: Option<String>) -> BoxStream<'static, Result<Vec<AuditRecord>>> {
+        let app = self.clone();
+        let next = move |after: Option<i64>| {
+            let (app, weighing) = (app.clone(), weighing.clone());
+            async move { app.trail_after(weighing.as_deref(), after?).await }
+        };
+        stream::unfold(Some(0), next).boxed()
+    }
+
+    /// One batch, and where the next one begins.
+    async fn trail_after(&self, weighing: Option<&str>, after: i64) -> Option<(Result<Vec<AuditRecord>>, Option<i64>)> {
+        let records = self.store().audit_after(weighing, after).await.map_err(Error::from);
+        let last = records.as_ref().ok().and_then(|records| records.last()).map(|last| last.seq);
+        (after == 0 || last.is_some() || records.is_err()).then_some((records, last))
+    }
+
+    /// Everything that was measured, as a file that [`App::import_measurements`] reads; of one powder when named.
+    ///
+    /// # Errors
+    /// `NotFound`
+    pub async fn measured_csv(&self, powder: Option<String>) -> Result<BoxStream<'static, Result<String>>> {
+        if let Some(powder) = &powder {
+            self.existing_powder(powder).await?;
+        }
+        let app = self.clone();
+        let rows = stream::try_unfold(Some(Next::Measurements(0)), move |next| {
+            let (app, powder) = (app.clone(), powder.clone());
+            async move {
+                match next {
+                    Some(next) => app.measured_after(powder.as_deref(), next).await.map(Some),
+                    None => Ok(None),
+                }
+            }
+        });
+        Ok(rows.boxed())
+    }
+
+    /// One batch, and where the next one begins; the first has the header.
+    async fn measured_after(&self, powder: Option<&str>, next: Next) -> Result<(String, Option<Next>)> {
+        let header = measurement_csv::write(&[], &[]).len();
+        Ok(match next {
+            Next::Measurements(after) => {
+                let (found, last) = self.store().measurements_after(powder, after).await?;
+                let next = if found.is_empty() { Next::Observations(0) } else { Next::Measurements(last) };
+                let text = measurement_csv::write(&found, &[]);
+                (text[if after == 0 { 0 } else { header }..].to_owned(), Some(next))
+            }
+            Next::Observations(after) => {
+                let (found, last) = self.store().observations_after(powder, after).await?;
+                let next = (!found.is_empty()).then_some(Next::Observations(last));
+                (measurement_csv::write(&[], &found)[header..].to_owned(), next)
+            }
+        })
+    }
+}
