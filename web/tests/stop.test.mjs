@@ -122,10 +122,21 @@ describe('a stop', () => {
 
 describe('a service that does not answer', () => {
   it('leaves nothing on the page that looks like now', async () => {
+    const weighing = { id: 'a-weighing', powder: 'sand', target_mg: 12, tolerance_lower_mg: 1, tolerance_upper_mg: 1, policy: 'p-1', parameter_set: 'ps-1', seed: 1, state: 'dosing', created_at: '2026-01-02T03:04:05Z' }
+    const ticks = [{ step: 1, t_s: 1, reading: { mass_mg: 3, stable: true }, action: { incline_change_deg: 1, shake_mm: 1 }, pitch_deg: 10 }]
     moving()
-    await chromium.open(page, 'bench')
+    const { does } = front
+    front.does = (request) => (request.path === '/v1/weighings/a-weighing' ? { status: 200, body: { weighing, ticks } } : does(request))
+    await chromium.open(page, 'weighings/a-weighing')
+    const balance = page.getByRole('group', { name: 'Balance', exact: true })
+    await balance.getByText('balance reading').waitFor()
     await stop().waitFor()
     await front.stop()
+    await balance.getByText('from before: no answer now').waitFor()
+    await page.locator('.verdict').getByText('when last heard of').waitFor()
+    await picture(page, 'weighing-old')
+    assert.deepEqual(await accessibilityFaults(page), [])
+    await page.evaluate(() => (location.hash = '#/bench'))
     const lost = page.getByRole('alert').filter({ hasText: 'The service does not answer since' })
     await lost.getByText('what moved may still move: use the wired stop').waitFor()
     await page.getByText('From before: the service does not answer.').waitFor()
