@@ -8,6 +8,22 @@ import { startFront } from './front.mjs'
 
 const BINARY = process.env.FLIP_BIN ?? fileURLToPath(new URL('../../target/release/flip', import.meta.url))
 
+/** An emulated laboratory that lives until it is stopped, and the bench file that finds it. */
+export async function startLab(...more) {
+  const folder = mkdtempSync(join(tmpdir(), 'flip-lab-'))
+  const file = join(folder, 'bench.toml')
+  const child = spawn(BINARY, ['emulate', 'lab', '--json', '--formula', '--out', file, ...more], { stdio: ['ignore', 'pipe', 'inherit'] })
+  const exited = new Promise((resolve) => child.once('exit', resolve))
+  await Promise.race([new Promise((resolve) => child.stdout.once('data', resolve)), exited])
+  if (child.exitCode !== null) throw new Error('flip emulate lab does not begin')
+  const stop = async () => {
+    child.kill('SIGTERM')
+    await exited
+    rmSync(folder, { recursive: true, force: true })
+  }
+  return { file, stop }
+}
+
 /** With these arguments beside those of every test's. */
 export async function startService(...more) {
   if (!existsSync(BINARY)) throw new Error(`no binary at ${BINARY}: run cargo build --release, or set FLIP_BIN`)
