@@ -153,7 +153,8 @@ async fn calibrate(service: &Service) -> anyhow::Result<()> {
 /// Begin a dose, stop it somewhere, and say how long that took, ms; `None` if nothing moved just then.
 async fn one_stop(service: &Service, laboratory: &Laboratory, clock: &Clock, stop: u64) -> anyhow::Result<Option<f64>> {
     let mg = |value: f64| json!({"value": value, "unit": "mg"});
-    let body = json!({"powder": "sand", "target": mg(15.0), "tolerance": {"lower": 1.0, "upper": 1.0, "unit": "mg"}});
+    let tolerance = json!({"lower": 1.0, "upper": 1.0, "unit": "mg"});
+    let body = json!({"powder": "sand", "target": mg(15.0), "tolerance": tolerance, "vial_check": "skip"});
     let weighing = service.post("/v1/weighings", Some(format!("stop-{stop}")), &body).await?;
     let id = weighing["id"].as_str().ok_or_else(|| anyhow::anyhow!("{weighing}"))?.to_owned();
     while !laboratory.arm.is_moving() {
@@ -167,6 +168,8 @@ async fn one_stop(service: &Service, laboratory: &Laboratory, clock: &Clock, sto
     while service.get(&format!("/v1/weighings/{id}")).await?["weighing"]["outcome"].is_null() {
         tokio::time::sleep(Duration::from_millis(2)).await;
     }
+    // A stop holds the bench.
+    service.post("/v1/bench/resume", None, &json!({"by": "the bench of stops"})).await?;
     let log = laboratory.arm.log();
     let stopped = log[seen..].iter().find(|event| event.ended == Some(End::Stopped));
     Ok(stopped.map(|event| (event.at_s - sent_s) / SPEED * 1000.0))

@@ -11,6 +11,7 @@ pub mod pile;
 pub mod powder;
 pub mod seed;
 pub mod timestamp;
+pub mod vial;
 pub mod weighing;
 
 /// What is wrong with one field of an input: which field, what was expected, what to do.

@@ -10,14 +10,17 @@ pub mod counts;
 pub mod current_simulator;
 pub mod evaluations;
 pub mod events;
+pub mod holds;
 pub mod jobs;
 pub mod ledger;
 mod lock;
 pub mod observations;
 mod open;
 pub mod page;
+pub mod pan;
 pub mod parameter_sets;
 pub mod piles;
+mod place;
 pub mod policies;
 pub mod powders;
 mod row;
@@ -29,10 +32,17 @@ pub mod weighings;
 use crate::domain::timestamp::Timestamp;
 use artifacts::Artifacts;
 use lock::DataLock;
+use place::Place;
 use sqlx::{Sqlite, SqliteConnection, SqlitePool, Transaction};
 use std::path::PathBuf;
 use std::sync::Arc;
 use tokio::sync::watch;
+
+/// SQLite's primary result codes (sqlite.org/rescode.html).
+const SQLITE_BUSY: u32 = 5;
+const SQLITE_LOCKED: u32 = 6;
+const SQLITE_IOERR: u32 = 10;
+const SQLITE_FULL: u32 = 13;
 
 /// Why the store did not do what it was asked.
 #[derive(Debug, thiserror::Error)]
@@ -49,6 +59,9 @@ pub enum Error {
     /// The SQLite in this program is older than the one that fixed the reset of the write-ahead log.
     #[error("SQLite {0} is too old: 3.51.3 or newer is needed")]
     Old(String),
+    /// The file that is written is no longer the one at its path.
+    #[error("{0} is no longer the database that is being written: it was moved, removed or replaced")]
+    Gone(PathBuf),
     /// What was read is not what was written.
     #[error("{0}")]
     Corrupt(String),
@@ -70,6 +83,27 @@ impl Error {
     pub fn is_closed(&self) -> bool {
         matches!(self, Self::Database(sqlx::Error::PoolClosed))
     }
+
+    /// What is in the way of a record, and what a person can do about it.
+    pub fn remedy(&self) -> String {
+        match self.sqlite_code() {
+            Some(SQLITE_BUSY | SQLITE_LOCKED) => "another program holds the database: close it there".to_owned(),
+            Some(SQLITE_FULL) => "the disk is full: make room".to_owned(),
+            Some(SQLITE_IOERR) => format!("the disk does not take it ({self}): make room, or mend it"),
+            _ if matches!(self, Self::Database(sqlx::Error::PoolTimedOut)) => {
+                "the database is in use and was not given back in time: close other programs that hold it".to_owned()
+            }
+            _ if matches!(self, Self::Gone(_)) => format!("{self}. Put it back, and start FLIP again"),
+            _ => self.to_string(),
+        }
+    }
+
+    /// SQLite's primary result code, where it is SQLite that says no.
+    fn sqlite_code(&self) -> Option<u32> {
+        let Self::Database(sqlx::Error::Database(error)) = self else { return None };
+        // The low byte of an extended code.
+        error.code()?.parse::<u32>().ok().map(|code| code & 0xff)
+    }
 }
 
 /// What every function of the store returns.
@@ -82,6 +116,8 @@ pub struct Store {
     /// `None` when opened to read only.
     writer: Option<SqlitePool>,
     artifacts: Artifacts,
+    /// Where the database is.
+    place: Place,
     /// Number of the newest event that is committed.
     newest_event: watch::Sender<i64>,
     /// Held until the last clone is gone.
@@ -109,6 +145,14 @@ impl Store {
     /// Connections that read, for statements about the queue library's tables.
     pub(crate) fn reader(&self) -> &SqlitePool {
         &self.reader
+    }
+
+    /// The database is still where it was opened.
+    ///
+    /// # Errors
+    /// [`Error::Gone`]
+    pub(crate) fn is_in_place(&self) -> Result<()> {
+        self.place.check()
     }
 
     /// Artifacts: checkpoints and traces.
@@ -143,8 +187,9 @@ impl Tx {
     /// Make it durable, then wake whoever follows events, and remove files that no row names any more.
     ///
     /// # Errors
-    /// [`Error::Database`]: nothing was written.
+    /// [`Error::Database`], [`Error::Gone`]: nothing was written.
     pub async fn commit(self) -> Result<()> {
+        self.store.place.check()?;
         self.inner.commit().await?;
         if let Some(seq) = self.newest_event {
             self.store.newest_event.send_if_modified(|newest| std::mem::replace(newest, seq.max(*newest)) < seq);

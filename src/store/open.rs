@@ -2,6 +2,7 @@
 
 use super::artifacts::Artifacts;
 use super::lock::DataLock;
+use super::place::Place;
 use super::{Error, Result, Store};
 use sqlx::migrate::Migrator;
 use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
@@ -58,7 +59,8 @@ impl Store {
         let reader = SqlitePoolOptions::new().max_connections(READERS).connect_with(options).await?;
         let newest: i64 = sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM event").fetch_one(&reader).await?;
         let artifacts = Artifacts::in_folder(data_dir.join("blobs"));
-        Ok(Self { reader, writer, artifacts, newest_event: watch::Sender::new(newest), _lock: lock })
+        let place = Place::of(&data_dir.join(DATABASE))?;
+        Ok(Self { reader, writer, artifacts, place, newest_event: watch::Sender::new(newest), _lock: lock })
     }
 }
 

@@ -26,6 +26,7 @@ pub use event::{Decision, Event, Phase};
 pub use result::{Accuracy, Weighed, minimum_weight_mg, repeatability_mg, uncertainty_mg};
 
 use crate::domain::bench::{Action, Reading, Standing, Tare, Tick};
+use crate::domain::vial::PanCheck;
 use crate::domain::weighing::Outcome;
 use crate::hardware::{Bench, DeviceError};
 use crate::policy::{Controller, Episode, Observation, Rules};
@@ -63,6 +64,8 @@ pub struct Settings {
     pub forecast: Option<Forecast>,
     /// What is known of the balance.
     pub accuracy: Accuracy,
+    /// What the display must show before anything moves, where the balance is watched then.
+    pub pan: PanCheck,
 }
 
 impl Settings {
@@ -74,6 +77,7 @@ impl Settings {
         strict: true,
         forecast: Some(Forecast::GENERIC),
         accuracy: Accuracy { repeatability_mg: None, class_pct: 0.1 },
+        pan: PanCheck::NONE,
     };
     /// As an episode of a training goes: nothing is watched, and nothing is forecast.
     pub const EPISODE: Self =
@@ -203,7 +207,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             Ok(Err(Halted::Stopped)) => End::Stopped,
             Ok(Err(Halted::Guard(halt))) => End::of(halt),
             Ok(Err(Halted::Unrecorded)) => {
-                End::Aborted("the record could not be written, so nothing may move: make room for it".to_owned())
+                End::Aborted("the record could not be written, so nothing may move".to_owned())
             }
             // A stop ends the motion under way, which the arm tells as an error: nothing is wrong with it.
             Ok(Err(Halted::Device(_))) if self.stop.load(Ordering::SeqCst) => End::Stopped,
@@ -233,8 +237,13 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         self.tell(&Event::Phase(Phase::Armed))?;
         self.go_on()?;
         if self.settings.stand_s > 0.0 {
-            self.before = Some(self.bench.stand(self.settings.stand_s)?);
+            let before = self.bench.stand(self.settings.stand_s)?;
+            self.before = Some(before);
             self.go_on()?;
+            if let Some(flaw) = self.settings.pan.flaw(before.reading.mass_mg) {
+                self.tell(&Event::Pan(&flaw))?;
+                return Err(Halted::Guard(Halt::Vial(flaw)));
+            }
         }
         self.bench.approach()?;
         self.go_on()?;
