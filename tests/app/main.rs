@@ -1,10 +1,13 @@
 //! The application from outside, on a real database in a temporary folder, with formulas in place of the physics.
 
+mod bench;
 mod calibration;
+mod endings;
 mod harness;
 mod investigation;
 mod ledger;
 mod registry;
 mod simulator;
 mod training;
+mod vials;
 mod weighing;
