@@ -92,6 +92,8 @@ async fn dose(app: &App, powder: &str, target_mg: f64, seed: u64) -> anyhow::Res
         simulator: None,
         conditions: Default::default(),
         asked: Default::default(),
+        vial_check: Default::default(),
+        reservation: None,
     };
     let (weighing, _) = app.start_weighing(request, &format!("{}", uuid::Uuid::now_v7())).await?;
     loop {

@@ -11,6 +11,7 @@
 //! time and ends the program with status 3; called again it goes on from that file. Progress goes to stderr.
 
 use flip::domain::parameters::ParameterSet;
+use flip::domain::vial::PanCheck;
 use flip::domain::weighing::Outcome;
 use flip::jobs::bench::{Pour, Poured, Pouring, simulated};
 use flip::policy::{self, Controller, Dispenser, Fuzzy, Paced, Response, Rules, ScheduledStep};
@@ -212,9 +213,10 @@ fn main() -> anyhow::Result<()> {
         };
         let (controller, balance) = (controller.clone(), settings.balance);
         let (spoon, accuracy, shakes, forecast) = (settings.spoon, Accuracy::default(), None, Forecast::GENERIC);
+        let pan = PanCheck::NONE;
         weigh(
             &pour,
-            &Pouring { order, accuracy, controller, rules, balance, spoon, set: *set, shakes, forecast, seed },
+            &Pouring { order, accuracy, controller, rules, balance, spoon, set: *set, shakes, forecast, seed, pan },
             trace,
         )
     };

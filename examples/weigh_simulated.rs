@@ -26,6 +26,7 @@ fn main() -> anyhow::Result<()> {
     let print = |event: &Event<'_>| {
         match event {
             Event::Phase(phase) => println!("{phase:?}"),
+            Event::Pan(flaw) => println!("{flaw}"),
             Event::Decision(decision) => decision.reason.iter().for_each(|reason| println!("    {reason}")),
             Event::Tick(tick) => println!(
                 "{:>2}  {:5.1} s  pitch {:5.1} deg  shake {:4.1} mm  balance {:5.1} mg",

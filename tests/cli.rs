@@ -568,6 +568,41 @@ fn while_a_server_holds_the_database_writers_exit_2_and_readers_read() {
 }
 
 #[test]
+fn a_latched_bench_of_devices_is_not_cleared_by_a_command_that_has_another_bench() {
+    let folder = tempfile::tempdir().unwrap();
+    expect_status(&flip(folder.path(), &["bench", "status"]), 0);
+    let latch = "INSERT INTO latch (at, reason, bench) VALUES (1, 'a device failed', 'devices')";
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
+        let pool = sqlx::SqlitePool::connect_with(options).await.unwrap();
+        sqlx::query(latch).execute(&pool).await.unwrap();
+        pool.close().await;
+    });
+    let clear = ["bench", "clear", "--by", "Ada", "--looked", "--vial-ready"];
+    let refused = flip(folder.path(), &clear);
+    expect_status(&refused, 2);
+    assert!(stderr(&refused).contains("--bench FILE"), "{}", stderr(&refused));
+    let status = document(&flip(folder.path(), &["bench", "status", "--json"]));
+    assert_eq!((&status["latch"]["reason"], &status["held"]), (&json!("a device failed"), &json!(null)));
+}
+
+#[test]
+fn a_bench_is_reserved_and_released_on_the_command_line_and_only_a_held_one_is_resumed() {
+    let folder = tempfile::tempdir().unwrap();
+    let refused = flip(folder.path(), &["bench", "resume", "--by", "Ada"]);
+    expect_status(&refused, 2);
+    assert!(stderr(&refused).contains("not held"), "{}", stderr(&refused));
+    let reserved =
+        document(&flip(folder.path(), &["bench", "reserve", "--owner", "Ada", "--seconds", "600", "--json"]));
+    let id = reserved["id"].as_str().unwrap();
+    let status = document(&flip(folder.path(), &["bench", "status", "--json"]));
+    assert_eq!(status["reservation"], reserved);
+    expect_status(&flip(folder.path(), &["bench", "release", id]), 0);
+    expect_status(&flip(folder.path(), &["bench", "release", id]), 2);
+}
+
+#[test]
 fn the_first_start_shows_a_token_and_later_ones_none() {
     let folder = tempfile::tempdir().unwrap();
     let first = Service::start(folder.path());

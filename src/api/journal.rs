@@ -56,6 +56,8 @@ fn bench(kind: &str, data: &Value) {
             tracing::warn!(weighing, reason = text("reason"), "the bench is latched until a person has looked");
         }
         "cleared" => tracing::info!(by, note = text("note"), "the bench was cleared"),
+        // Told by the doses that change it.
+        "vial" => {}
         other => tracing::info!(by, weighing, reason = text("reason"), "the bench is {other}"),
     }
 }

@@ -1,14 +1,21 @@
 //! The bench: what it is, whether it may be used, who cleared it, and the record of all that happened on it.
 
 use super::check::Check;
+use super::weighings::latched;
 use super::{App, Error, Result};
 use crate::domain::FieldError;
 use crate::domain::bench::BenchKind;
 use crate::domain::bench_check::{CheckKind, Repeatability, ShakeCalibration};
+use crate::domain::vial::Vial;
+use crate::hardware::DeviceError;
+use crate::jobs::bench::{Bench, Standing, Unwritten};
 use crate::store::audit::{AuditRecord, AuditVerification};
 use crate::store::bench::Latch;
+use crate::store::holds::Held;
 use crate::store::now;
 use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
+use crate::store::pan::Reservation;
+use crate::store::weighings::{Waiting, Weighing};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -22,10 +29,23 @@ pub struct BenchStatus {
     pub kind: Option<BenchKind>,
     /// Devices by role, as they say themselves.
     pub devices: BTreeMap<String, String>,
+    /// Each dose has an empty vial without anybody's help; absent where another process has the bench.
+    pub exchanges_vials: Option<bool>,
     /// Why it may not be used, until a person has cleared it.
     pub latch: Option<Latch>,
+    /// After a stop: nothing begins until a person resumes.
+    pub held: Option<Held>,
     /// The weighing that moves.
     pub moving: Option<String>,
+    /// Weighings that wait, in order.
+    pub waiting: Vec<Waiting>,
+    /// The vial on the pan, as far as it is known.
+    pub vial: Option<Vial>,
+    /// Who has the bench for himself.
+    pub reservation: Option<Reservation>,
+    /// The end of a dose that could not be written down yet: nothing begins before it is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unwritten: Option<Unwritten>,
     /// The newest check of how well the balance repeats.
     pub repeatability: Option<Repeatability>,
 }
@@ -43,6 +63,20 @@ pub struct ClearRequest {
     pub looked: bool,
     /// The vial is empty or new, and the balance will be tared. Must be true.
     pub vial_ready: bool,
+    /// Weighings that wait may begin at once; otherwise the bench is held until a person resumes.
+    #[serde(default)]
+    pub resume: bool,
+}
+
+/// A person lets weighings begin again.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ResumeRequest {
+    /// Who does.
+    pub by: String,
+    /// What was found and done.
+    #[serde(default)]
+    pub note: String,
 }
 
 /// Weighings of one test weight.
@@ -61,41 +95,80 @@ impl App {
     /// # Errors
     /// `Internal`
     pub async fn bench(&self) -> Result<BenchStatus> {
-        let repeatability = self.store().newest_check(CheckKind::Repeatability).await?.map(|it| it.1);
-        let latch = self.store().latch().await?;
-        let (kind, devices, moving) = match &self.inner.jobs {
-            Some(jobs) => (Some(jobs.bench().kind()), jobs.bench().devices(), jobs.bench().moving_weighing()),
-            None => (None, BTreeMap::new(), None),
-        };
-        Ok(BenchStatus { kind, devices, latch, moving, repeatability })
+        if let Some(jobs) = &self.inner.jobs {
+            return Ok(status(jobs.bench()));
+        }
+        let store = self.store();
+        let ended = |it: &Reservation| it.until <= now();
+        Ok(BenchStatus {
+            kind: None,
+            devices: BTreeMap::new(),
+            exchanges_vials: None,
+            latch: store.latch().await?,
+            held: store.held().await?,
+            moving: None,
+            waiting: store.waiting_weighings().await?,
+            vial: store.pan().await?.vial,
+            reservation: store.reservation().await?.filter(|it| !ended(it)),
+            unwritten: None,
+            repeatability: store.newest_check(CheckKind::Repeatability).await?.map(|it| it.1),
+        })
     }
 
-    /// Stop whatever moves on the bench. Not an emergency stop.
+    /// Stop whatever moves on the bench, and let nothing begin until a person resumes. Not an emergency stop.
+    ///
+    /// Nothing is waited for: the stop flag and the hold are set when this returns, the arm is being told, and the record follows when the database lets it.
+    /// `by` is who stops, where that is known.
+    ///
+    /// # Errors
+    /// `Unavailable` when opened to read.
+    pub fn halt(&self, by: Option<&str>) -> Result<BenchStatus> {
+        let bench = self.jobs_or_refuse()?.bench();
+        bench.halt(by);
+        Ok(status(bench))
+    }
+
+    /// The same, if it is this weighing that moves; what is known of it.
+    ///
+    /// # Errors
+    /// `Unavailable` when opened to read.
+    pub fn halt_weighing(&self, id: &str, by: Option<&str>) -> Result<Option<Weighing>> {
+        Ok(self.jobs_or_refuse()?.bench().halt_weighing(id, by))
+    }
+
+    /// As [`App::halt`], by nobody who is known.
     ///
     /// # Errors
     /// `Unavailable` when opened to read.
     pub async fn stop_bench(&self) -> Result<BenchStatus> {
-        if let Some(id) = self.jobs_or_refuse()?.bench().stop_moving() {
-            let mut tx = self.store().write().await?;
-            tx.audit_person(Some(&id), "stop", now()).await?;
-            tx.commit().await?;
+        self.halt(None)
+    }
+
+    /// Let weighings begin again after a stop.
+    ///
+    /// # Errors
+    /// `Invalid`; `Conflict` (`bench_not_held`, `bench_latched`).
+    pub async fn resume_bench(&self, request: ResumeRequest) -> Result<BenchStatus> {
+        let mut check = Check::default();
+        let by = check_person(&mut check, &request.by, &request.note);
+        check.done()?;
+        let bench = self.jobs_or_refuse()?.bench();
+        if let Some(latch) = bench.standing().latch {
+            return Err(latched(&latch));
+        }
+        if !bench.resume(by, &request.note).await? {
+            return Err(Error::conflict("bench_not_held", "the bench is not held: there is nothing to resume"));
         }
         self.bench().await
     }
 
-    /// A person has looked: weighings may go on.
+    /// A person has looked: the bench, or its arm where that alone is latched, may be used again. Where weighings wait it is held, unless they are to begin.
     ///
     /// # Errors
-    /// `Invalid`; `Conflict` (`bench_not_latched`).
+    /// `Invalid`; `Conflict` (`bench_not_latched`, `bench_differs`, `arm_not_recovered`, `ending_unwritten`).
     pub async fn clear_bench(&self, request: ClearRequest) -> Result<BenchStatus> {
         let mut check = Check::default();
-        let by = request.by.trim();
-        if by.is_empty() || by.len() > WORDS_MAX || by.chars().any(char::is_control) {
-            check.refuse("by", "must name the person who looked, in one line".to_owned());
-        }
-        if request.note.len() > WORDS_MAX {
-            check.refuse("note", format!("must be at most {WORDS_MAX} bytes, got {}", request.note.len()));
-        }
+        let by = check_person(&mut check, &request.by, &request.note);
         if !request.looked {
             check.refuse("looked", "must be true: look at spoon, vial and balance first".to_owned());
         }
@@ -103,18 +176,48 @@ impl App {
             check.refuse("vial_ready", "must be true: empty or exchange the vial first".to_owned());
         }
         check.done()?;
-        let jobs = self.jobs_or_refuse()?;
-        if self.store().latch().await?.is_some() {
-            // Before the latch is gone: a bench whose arm cannot move must not look free.
-            jobs.bench().recover(by).await.map_err(|error| Error::conflict("arm_not_recovered", error.to_string()))?;
+        let bench = self.jobs_or_refuse()?.bench();
+        let standing = bench.standing();
+        if let Some(moving) = standing.moving {
+            let advice = format!("weighing {moving} moves: stop it, and look when it has ended");
+            return Err(Error::conflict("bench_not_latched", advice));
         }
-        let mut tx = self.store().write().await?;
-        if tx.clear_latch(by, &request.note, now()).await?.is_none() {
-            return Err(Error::conflict("bench_not_latched", "the bench is not latched: there is nothing to clear"));
+        if let Some(unwritten) = standing.unwritten {
+            let advice =
+                format!("the end of weighing {} is not written down yet: {}", unwritten.weighing, unwritten.why);
+            return Err(Error::conflict("ending_unwritten", advice));
         }
-        tx.commit().await?;
-        jobs.bench().wake();
+        if standing.latch.as_ref().and_then(|latch| latch.bench) == Some(BenchKind::Devices)
+            && bench.kind() != BenchKind::Devices
+        {
+            let advice = "the bench that is latched is made of devices, and this process has another one: its arm would not hear of it. Name the bench's \
+                          file (`flip bench clear --bench FILE`, or `flip serve --bench FILE`)";
+            return Err(Error::conflict("bench_differs", advice));
+        }
+        self.recover(by, standing.latch.is_some()).await?;
+        bench.clear(by, &request.note, request.resume).await?;
         self.bench().await
+    }
+
+    /// Before the latch is gone: a bench whose arm cannot move must not look free. The arm may be latched where the bench is not.
+    async fn recover(&self, by: &str, is_latched: bool) -> Result<()> {
+        let bench = self.jobs_or_refuse()?.bench();
+        let failed = |error: DeviceError| Error::conflict("arm_not_recovered", error.to_string());
+        if bench.arm_latch().await.map_err(failed)?.is_some() {
+            return bench.recover(by).await.map_err(failed);
+        }
+        match (is_latched, bench.kind()) {
+            (true, _) => Ok(()),
+            (false, BenchKind::Devices) => {
+                let advice = "neither the bench nor its arm is latched: there is nothing to clear";
+                Err(Error::conflict("bench_not_latched", advice))
+            }
+            (false, _) => {
+                let advice = "the bench is not latched: there is nothing to clear. If it is an arm that is latched, name the bench's file \
+                              (`flip bench clear --bench FILE`)";
+                Err(Error::conflict("bench_not_latched", advice))
+            }
+        }
     }
 
     /// Keep a check of how well the balance repeats.
@@ -129,6 +232,7 @@ impl App {
         }
         let found = Repeatability::of(readings_mg, readability_mg)?;
         self.keep_check(CheckKind::Repeatability, &found).await?;
+        self.jobs_or_refuse()?.bench().repeats(found.clone());
         Ok(found)
     }
 
@@ -200,6 +304,36 @@ impl App {
         }
         Ok(self.store().verify_audit(hash).await?)
     }
+}
+
+/// What is known of a bench, from memory.
+fn status(bench: &Bench) -> BenchStatus {
+    let Standing { latch, held, waiting, vial, repeatability, reservation, moving, unwritten } = bench.standing();
+    BenchStatus {
+        kind: Some(bench.kind()),
+        devices: bench.devices(),
+        exchanges_vials: Some(bench.kind().exchanges_vials()),
+        latch,
+        held,
+        moving,
+        waiting,
+        vial,
+        reservation,
+        unwritten,
+        repeatability,
+    }
+}
+
+/// The name of who did something, checked with what he says of it.
+pub(super) fn check_person<'a>(check: &mut Check, by: &'a str, note: &str) -> &'a str {
+    let by = by.trim();
+    if by.is_empty() || by.len() > WORDS_MAX || by.chars().any(char::is_control) {
+        check.refuse("by", "must name the person, in one line".to_owned());
+    }
+    if note.len() > WORDS_MAX {
+        check.refuse("note", format!("must be at most {WORDS_MAX} bytes, got {}", note.len()));
+    }
+    by
 }
 
 /// A record as a line of CSV; [`AUDIT_CSV_HEADER`] is the first.

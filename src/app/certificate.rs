@@ -298,7 +298,7 @@ mod tests {
         let (Value::Object(all_fields), Value::Object(fields)) = (&mut all, weighing) else { panic!("objects") };
         all_fields.extend(fields);
         let weighing = serde_json::from_value(all).unwrap();
-        html(&WeighingDetail { weighing, ticks: Vec::new() }, 0, None)
+        html(&WeighingDetail { weighing, ticks: Vec::new(), trace_lost: None }, &Recorded::default())
     }
 
     fn measured(proven: bool) -> Value {

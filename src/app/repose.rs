@@ -45,6 +45,9 @@ pub struct ReposeRequest {
     /// What frames must show.
     #[serde(default)]
     pub limits: Limits,
+    /// The reservation of the bench under which it is asked, `rs-…`, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reservation: Option<String>,
 }
 
 /// A measurement by camera: its job, its piles, and once it has succeeded its angle.
@@ -76,7 +79,7 @@ impl App {
     /// Queue a measurement by camera. `false`: the same one was asked for before, and this is its job.
     ///
     /// # Errors
-    /// `Invalid`; `Conflict` (`no_stand`, `bench_latched`, `calibration_missing`).
+    /// `Invalid`; `Conflict` (`no_stand`, `bench_latched`, `bench_held`, `bench_reserved`, `calibration_missing`).
     pub async fn start_repose(&self, request: ReposeRequest) -> Result<(Job, bool)> {
         let within = |part: &'static str| {
             move |error: FieldError| FieldError::new(format!("{part}.{}", error.field), error.message)
@@ -103,8 +106,17 @@ impl App {
             let advice = "the simulated bench has no gate and no camera: start FLIP with `--bench emulated` or with the file of a bench";
             return Err(Error::conflict("no_stand", advice));
         }
-        if let Some(latch) = self.store().latch().await? {
+        self.check_reservation(request.reservation.as_deref())?;
+        let standing = jobs.bench().standing();
+        if let Some(latch) = standing.latch {
             return Err(latched(&latch));
+        }
+        if let Some(held) = standing.held {
+            let advice = format!(
+                "the bench is held since {}: {}. Resume it first (page, `flip bench resume`, POST /v1/bench/resume)",
+                held.at, held.reason
+            );
+            return Err(Error::conflict("bench_held", advice));
         }
         let set = match bench {
             BenchKind::Devices => None,

@@ -7,6 +7,7 @@ use super::{App, Error, Result};
 use crate::domain::bench::{BenchKind, Tick};
 use crate::domain::conditions::Conditions;
 use crate::domain::seed::derive;
+use crate::domain::vial::VialCheck;
 use crate::domain::weighing::{Asked, OnOverdose, WeighRequest};
 use crate::domain::{FieldError, bounded};
 use crate::jobs::bench::WAITING_MAX;
@@ -53,6 +54,12 @@ pub struct WeighingRequest {
     /// What it is for: lot, vial, operator, air, and what follows an overdose.
     #[serde(default, skip_serializing_if = "Asked::is_nothing")]
     pub asked: Asked,
+    /// Whether somebody has to say that the vial is in (POST /v1/weighings/{id}/vial-ready), where the bench cannot exchange it.
+    #[serde(default, skip_serializing_if = "VialCheck::is_confirm")]
+    pub vial_check: VialCheck,
+    /// The reservation of the bench under which it is asked, `rs-…`, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reservation: Option<String>,
 }
 
 /// A mass with its unit.
@@ -105,6 +112,7 @@ impl App {
         if let Some(first) = self.store().weighing_by_key(idempotency_key).await? {
             return replay(first, &request_sha256, idempotency_key);
         }
+        self.check_reservation(request.reservation.as_deref())?;
         let (request, parameter_set) = self.plan(request).await?;
         let key = idempotency_key.to_owned();
         let intent = Intent { id: new_id(), idempotency_key: key, request_sha256, request, parameter_set };
@@ -116,8 +124,7 @@ impl App {
         let (target_mg, tolerance) = masses(&request)?;
         super::provable::check(target_mg, tolerance, self.jobs_or_refuse()?.bench().readability_mg())?;
         check_asked(&request.asked)?;
-        if request.asked.on_overdose != OnOverdose::Stop && self.jobs_or_refuse()?.bench().kind() == BenchKind::Devices
-        {
+        if request.asked.on_overdose != OnOverdose::Stop && !self.jobs_or_refuse()?.bench().kind().exchanges_vials() {
             let advice = "must be `stop`: this bench cannot exchange vials by itself";
             return Err(FieldError::new("asked.on_overdose", advice).into());
         }
@@ -157,7 +164,7 @@ impl App {
         let set = choose_set(sets, &policy, seed);
         let (tolerance_lower_mg, tolerance_upper_mg) = tolerance;
         let policy = policy.id;
-        let asked = request.asked;
+        let (asked, vial_check) = (request.asked, request.vial_check);
         let request = WeighRequest {
             powder,
             target_mg,
@@ -168,6 +175,7 @@ impl App {
             under,
             patch,
             asked,
+            vial_check,
         };
         Ok((request, set))
     }
@@ -192,7 +200,7 @@ impl App {
         if let Some(first) = tx.weighing_by_key(&intent.idempotency_key).await? {
             return replay(first, &intent.request_sha256, &intent.idempotency_key);
         }
-        if let Some(latch) = tx.latch().await? {
+        if let Some(latch) = bench.standing().latch {
             return Err(latched(&latch));
         }
         if tx.planned_weighings().await? >= WAITING_MAX {
@@ -201,7 +209,7 @@ impl App {
         }
         let weighing = tx.insert_weighing(&intent, now()).await?;
         tx.commit().await?;
-        bench.wake();
+        bench.planned().await;
         Ok((weighing, false))
     }
 
@@ -244,10 +252,21 @@ impl App {
     /// # Errors
     /// `NotFound`; `Conflict` (`weighing_finished`).
     pub async fn stop_weighing(&self, id: &str) -> Result<Weighing> {
-        if let Some(weighing) = self.jobs_or_refuse()?.bench().stop(id).await? {
+        if let Some(weighing) = self.halt_weighing(id, None)? {
             return Ok(weighing);
         }
-        self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
+        if let Some(weighing) = self.jobs_or_refuse()?.bench().stop_waiting(id).await? {
+            return Ok(weighing);
+        }
+        // It may have begun meanwhile.
+        if let Some(weighing) = self.halt_weighing(id, None)? {
+            return Ok(weighing);
+        }
+        let row = self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
+        if row.weighing.outcome.is_none() {
+            // It stands, and its end is about to be written down.
+            return Ok(row.weighing);
+        }
         Err(Error::conflict("weighing_finished", format!("weighing {id} has ended: there is nothing to stop")))
     }
 }

@@ -3,7 +3,7 @@
 use super::Common;
 use super::benches::BenchArguments;
 use super::failure::Failure;
-use crate::app::{App, Options, Who, acting};
+use crate::app::{App, Options, Who, Workers, acting};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// Run `work` with the application open for writing and its workers running; close it whatever happens.
@@ -29,6 +29,15 @@ pub(super) fn with_writer<T>(
     work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
     with_options(common, Options::without_workers(), work)
+}
+
+/// As [`with_writer`], with the bench that a person means.
+pub(super) fn with_idle_bench<T>(
+    common: &Common,
+    bench: &BenchArguments,
+    work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
+) -> Result<T, Failure> {
+    with_options(common, Options { workers: Workers::None, ..bench.options()? }, work)
 }
 
 fn with_options<T>(

@@ -8,7 +8,9 @@ use super::session::with_bench;
 use super::simulator::{SimulatorArguments, words};
 use super::train::require_policy;
 use super::watch::Watch;
-use crate::app::{App, Asked, Error, MeasuredMass, Target, Tolerance, Weighing, WeighingRequest};
+use crate::app::{
+    App, Asked, Error, MeasuredMass, Target, Tolerance, VialCheck, VialReadyRequest, Weighing, WeighingRequest,
+};
 use crate::domain::conditions::{Conditions, Under};
 use crate::domain::weighing::{Outcome, WeighingState};
 use serde::Serialize;
@@ -38,6 +40,9 @@ pub(super) struct Arguments {
     /// Who asks.
     #[arg(long, value_name = "NAME")]
     operator: Option<String>,
+    /// The vial on the pan, by what is written on it: it is empty, and the balance is asked whether that can be. Without it whatever stands there is poured into.
+    #[arg(long, value_name = "TEXT")]
+    vial: Option<String>,
     #[command(flatten)]
     extended: SimulatorArguments,
     #[command(flatten)]
@@ -74,11 +79,46 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let request = request(&arguments.powder, arguments.target_mg, arguments.tolerance_mg);
     let (simulator, conditions) = (arguments.extended.simulator.clone(), arguments.extended.conditions()?);
     let policy = arguments.policy.clone();
-    let asked = Asked { lot: arguments.lot.clone(), operator: arguments.operator.clone(), ..Asked::default() };
-    let request = WeighingRequest { policy, seed: Some(common.seed), simulator, conditions, asked, ..request };
+    let (lot, operator, vial) = (arguments.lot.clone(), arguments.operator.clone(), arguments.vial.clone());
+    let vial_check = if vial.is_some() { VialCheck::Confirm } else { VialCheck::Skip };
+    let asked = Asked { lot, operator, vial, ..Asked::default() };
+    let request =
+        WeighingRequest { policy, seed: Some(common.seed), simulator, conditions, asked, vial_check, ..request };
     // A fresh key: asking on the command line again means another dose.
     let key = uuid::Uuid::now_v7().to_string();
-    let weighing = with_bench(common, &arguments.bench, async |app| weigh(app, &Watch::new(), request, &key).await)?;
+    let weighing = with_bench(common, &arguments.bench, async |app| {
+        look(app, vial_check).await?;
+        weigh(app, &Watch::new(), request, &key).await
+    })?;
+    report(common, weighing)
+}
+
+/// Nothing keeps a dose that is asked for now from beginning; a notice where the vial on the pan is not empty.
+async fn look(app: &App, vial_check: VialCheck) -> Result<(), Failure> {
+    let found = app.bench().await?;
+    let in_the_way = |why: String| Err(Failure::Failed(anyhow::anyhow!(why)));
+    if let Some(held) = &found.held {
+        let advice = "`flip bench resume` lets it go on";
+        return in_the_way(format!("the bench is held since {}: {}. {advice}", held.at, held.reason));
+    }
+    if found.exchanges_vials == Some(true) {
+        return Ok(());
+    }
+    if let Some(first) = found.waiting.first() {
+        let advice = format!("`flip bench vial-ready {}` carries it out", first.id);
+        return in_the_way(format!("weighing {} was asked for before and waits for its vial: {advice}", first.id));
+    }
+    let holds_mg = found.vial.and_then(|vial| vial.holds_mg).filter(|mg| *mg > 0.0 && vial_check == VialCheck::Skip);
+    if let Some(holds_mg) = holds_mg {
+        eprintln!(
+            "flip: the vial on the pan holds {holds_mg:.1} mg unless it was exchanged; --vial NAME asks the balance"
+        );
+    }
+    Ok(())
+}
+
+/// Print how a dose ended.
+pub(super) fn report(common: &Common, weighing: Weighing) -> Result<(), Failure> {
     let document = Document {
         outcome: weighing.outcome,
         powder: weighing.powder,
@@ -111,6 +151,8 @@ pub(super) fn request(powder: &str, target_mg: f64, tolerance_mg: f64) -> Weighi
         simulator: None,
         conditions: Conditions::new(),
         asked: Asked::default(),
+        vial_check: VialCheck::Skip,
+        reservation: None,
     }
 }
 
@@ -127,10 +169,21 @@ pub(super) async fn weigh(app: &App, watch: &Watch, request: WeighingRequest, ke
         }
         started => started.map_err(in_flags)?,
     };
+    ended(app, &weighing.id, &VialReadyRequest::default()).await
+}
+
+/// The dose when it has ended; if it waits for its vial, that is in.
+pub(super) async fn ended(app: &App, id: &str, vial: &VialReadyRequest) -> Result<Weighing, Failure> {
+    let mut said = false;
     loop {
-        let weighing = app.weighing(&weighing.id).await?.weighing;
-        if matches!(weighing.state, WeighingState::Done | WeighingState::Aborted | WeighingState::Unknown) {
-            return Ok(weighing);
+        let weighing = app.weighing(id).await?.weighing;
+        match weighing.state {
+            WeighingState::Done | WeighingState::Aborted | WeighingState::Unknown => return Ok(weighing),
+            WeighingState::AwaitingVial if !said => {
+                app.vial_ready(id, vial.clone()).await?;
+                said = true;
+            }
+            _ => {}
         }
         tokio::time::sleep(LOOK_EVERY).await;
     }

@@ -44,7 +44,7 @@ pub struct Report {
     pub untestable: Vec<UntestableReport>,
     /// Columns that were not judged because they follow from what was measured, in the order of the file.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub left_out: Vec<LeftOut>,
+    pub left_out: Vec<ColumnLeftOut>,
     /// How often as much is found where nothing is wrong: of angles, and of balance readings where there are no angles.
     pub null_check: NullCheck,
     /// What was measured beside the angle, by itself: flow times where there are any, and how far repeats scatter.
@@ -388,7 +388,7 @@ pub struct UntestableReport {
 
 /// A column that is no condition.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct LeftOut {
+pub struct ColumnLeftOut {
     /// Which.
     pub column: String,
     /// Why.

@@ -5,7 +5,7 @@ use super::claim::{Claim, Told};
 use super::effects::{quantity, rounded};
 use super::hypothesis::Cause;
 use super::names;
-use super::report::{Experiment, Finding, Gain, LeftOut, Report, Verdict};
+use super::report::{Experiment, Finding, Gain, ColumnLeftOut, Report, Verdict};
 use super::sizes::{ANGLES, FLOW, moved, size, sizes, whom};
 
 /// The one sentence that a reader sees first.
@@ -218,7 +218,7 @@ fn is_of_levels(mechanism: &str) -> bool {
 }
 
 /// Which columns were left out; nothing where none was.
-pub(super) fn left_out(columns: &[LeftOut]) -> String {
+pub(super) fn left_out(columns: &[ColumnLeftOut]) -> String {
     let names: Vec<String> = columns.iter().map(|it| quantity(&it.column).0).collect();
     match names.as_slice() {
         [] => String::new(),

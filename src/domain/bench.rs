@@ -20,6 +20,11 @@ impl BenchKind {
     pub fn has_devices(self) -> bool {
         self != Self::Simulated
     }
+
+    /// Each dose has an empty vial without anybody's help.
+    pub fn exchanges_vials(self) -> bool {
+        self != Self::Devices
+    }
 }
 
 /// Largest shake amplitude, mm.

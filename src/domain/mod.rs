@@ -14,6 +14,7 @@ pub mod rest;
 pub mod seed;
 pub mod spoon;
 pub mod timestamp;
+pub mod vial;
 pub mod weighing;
 
 /// What is wrong with one field of an input: which field, what was expected, what to do.

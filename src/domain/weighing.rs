@@ -1,6 +1,7 @@
 //! A weighing: what was asked, and how it ended.
 
 use super::conditions::{Patch, Under};
+use super::vial::VialCheck;
 use serde::{Deserialize, Serialize};
 
 /// What a checked request asks for, all masses in mg.
@@ -27,6 +28,9 @@ pub struct WeighRequest {
     /// What else was asked.
     #[serde(default)]
     pub asked: Asked,
+    /// Whether somebody has to say that the vial is in.
+    #[serde(default, skip_serializing_if = "VialCheck::is_confirm")]
+    pub vial_check: VialCheck,
 }
 
 /// What follows an overdose, which nobody can take back.
@@ -145,6 +149,8 @@ pub enum Outcome {
 pub enum WeighingState {
     /// Accepted and stored; waits for the bench.
     Planned,
+    /// It is its turn; waits until somebody says that its vial is in.
+    AwaitingVial,
     /// The bench is about to move.
     Armed,
     /// Powder may be falling.

@@ -92,6 +92,7 @@ impl Laboratory {
             gripper: address(&self.gripper),
             gate: address(&self.gate),
             readings: Readings { noise_mg: balance.noise_mg, ..self.settings.readings },
+            vial: None,
         }
     }
 

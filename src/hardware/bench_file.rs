@@ -16,11 +16,16 @@
 //!
 //! [gripper]                      # that holds the spoon; may be absent
 //! port = "/dev/ttyUSB1"
+//!
+//! [vial]                         # an empty one; may be absent
+//! empty_mg = 12000.0
+//! spread_mg = 150.0
 //! ```
 
 use super::arm::Deadlines;
 use super::balance;
 use crate::domain::spoon::Spoon;
+use crate::domain::vial::EmptyVial;
 use crate::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
@@ -45,6 +50,9 @@ pub struct BenchFile {
     /// How readings are taken.
     #[serde(default)]
     pub readings: Readings,
+    /// What an empty vial weighs. Where the file does not say, FLIP learns it from vials that somebody called empty.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vial: Option<EmptyVial>,
 }
 
 /// Where an arm's driver process listens.
@@ -129,6 +137,7 @@ impl BenchFile {
         bounded("readings.settle_max_s", self.readings.settle_max_s, 0.5, 60.0, "s")?;
         bounded("readings.stand_max_s", self.readings.stand_max_s, 0.5, 120.0, "s")?;
         bounded("readings.life_s", self.readings.life_s, 0.0, 600.0, "s")?;
+        self.vial = self.vial.map(EmptyVial::checked).transpose().map_err(within("vial"))?;
         Ok(self)
     }
 }
@@ -160,6 +169,8 @@ mod tests {
             (format!("{LEAST}[spoon]\ncapacity_mg = -1.0\n"), "spoon.capacity_mg"),
             (format!("{LEAST}[spoon]\nlength_mm = 12.0\n"), "spoon.width_mm"),
             (format!("{LEAST}[readings]\nlife_s = -1.0\n"), "readings.life_s"),
+            (format!("{LEAST}[vial]\nempty_mg = 12000.0\nspread_mg = -1.0\n"), "vial.spread_mg"),
+            (format!("{LEAST}[vial]\nempty_mg = 12000.0\n"), "spread_mg"),
             (format!("{LEAST}[kettle]\n"), "kettle"),
         ] {
             let refused = BenchFile::parse(&text).unwrap_err().to_string();

@@ -5,6 +5,7 @@ use super::context::{JobContext, JobError};
 use super::spec::EvaluationSpec;
 use crate::domain::job::Progress;
 use crate::domain::parameters::ParameterSet;
+use crate::domain::vial::PanCheck;
 use crate::domain::weighing::Outcome;
 use crate::policy::{
     self, Controller, Dispenser, Fuzzy, Kind, Paced, Pid, Policy, Response, Rules, Schedule, ScheduledStep,
@@ -61,6 +62,7 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
                 accuracy: Accuracy::default(),
                 shakes: None,
                 seed,
+                pan: PanCheck::NONE,
             };
             let poured =
                 (context.functions.pour)(&pouring, &mut |_| ControlFlow::Continue(()), &AtomicBool::new(false));

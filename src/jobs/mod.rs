@@ -136,7 +136,7 @@ impl Jobs {
     pub async fn start(store: Store, functions: Functions, workers: Workers) -> store::Result<Self> {
         queue::migrate(&store).await?;
         let simulated = || bench::Apparatus::without_devices(functions.pour.clone());
-        let bench = Bench::new(store.clone(), functions.bench.clone().unwrap_or_else(simulated));
+        let bench = Bench::open(store.clone(), functions.bench.clone().unwrap_or_else(simulated)).await?;
         let shared = Arc::new(Shared {
             store,
             functions,

@@ -19,6 +19,7 @@ use crate::store::piles::{FrameFiles, Pile};
 use crate::store::{self, now};
 use serde::{Deserialize, Serialize};
 use std::sync::PoisonError;
+use std::sync::atomic::Ordering;
 
 /// Piles beyond those asked for that may have no angle before the measurement gives up.
 const SPARE: u32 = 2;
@@ -53,6 +54,10 @@ pub(super) fn perform(context: &JobContext, spec: &ReposeSpec) -> Result<(), Job
             let cause =
                 format!("the bench is latched: {}. Look at it, clear it, and ask for a new measurement", latch.reason);
             return Err(JobError::Fail(cause));
+        }
+        if bench.is_some_and(|bench| bench.held.load(Ordering::SeqCst)) {
+            let cause = "the bench is held after a stop: resume it, and ask for a new measurement";
+            return Err(JobError::Fail(cause.to_owned()));
         }
         let number = piles.len() as u32 + 1;
         let taken = made(context, spec, stand, number, measured.len() as u32);

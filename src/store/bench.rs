@@ -2,6 +2,7 @@
 
 use super::row::{Columns, json, word};
 use super::{Result, Store, Tx};
+use crate::domain::bench::BenchKind;
 use crate::domain::bench_check::CheckKind;
 use crate::domain::timestamp::Timestamp;
 use crate::store::audit::About;
@@ -18,16 +19,21 @@ pub struct Latch {
     pub reason: String,
     /// The weighing that it came from.
     pub weighing: Option<String>,
+    /// What the bench is made of: only a process that has such a bench can clear it. Absent where nobody knows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bench: Option<BenchKind>,
 }
 
 /// Topic of the bench's events.
 pub const BENCH_TOPIC: &str = "bench";
+/// The open latch. One from before its bench was kept has that of its weighing.
+const OPEN: &str = "SELECT at, reason, weighing, coalesce(bench, (SELECT bench FROM weighing WHERE id = latch.weighing)) AS bench \
+                    FROM latch WHERE cleared_at IS NULL";
 
 impl Store {
     /// Why the bench is latched, if it is.
     pub(crate) async fn latch(&self) -> Result<Option<Latch>> {
-        let row = sqlx::query("SELECT * FROM latch WHERE cleared_at IS NULL").fetch_optional(&self.reader).await?;
-        row.as_ref().map(latch).transpose()
+        sqlx::query(OPEN).fetch_optional(&self.reader).await?.as_ref().map(latch).transpose()
     }
 
     /// As [`Store::latch`], on a connection that nobody else waits for.
@@ -45,31 +51,38 @@ impl Store {
 }
 
 impl Tx {
-    /// Latch the bench; where it is latched already the first reason stays.
-    pub(crate) async fn latch_bench(&mut self, reason: &str, weighing: Option<&str>, now: Timestamp) -> Result<()> {
-        let sql = "INSERT INTO latch (at, reason, weighing) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING RETURNING *";
-        let row = sqlx::query(sql).bind(now.unix_ms()).bind(reason).bind(weighing);
-        let Some(row) = row.fetch_optional(&mut *self.inner).await? else { return Ok(()) };
-        let latched = latch(&row)?;
-        self.audit(About { weighing, kind: "latch" }, &latched, now).await?;
-        self.emit(BENCH_TOPIC, "latched", &latched).await
+    /// Latch the bench; where it is latched already the first reason stays. The latch that it now has.
+    pub(crate) async fn latch_bench(&mut self, latched: &Latch) -> Result<Latch> {
+        if let Some(first) = self.latch().await? {
+            return Ok(first);
+        }
+        sqlx::query("INSERT INTO latch (at, reason, weighing, bench) VALUES (?1, ?2, ?3, ?4)")
+            .bind(latched.at.unix_ms())
+            .bind(&latched.reason)
+            .bind(&latched.weighing)
+            .bind(latched.bench.as_ref().map(word))
+            .execute(&mut *self.inner)
+            .await?;
+        self.audit(About { weighing: latched.weighing.as_deref(), kind: "latch" }, latched, latched.at).await?;
+        self.emit(BENCH_TOPIC, "latched", latched).await?;
+        Ok(latched.clone())
     }
 
     /// Why the bench is latched, if it is, seen from inside the transaction.
     pub(crate) async fn latch(&mut self) -> Result<Option<Latch>> {
-        let sql = "SELECT * FROM latch WHERE cleared_at IS NULL";
-        sqlx::query(sql).fetch_optional(&mut *self.inner).await?.as_ref().map(latch).transpose()
+        sqlx::query(OPEN).fetch_optional(&mut *self.inner).await?.as_ref().map(latch).transpose()
     }
 
-    /// A person has looked. `None`: it was not latched.
+    /// A person has looked; what was latched, if anything: an arm may be latched where the bench is not.
     pub(crate) async fn clear_latch(&mut self, by: &str, note: &str, now: Timestamp) -> Result<Option<Latch>> {
-        let sql = "UPDATE latch SET cleared_at = ?1, cleared_by = ?2, note = ?3 WHERE cleared_at IS NULL RETURNING *";
-        let row = sqlx::query(sql).bind(now.unix_ms()).bind(by).bind(note).fetch_optional(&mut *self.inner).await?;
-        let Some(latched) = row.as_ref().map(latch).transpose()? else { return Ok(None) };
+        let latched = self.latch().await?;
+        let sql = "UPDATE latch SET cleared_at = ?1, cleared_by = ?2, note = ?3 WHERE cleared_at IS NULL";
+        sqlx::query(sql).bind(now.unix_ms()).bind(by).bind(note).execute(&mut *self.inner).await?;
         let said = serde_json::json!({ "action": "clear", "by": by, "note": note, "latch": latched });
-        self.audit(About { weighing: latched.weighing.as_deref(), kind: "person" }, &said, now).await?;
+        let weighing = latched.as_ref().and_then(|latch| latch.weighing.as_deref());
+        self.audit(About { weighing, kind: "person" }, &said, now).await?;
         self.emit(BENCH_TOPIC, "cleared", &said).await?;
-        Ok(Some(latched))
+        Ok(latched)
     }
 
     /// Keep a check of the bench.
@@ -82,7 +95,8 @@ impl Tx {
 }
 
 fn latch(row: &SqliteRow) -> Result<Latch> {
-    Ok(Latch { at: row.time("at")?, reason: row.plain("reason")?, weighing: row.plain("weighing")? })
+    let bench = row.plain::<Option<String>>("bench")?.is_some().then(|| row.word("bench")).transpose()?;
+    Ok(Latch { at: row.time("at")?, reason: row.plain("reason")?, weighing: row.plain("weighing")?, bench })
 }
 
 #[cfg(test)]
@@ -95,16 +109,22 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
         let mut tx = store.write().await.unwrap();
-        assert_eq!(tx.clear_latch("nobody", "", now()).await.unwrap(), None);
-        tx.latch_bench("the process ended", Some("w-1"), now()).await.unwrap();
-        tx.latch_bench("again", None, now()).await.unwrap();
+        let first = Latch {
+            at: now(),
+            reason: "the process ended".into(),
+            weighing: Some("w-1".into()),
+            bench: Some(BenchKind::Devices),
+        };
+        let again = Latch { reason: "again".into(), weighing: None, ..first.clone() };
+        assert_eq!(tx.latch_bench(&first).await.unwrap(), first);
+        assert_eq!(tx.latch_bench(&again).await.unwrap(), first);
         tx.commit().await.unwrap();
-        let latched = store.latch().await.unwrap().unwrap();
-        assert_eq!((latched.reason.as_str(), latched.weighing.as_deref()), ("the process ended", Some("w-1")));
+        assert_eq!(store.latch().await.unwrap(), Some(first.clone()));
         let mut tx = store.write().await.unwrap();
-        assert_eq!(tx.clear_latch("Ada", "vial emptied", now()).await.unwrap(), Some(latched));
+        assert_eq!(tx.clear_latch("Ada", "vial emptied", now()).await.unwrap(), Some(first));
+        assert_eq!(tx.clear_latch("Ada", "the arm alone was latched", now()).await.unwrap(), None);
         tx.commit().await.unwrap();
         assert_eq!(store.latch().await.unwrap(), None);
-        assert_eq!(store.verify_audit(None).await.unwrap().records, 2);
+        assert_eq!(store.verify_audit(None).await.unwrap().records, 3);
     }
 }

@@ -13,12 +13,14 @@ mod error;
 pub mod evaluations;
 pub mod events;
 pub mod health;
+pub mod holds;
 pub mod jobs;
 pub mod ledger;
 mod lock;
 pub mod observations;
 mod open;
 pub mod page;
+pub mod pan;
 pub mod parameter_sets;
 pub mod piles;
 mod place;
@@ -97,6 +99,14 @@ impl Store {
         *unwritten = error.filter(|error| !error.is_closed()).map(ToString::to_string);
     }
 
+    /// The database is still where it was opened.
+    ///
+    /// # Errors
+    /// [`Error::Gone`]
+    pub(crate) fn is_in_place(&self) -> Result<()> {
+        self.place.check()
+    }
+
     /// Artifacts: checkpoints and traces.
     pub fn artifacts(&self) -> &Artifacts {
         &self.artifacts
@@ -131,7 +141,7 @@ impl Tx {
     /// Make it durable, then wake whoever follows events, and remove files that no row names any more.
     ///
     /// # Errors
-    /// [`Error::Database`]: nothing was written.
+    /// [`Error::Database`], [`Error::Gone`]: nothing was written.
     pub async fn commit(self) -> Result<()> {
         self.store.place.check()?;
         let committed = self.inner.commit().await.map_err(Error::from);

@@ -6,6 +6,7 @@ use super::{Result, Store, Tx};
 use crate::domain::bench::{BenchKind, Tick};
 use crate::domain::conditions::{Patch, Under};
 use crate::domain::timestamp::Timestamp;
+use crate::domain::vial::VialCheck;
 use crate::domain::weighing::{Asked, MeasuredMass, Outcome, WeighRequest, WeighingState};
 use crate::store::audit::{About, OutcomeRecord};
 use serde::{Deserialize, Serialize};
@@ -40,6 +41,9 @@ pub struct Weighing {
     /// What else was asked.
     #[serde(default, skip_serializing_if = "Asked::is_nothing")]
     pub asked: Asked,
+    /// Whether somebody has to say that its vial is in; absent of `confirm`.
+    #[serde(default, skip_serializing_if = "VialCheck::is_confirm")]
+    pub vial_check: VialCheck,
     /// The bench that was armed for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<BenchKind>,
@@ -68,6 +72,21 @@ pub struct Weighing {
     pub started_at: Option<Timestamp>,
     /// When it ended.
     pub finished_at: Option<Timestamp>,
+}
+
+/// A weighing that waits for the bench.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Waiting {
+    /// Weighing id.
+    pub id: String,
+    /// Powder id.
+    pub powder: String,
+    /// Target mass, mg.
+    pub target_mg: f64,
+    /// The vial that it is for, where it was named.
+    pub vial: Option<String>,
+    /// `planned` or `awaiting_vial`.
+    pub state: WeighingState,
 }
 
 /// A weighing with what callers do not see.
@@ -166,10 +185,28 @@ impl Store {
         Ok(query.fetch_all(&self.reader).await?)
     }
 
-    /// Weighings that wait for the bench.
-    pub(crate) async fn planned_weighing(&self) -> Result<Option<Weighing>> {
-        let sql = "SELECT * FROM weighing WHERE state = 'planned' ORDER BY seq LIMIT 1";
+    /// The weighing whose turn it is next.
+    pub(crate) async fn next_weighing(&self) -> Result<Option<Weighing>> {
+        let sql = "SELECT * FROM weighing WHERE state IN ('planned', 'awaiting_vial') ORDER BY seq LIMIT 1";
         sqlx::query(sql).fetch_optional(&self.reader).await?.as_ref().map(weighing).transpose()
+    }
+
+    /// Weighings that wait for the bench, in order.
+    pub(crate) async fn waiting_weighings(&self) -> Result<Vec<Waiting>> {
+        let sql = "SELECT * FROM weighing WHERE state IN ('planned', 'awaiting_vial') ORDER BY seq";
+        let rows = sqlx::query(sql).fetch_all(&self.reader).await?;
+        let waiting = |row: &SqliteRow| {
+            let Weighing { id, powder, target_mg, asked, state, .. } = weighing(row)?;
+            Ok(Waiting { id, powder, target_mg, vial: asked.vial, state })
+        };
+        rows.iter().map(waiting).collect()
+    }
+
+    /// Weighings that were moving when the process ended: what lies in their vials nobody knows.
+    pub(crate) async fn interrupted_weighings(&self) -> Result<Vec<(String, BenchKind)>> {
+        let sql = "SELECT id, coalesce(bench, 'simulated') AS bench FROM weighing WHERE state IN ('armed', 'dosing', 'settling')";
+        let rows = sqlx::query(sql).fetch_all(&self.reader).await?;
+        rows.iter().map(|row| Ok((row.plain("id")?, row.word("bench")?))).collect()
     }
 }
 
@@ -183,15 +220,15 @@ impl Tx {
 
     /// How many weighings wait for the bench.
     pub(crate) async fn planned_weighings(&mut self) -> Result<i64> {
-        let sql = "SELECT count(*) FROM weighing WHERE state = 'planned'";
+        let sql = "SELECT count(*) FROM weighing WHERE state IN ('planned', 'awaiting_vial')";
         Ok(sqlx::query_scalar(sql).fetch_one(&mut *self.inner).await?)
     }
 
     /// Store an intent.
     pub(crate) async fn insert_weighing(&mut self, intent: &Intent, now: Timestamp) -> Result<Weighing> {
         let sql = "INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, \
-                   tolerance_upper_mg, policy, parameter_set, seed, state, created_at, under, patch, asked) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, 'planned', ?11, ?12, ?13, ?14) RETURNING *";
+                   tolerance_upper_mg, policy, parameter_set, seed, state, created_at, under, patch, asked, vial_check) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, 'planned', ?11, ?12, ?13, ?14, ?15) RETURNING *";
         let request = &intent.request;
         let row = sqlx::query(sql)
             .bind(&intent.id)
@@ -208,6 +245,7 @@ impl Tx {
             .bind(request.under.as_ref().map(json).transpose()?)
             .bind(Some(&request.patch).filter(|patch| !patch.is_none()).map(json).transpose()?)
             .bind(Some(&request.asked).filter(|asked| !asked.is_nothing()).map(json).transpose()?)
+            .bind(word(&request.vial_check))
             .fetch_one(&mut *self.inner)
             .await?;
         let weighing = self.announce_weighing(&row).await?;
@@ -216,15 +254,40 @@ impl Tx {
         Ok(weighing)
     }
 
-    /// The bench is about to move for a weighing. `false`: it waits no longer (stopped before its turn).
-    pub(crate) async fn arm_weighing(&mut self, id: &str, bench: BenchKind, now: Timestamp) -> Result<bool> {
-        let sql = "UPDATE weighing SET state = 'armed', started_at = ?2, bench = ?3 WHERE id = ?1 AND state = 'planned' RETURNING *";
+    /// The bench is about to move for a weighing. `None`: it waits no longer (stopped before its turn).
+    pub(crate) async fn arm_weighing(
+        &mut self,
+        id: &str,
+        bench: BenchKind,
+        now: Timestamp,
+    ) -> Result<Option<Weighing>> {
+        let sql = "UPDATE weighing SET state = 'armed', started_at = ?2, bench = ?3 \
+                   WHERE id = ?1 AND state IN ('planned', 'awaiting_vial') RETURNING *";
         let row =
             sqlx::query(sql).bind(id).bind(now.unix_ms()).bind(word(&bench)).fetch_optional(&mut *self.inner).await?;
-        let Some(row) = row else { return Ok(false) };
-        self.announce_weighing(&row).await?;
+        let Some(row) = row else { return Ok(None) };
+        let weighing = self.announce_weighing(&row).await?;
         self.audit(About { weighing: Some(id), kind: "state" }, &WeighingState::Armed, now).await?;
+        Ok(Some(weighing))
+    }
+
+    /// It is a weighing's turn, and somebody has to say that its vial is in. `false`: it waits no longer, or waits for its vial already.
+    pub(crate) async fn await_vial(&mut self, id: &str, now: Timestamp) -> Result<bool> {
+        let sql = "UPDATE weighing SET state = 'awaiting_vial' WHERE id = ?1 AND state = 'planned' RETURNING *";
+        let Some(row) = sqlx::query(sql).bind(id).fetch_optional(&mut *self.inner).await? else { return Ok(false) };
+        self.announce_weighing(&row).await?;
+        self.audit(About { weighing: Some(id), kind: "state" }, &WeighingState::AwaitingVial, now).await?;
         Ok(true)
+    }
+
+    /// What somebody said about vials holds until the process ends: whoever waited for one waits for his turn again.
+    pub(crate) async fn forget_vials(&mut self, now: Timestamp) -> Result<()> {
+        let sql = "UPDATE weighing SET state = 'planned' WHERE state = 'awaiting_vial' RETURNING *";
+        for row in sqlx::query(sql).fetch_all(&mut *self.inner).await? {
+            let id = self.announce_weighing(&row).await?.id;
+            self.audit(About { weighing: Some(&id), kind: "state" }, &WeighingState::Planned, now).await?;
+        }
+        Ok(())
     }
 
     /// A weighing that moves goes on to its next state; nothing is changed if it is there already.
@@ -248,7 +311,7 @@ impl Tx {
         ending: &Ending,
         now: Timestamp,
     ) -> Result<Option<Weighing>> {
-        let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE id = ?1 AND state = 'planned')";
+        let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE id = ?1 AND state IN ('planned', 'awaiting_vial'))";
         let waits: bool = sqlx::query_scalar(sql).bind(id).fetch_one(&mut *self.inner).await?;
         if waits { self.end_weighing(id, ending, now).await } else { Ok(None) }
     }
@@ -280,13 +343,6 @@ impl Tx {
         Ok(Some(said.weighing))
     }
 
-    /// Weighings that were moving when the process ended: what lies in their vials nobody knows.
-    pub(crate) async fn interrupted_weighings(&mut self) -> Result<Vec<(String, BenchKind)>> {
-        let sql = "SELECT id, coalesce(bench, 'simulated') AS bench FROM weighing WHERE state IN ('armed', 'dosing', 'settling')";
-        let rows = sqlx::query(sql).fetch_all(&mut *self.inner).await?;
-        rows.iter().map(|row| Ok((row.plain("id")?, row.word("bench")?))).collect()
-    }
-
     async fn announce_weighing(&mut self, row: &SqliteRow) -> Result<Weighing> {
         let weighing = weighing(row)?;
         self.emit(&weighing_topic(&weighing.id), "state", &weighing).await?;
@@ -316,6 +372,12 @@ fn weighing(row: &SqliteRow) -> Result<Weighing> {
         under: row.maybe_json("under")?,
         patch: row.maybe_json("patch")?.unwrap_or_default(),
         asked: row.maybe_json("asked")?.unwrap_or_default(),
+        vial_check: row
+            .plain::<Option<String>>("vial_check")?
+            .is_some()
+            .then(|| row.word("vial_check"))
+            .transpose()?
+            .unwrap_or_default(),
         bench: row.plain::<Option<String>>("bench")?.is_some().then(|| row.word("bench")).transpose()?,
         state: row.word("state")?,
         outcome: row.plain::<Option<String>>("outcome")?.is_some().then(|| row.word("outcome")).transpose()?,

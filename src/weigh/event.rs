@@ -2,6 +2,7 @@
 
 use super::guard::{Allowed, Halt};
 use crate::domain::bench::{Action, Tick};
+use crate::domain::vial::VialFlaw;
 use serde::Serialize;
 
 /// Where a weighing has come to.
@@ -34,6 +35,8 @@ pub struct Decision {
 pub enum Event<'a> {
     /// A phase begins.
     Phase(Phase),
+    /// Nothing is poured into what stands on the pan.
+    Pan(&'a VialFlaw),
     /// The guard decided.
     Decision(&'a Decision),
     /// A step was carried out and its reading is known.

@@ -6,6 +6,7 @@
 use super::forecast::{Fall, Forecast};
 use super::silence::Silence;
 use crate::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, PitchLimits, Reading, SHAKE_MM_MAX, SHAKE_MM_MIN};
+use crate::domain::vial::VialFlaw;
 use serde::Serialize;
 
 /// So near to its upper limit the pitch is at its end, degrees.
@@ -142,6 +143,9 @@ pub enum Cut {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, thiserror::Error)]
 #[serde(rename_all = "snake_case")]
 pub enum Halt {
+    /// What stands on the pan is not the vial that somebody said it is.
+    #[error("{0}")]
+    Vial(VialFlaw),
     /// The balance shows the target or more: nothing may be added.
     #[error("the balance shows the target")]
     TargetReached,

@@ -29,6 +29,7 @@ pub use event::{Decision, Event, Phase};
 pub use result::{Accuracy, Weighed, minimum_weight_mg, repeatability_mg};
 
 use crate::domain::bench::{Action, Reach, Reading, Standing, Tare, Tick};
+use crate::domain::vial::PanCheck;
 use crate::domain::weighing::Outcome;
 use crate::hardware::{Bench, DeviceError};
 use crate::policy::{Controller, Episode, Observation, Rules};
@@ -72,6 +73,8 @@ pub struct Settings {
     pub forecast: Option<Forecast>,
     /// What is known of the balance.
     pub accuracy: Accuracy,
+    /// What the display must show before anything moves, where the balance is watched then.
+    pub pan: PanCheck,
 }
 
 impl Settings {
@@ -85,6 +88,7 @@ impl Settings {
         strict: true,
         forecast: Some(Forecast::GENERIC),
         accuracy: Accuracy { repeatability_mg: None, class_pct: 0.1 },
+        pan: PanCheck::NONE,
     };
     /// As an episode of a training goes: nothing is watched, and nothing is forecast.
     pub const EPISODE: Self = Self {
@@ -231,7 +235,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             Ok(Err(Halted::Stopped)) => End::Stopped,
             Ok(Err(Halted::Guard(halt))) => End::of(halt),
             Ok(Err(Halted::Unrecorded)) => {
-                End::Aborted("the record could not be written, so nothing may move: make room for it".to_owned())
+                End::Aborted("the record could not be written, so nothing may move".to_owned())
             }
             // A stop ends the motion under way, which the arm tells as an error: nothing is wrong with it.
             Ok(Err(Halted::Device(_))) if self.stop.load(Ordering::SeqCst) => End::Stopped,
@@ -262,8 +266,13 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         self.go_on()?;
         let mut before = None;
         if self.settings.stand_s > 0.0 {
-            before = Some(self.bench.stand(self.settings.stand_s)?.rest);
+            let standing = self.bench.stand(self.settings.stand_s)?;
+            before = Some(standing.rest);
             self.go_on()?;
+            if let Some(flaw) = self.settings.pan.flaw(standing.reading.mass_mg) {
+                self.tell(&Event::Pan(&flaw))?;
+                return Err(Halted::Guard(Halt::Vial(flaw)));
+            }
         }
         self.bench.approach()?;
         self.go_on()?;

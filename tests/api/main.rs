@@ -5,6 +5,7 @@ mod comparison;
 mod document;
 mod grpc;
 mod harness;
+mod hold;
 mod investigations;
 mod measurements;
 mod protocol;

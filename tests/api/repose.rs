@@ -246,6 +246,12 @@ async fn a_stop_at_the_bench_and_a_cancelled_measurement_find_the_gate_closed() 
         let found = until(&service, &place, has_ended).await;
         assert_eq!(found["job"]["state"], state, "{found}");
         assert_eq!((laboratory.slide.opening(), &found["piles"]), (0.0, &json!([])));
+        if end == "/v1/bench/stop" {
+            let refused = problem(post(&service, MEASUREMENTS, &asked).await, 409).await;
+            assert_eq!(refused["type"], "urn:flip:problem:bench-held");
+            let resumed = post(&service, "/v1/bench/resume", &json!({ "by": "the test" })).await;
+            assert!(resumed.status().is_success());
+        }
     }
     service.stop().await;
 }

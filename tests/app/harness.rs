@@ -172,5 +172,7 @@ pub fn mg(powder: &str, value: f64) -> WeighingRequest {
         simulator: None,
         conditions: Default::default(),
         asked: Default::default(),
+        vial_check: Default::default(),
+        reservation: None,
     }
 }

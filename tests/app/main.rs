@@ -1,6 +1,8 @@
 //! The application from outside, on a real database in a temporary folder, with formulas in place of the physics.
 
+mod bench;
 mod calibration;
+mod endings;
 mod harness;
 mod investigation;
 mod ledger;
@@ -8,4 +10,5 @@ mod limits;
 mod registry;
 mod simulator;
 mod training;
+mod vials;
 mod weighing;

@@ -12,7 +12,7 @@ use futures::future::join_all;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 
-async fn done(app: &App, id: &str) -> Weighing {
+pub async fn done(app: &App, id: &str) -> Weighing {
     let mut events = app.events(Topic::Weighing(id.into()), 0).await.unwrap();
     let drained = async { while events.next().await.is_some() {} };
     tokio::time::timeout(crate::harness::PATIENCE, drained).await.expect("the weighing ends in time");
@@ -21,14 +21,14 @@ async fn done(app: &App, id: &str) -> Weighing {
 
 /// A bench that holds its breath until it is told to go on, and counts its pours.
 #[derive(Default)]
-struct Gate {
+pub struct Gate {
     open: Mutex<bool>,
     opened: Condvar,
-    pours: AtomicUsize,
+    pub pours: AtomicUsize,
 }
 
 impl Gate {
-    fn functions(self: &Arc<Self>) -> Functions {
+    pub fn functions(self: &Arc<Self>) -> Functions {
         let gate = self.clone();
         Functions {
             pour: Arc::new(move |pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
@@ -45,7 +45,7 @@ impl Gate {
         }
     }
 
-    fn open(&self) {
+    pub fn open(&self) {
         *self.open.lock().unwrap() = true;
         self.opened.notify_all();
     }
@@ -136,7 +136,9 @@ async fn a_stop_ends_a_waiting_weighing_at_once_and_a_moving_one_at_its_next_tic
     until("the first moves", async || gate.pours.load(Ordering::SeqCst) == 1).await;
     let stopped = app.stop_weighing(&waiting).await.unwrap();
     assert_eq!((stopped.state, stopped.outcome), (WeighingState::Aborted, Some(Outcome::Stopped)));
+    assert_eq!(app.bench().await.unwrap().held, None, "what did not move needs nobody to look");
     app.stop_weighing(&moving).await.unwrap();
+    assert!(app.bench().await.unwrap().held.is_some());
     let stopped = done(&app, &moving).await;
     assert_eq!((stopped.state, stopped.outcome), (WeighingState::Aborted, Some(Outcome::Stopped)));
     assert!(matches!(app.stop_weighing(&moving).await, Err(Error::Conflict { code: "weighing_finished", .. })));

@@ -35,6 +35,8 @@ impl Record {
     pub fn hear(&mut self, event: &Event<'_>, vial_mg: f64) {
         self.entries.push(match event {
             Event::Phase(phase) => Entry::Phase(*phase),
+            // No dose of these is compared with one before.
+            Event::Pan(_) => return,
             Event::Decision(decision) => {
                 Entry::Decision { allowed: decision.allowed, reading_mg: self.reading_mg, vial_mg }
             }

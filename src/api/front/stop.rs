@@ -27,7 +27,11 @@ const MESSAGE_BYTES_MAX: usize = 4096;
 pub fn router(app: App) -> Router {
     let bodyless = rest::stops(app.clone()).merge(grpc::bench_stop(app.clone()));
     let named = grpc::weighing_stop(app).route_layer(from_fn(message));
-    let stops = bodyless.merge(named).route_layer(from_fn(auth::on_behalf)).route_layer(from_fn(own_thread)).route_layer(from_fn(permit));
+    let stops = bodyless
+        .merge(named)
+        .route_layer(from_fn(auth::on_behalf))
+        .route_layer(from_fn(own_thread))
+        .route_layer(from_fn(permit));
     stops.method_not_allowed_fallback(async || Problem::method_not_allowed())
 }
 

@@ -3,7 +3,7 @@
 use super::convert::{all, page};
 use super::proto::*;
 use super::{Service, clear, read, write};
-use crate::app::{ClearRequest, RepeatabilityRequest};
+use crate::app::{self, ClearRequest, RepeatabilityRequest, ResumeRequest};
 use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
@@ -19,9 +19,24 @@ impl bench_server::Bench for Service {
     }
 
     async fn clear_bench(&self, request: Request<ClearBenchRequest>) -> Result<Response<BenchStatus>, Status> {
-        let ClearBenchRequest { by, note, looked, vial_ready } = clear(request)?;
-        let cleared = self.app.clear_bench(ClearRequest { by, note, looked, vial_ready }).await?;
+        let ClearBenchRequest { by, note, looked, vial_ready, resume } = clear(request)?;
+        let cleared = self.app.clear_bench(ClearRequest { by, note, looked, vial_ready, resume }).await?;
         Ok(Response::new(cleared.into()))
+    }
+
+    async fn resume_bench(&self, request: Request<ResumeBenchRequest>) -> Result<Response<BenchStatus>, Status> {
+        let ResumeBenchRequest { by, note } = write(request)?;
+        Ok(Response::new(self.app.resume_bench(ResumeRequest { by, note }).await?.into()))
+    }
+
+    async fn reserve_bench(&self, request: Request<ReserveBenchRequest>) -> Result<Response<Reservation>, Status> {
+        let ReserveBenchRequest { owner, seconds, id } = write(request)?;
+        Ok(Response::new(self.app.reserve_bench(app::ReservationRequest { owner, seconds, id }).await?.into()))
+    }
+
+    async fn release_bench(&self, request: Request<ReleaseBenchRequest>) -> Result<Response<BenchStatus>, Status> {
+        self.app.release_bench(&write(request)?.id).await?;
+        Ok(Response::new(self.app.bench().await?.into()))
     }
 
     async fn check_repeatability(

@@ -40,7 +40,8 @@ same_names! {
     JobKind = JobKind { Calibration Training Evaluation Investigation Repose }
     JobState = JobState { Queued Running Succeeded Failed Cancelled }
     Outcome = Outcome { Within Under Over NotStable Blocked Stopped Aborted Unknown }
-    WeighingState = WeighingState { Planned Armed Dosing Settling Done Aborted Unknown }
+    WeighingState = WeighingState { Planned AwaitingVial Armed Dosing Settling Done Aborted Unknown }
+    app::VialCheck = VialCheck { Confirm Skip }
     app::CalibrationMethod = CalibrationMethod { Emulator Paper Sequential }
     app::DateOrder = DateOrder { DayFirst MonthFirst }
     app::TrialPhase = TrialPhase { Search Verification }
@@ -225,6 +226,7 @@ same_fields! {
         under: w.under.map(Into::into),
         asked: (!w.asked.is_nothing()).then(|| w.asked.into()),
         measured: w.measured.map(Into::into),
+        vial_check: proto::VialCheck::from(w.vial_check).into(),
         state: proto::WeighingState::from(w.state).into(),
         outcome: w.outcome.map(|outcome| proto::Outcome::from(outcome).into()),
         created_at: at(w.created_at),
@@ -245,8 +247,29 @@ same_fields! {
     }
     l: app::Latch => Latch { reason weighing } {
         at: at(l.at),
+        bench: l.bench.map(bench_kind),
     }
-    b: app::BenchStatus => BenchStatus { moving } {
+    h: app::Held => Held { reason by } {
+        at: at(h.at),
+    }
+    w: app::Waiting => WaitingWeighing { id powder target_mg vial } {
+        state: proto::WeighingState::from(w.state).into(),
+    }
+    v: app::Vial => Vial { name weighing holds_mg } {
+        since: at(v.since),
+    }
+    r: app::Reservation => Reservation { id owner } {
+        until: at(r.until),
+    }
+    u: app::Unwritten => UnwrittenEnd { weighing why } {
+        since: at(u.since),
+    }
+    b: app::BenchStatus => BenchStatus { moving exchanges_vials } {
+        held: b.held.map(Into::into),
+        waiting: all(b.waiting),
+        vial: b.vial.map(Into::into),
+        reservation: b.reservation.map(Into::into),
+        unwritten: b.unwritten.map(Into::into),
         kind: b.kind.map(bench_kind),
         devices: b.devices.into_iter().collect(),
         latch: b.latch.map(Into::into),

@@ -14,13 +14,15 @@ impl repose_measurements_server::ReposeMeasurements for Service {
         &self,
         request: Request<StartReposeMeasurementRequest>,
     ) -> Result<Response<StartJobResponse>, Status> {
-        let StartReposeMeasurementRequest { powder, run, procedure_json, rig_json, limits_json } = write(request)?;
+        let StartReposeMeasurementRequest { powder, run, procedure_json, rig_json, limits_json, reservation } =
+            write(request)?;
         let request = ReposeRequest {
             powder,
             run,
             procedure: written("procedure_json", procedure_json)?,
             rig: written("rig_json", rig_json)?,
             limits: written("limits_json", limits_json)?,
+            reservation,
         };
         Ok(Response::new(self.app.start_repose(request).await?.into()))
     }

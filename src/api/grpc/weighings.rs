@@ -16,6 +16,7 @@ impl weighings_server::Weighings for Service {
         request: Request<StartWeighingRequest>,
     ) -> Result<Response<StartWeighingResponse>, Status> {
         let asked = write(request)?;
+        let vial_check = Option::<app::VialCheck>::from(asked.vial_check()).unwrap_or_default();
         let request = WeighingRequest {
             powder: asked.powder,
             target: target(asked.target)?,
@@ -24,6 +25,8 @@ impl weighings_server::Weighings for Service {
             seed: asked.seed,
             simulator: asked.simulator,
             conditions: conditions(asked.conditions),
+            vial_check,
+            reservation: asked.reservation,
             asked: asked.asked.map(purpose).unwrap_or_default(),
         };
         let (weighing, replayed) = self.app.start_weighing(request, &asked.idempotency_key).await?;
@@ -44,6 +47,11 @@ impl weighings_server::Weighings for Service {
 
     async fn stop_weighing(&self, request: Request<StopWeighingRequest>) -> Result<Response<Weighing>, Status> {
         Ok(Response::new(self.app.stop_weighing(&write(request)?.id).await?.into()))
+    }
+
+    async fn vial_ready(&self, request: Request<VialReadyRequest>) -> Result<Response<Weighing>, Status> {
+        let VialReadyRequest { id, by, vial } = write(request)?;
+        Ok(Response::new(self.app.vial_ready(&id, app::VialReadyRequest { by, vial }).await?.into()))
     }
 
     type WatchWeighingStream = EventStream;

@@ -6,7 +6,7 @@ use super::list::{ListParams, respond};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::{App, certificate};
-use crate::app::{Page, Weighing, WeighingDetail, WeighingRequest};
+use crate::app::{Page, VialReadyRequest, Weighing, WeighingDetail, WeighingRequest};
 use crate::domain::bench::Tick;
 use axum::Json;
 use axum::extract::{OriginalUri, State};
@@ -36,7 +36,7 @@ pub async fn list_weighings(
         (status = 202, description = "Planned, or the weighing that the key made before", body = Weighing, headers(
             ("Location" = String, description = "Where the weighing is"),
             ("Idempotency-Replayed" = String, description = "`true` if the key was used before"))),
-        (status = 409, description = "64 weighings wait already, or a calibration or policy is missing", body = Problem,
+        (status = 409, description = "64 weighings wait already, the bench is latched or reserved, or a calibration or policy is missing", body = Problem,
             content_type = "application/problem+json"),
         (status = 422, description = "The key belongs to another request", body = Problem,
             content_type = "application/problem+json")))]
@@ -114,9 +114,28 @@ pub async fn get_certificate(_: Viewer, State(app): State<App>, Path(id): Path<S
     Ok(([(header::CONTENT_SECURITY_POLICY, certificate::POLICY)], Html(page)).into_response())
 }
 
+/// Say that the vial of a weighing is in, and empty.
+///
+/// Where the bench cannot exchange vials, the weighing whose turn it is waits for that in the state `awaiting_vial`. The balance is asked too: a vial that was
+/// poured into before, or weighs more than an empty one, is refused before anything moves. What was said holds until a stop, a latch or a restart.
+#[utoipa::path(post, path = "/v1/weighings/{id}/vial-ready", tag = "weighings", request_body = VialReadyRequest,
+    params(("id" = String, Path, description = "Weighing id")),
+    responses((status = 200, description = "The weighing, which is about to begin", body = Weighing),
+        (status = 409, description = "It is not its turn, another vial was named, or it has ended", body = Problem,
+            content_type = "application/problem+json")))]
+pub async fn vial_ready(
+    _: Operator,
+    State(app): State<App>,
+    Path(id): Path<String>,
+    Input(request): Input<VialReadyRequest>,
+) -> Result<Json<Weighing>, Problem> {
+    Ok(Json(app.vial_ready(&id, request).await?))
+}
+
 /// Stop a weighing and level the spoon.
 ///
-/// At once when it waits; when it runs the arm is told at once, before anything is written down. Not an emergency stop: that one is wired.
+/// At once when it waits; when it runs the arm is told at once, before anything is written down, and the bench is held until a person resumes. Not an emergency
+/// stop: that one is wired.
 #[utoipa::path(post, path = "/v1/weighings/{id}/stop", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 202, description = "The weighing, stopping or stopped", body = Weighing),

@@ -5,7 +5,7 @@ use crate::discover::numerics::{Dependence, Varied};
 use crate::discover::reading::{ColumnRead, FileRead, LeftOut, NamedPowder, TakenAs};
 use crate::discover::report::{
     CauseReport, Channel, Coverage, Curve, Detectable, Evidence, Experiment, Finding, FormClass, Gain, HeldOut,
-    LeftOut, LogScore, NullCheck, Numerics, ParameterReport, PowderEffect, Row, SCHEMA_VERSION, SimulatorVersions,
+    ColumnLeftOut, LogScore, NullCheck, Numerics, ParameterReport, PowderEffect, Row, SCHEMA_VERSION, SimulatorVersions,
     Unexplained, UntestableReport, Verdict, WeighingGain,
 };
 use crate::discover::{FitSet, Report};
@@ -120,7 +120,7 @@ fn full(verdict: Verdict, word: &str) -> Report {
             },
         ],
         untestable: vec![UntestableReport { mechanism: owned(), reason: owned() }],
-        left_out: vec![LeftOut { column: owned(), reason: owned() }],
+        left_out: vec![ColumnLeftOut { column: owned(), reason: owned() }],
         null_check: NullCheck { campaigns: 499, statistic: 9.5, threshold95: 3.1 },
         curves: vec![
             Curve {

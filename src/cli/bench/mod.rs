@@ -9,6 +9,7 @@ mod roofline;
 mod shakes;
 mod sim;
 mod text;
+mod turns;
 mod upkeep;
 
 use super::Common;
@@ -32,8 +33,16 @@ pub(super) struct Arguments {
 enum What {
     /// What the bench is, whether it may be used, and how well its balance repeats; also while a server runs.
     Status,
-    /// A person has looked at a latched bench: weighings may go on.
+    /// A person has looked at a latched bench, or at one whose arm is latched: weighings may go on.
     Clear(upkeep::ClearArguments),
+    /// Let weighings begin again after a stop.
+    Resume(upkeep::ResumeArguments),
+    /// Have the bench for oneself for a while.
+    Reserve(turns::ReserveArguments),
+    /// Give the bench back before the reservation ends.
+    Release(turns::ReleaseArguments),
+    /// Say that the vial of the weighing whose turn it is is in, and wait until the dose has ended.
+    VialReady(turns::VialReadyArguments),
     /// Find out which balance is plugged in.
     Probe(probe::Arguments),
     /// A dry test of every device of a bench file.
@@ -74,6 +83,10 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     match &arguments.what {
         What::Status => upkeep::status(common),
         What::Clear(arguments) => upkeep::clear(common, arguments),
+        What::Resume(arguments) => upkeep::resume(common, arguments),
+        What::Reserve(arguments) => turns::reserve(common, arguments),
+        What::Release(arguments) => turns::release(common, arguments),
+        What::VialReady(arguments) => turns::vial_ready(common, arguments),
         What::Repeatability(arguments) => upkeep::repeatability(common, arguments),
         What::Probe(arguments) => probe::run(common, arguments),
         What::Check(arguments) => check::run(common, arguments),

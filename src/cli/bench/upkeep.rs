@@ -1,9 +1,10 @@
-//! `flip bench status|clear|repeatability`: what a person does to a bench.
+//! `flip bench status|clear|resume|repeatability`: what a person does to a bench.
 
 use super::super::Common;
+use super::super::benches::BenchArguments;
 use super::super::failure::Failure;
-use super::super::session::{with_reader, with_writer};
-use crate::app::{BenchStatus, ClearRequest, RepeatabilityRequest};
+use super::super::session::{with_idle_bench, with_reader, with_writer};
+use crate::app::{BenchStatus, ClearRequest, RepeatabilityRequest, ResumeRequest};
 use crate::domain::bench::BenchKind;
 
 /// Arguments of `flip bench clear`.
@@ -21,6 +22,23 @@ pub(in super::super) struct ClearArguments {
     /// The vial is empty or new, and the balance will be tared.
     #[arg(long)]
     vial_ready: bool,
+    /// Weighings that wait may begin at the next start; otherwise the bench is held.
+    #[arg(long)]
+    resume: bool,
+    /// A bench of devices needs its file, so that its arm hears of it.
+    #[command(flatten)]
+    bench: BenchArguments,
+}
+
+/// Arguments of `flip bench resume`.
+#[derive(Debug, clap::Args)]
+pub(in super::super) struct ResumeArguments {
+    /// Who lets weighings begin again.
+    #[arg(long, value_name = "NAME")]
+    by: String,
+    /// What was found and done.
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    note: String,
 }
 
 /// Arguments of `flip bench repeatability`.
@@ -42,9 +60,17 @@ pub(in super::super) fn status(common: &Common) -> Result<(), Failure> {
 
 /// A person has looked: weighings may go on.
 pub(in super::super) fn clear(common: &Common, arguments: &ClearArguments) -> Result<(), Failure> {
-    let ClearArguments { by, note, looked, vial_ready } = arguments;
-    let request = ClearRequest { by: by.clone(), note: note.clone(), looked: *looked, vial_ready: *vial_ready };
-    let found = with_writer(common, async |app| Ok(app.clear_bench(request).await?))?;
+    let ClearArguments { by, note, looked, vial_ready, resume, bench } = arguments;
+    let (looked, vial_ready, resume) = (*looked, *vial_ready, *resume);
+    let request = ClearRequest { by: by.clone(), note: note.clone(), looked, vial_ready, resume };
+    let found = with_idle_bench(common, bench, async |app| Ok(app.clear_bench(request).await?))?;
+    common.print(&found, || text(&found))
+}
+
+/// Let weighings begin again after a stop.
+pub(in super::super) fn resume(common: &Common, arguments: &ResumeArguments) -> Result<(), Failure> {
+    let request = ResumeRequest { by: arguments.by.clone(), note: arguments.note.clone() };
+    let found = with_writer(common, async |app| Ok(app.resume_bench(request).await?))?;
     common.print(&found, || text(&found))
 }
 
@@ -76,10 +102,23 @@ fn kind(found: &BenchStatus) -> &'static str {
 fn text(found: &BenchStatus) -> String {
     let mut lines = vec![format!("bench      {}", kind(found))];
     lines.extend(found.devices.iter().map(|(role, name)| format!("{role:<10} {name}")));
-    lines.push(match &found.latch {
-        Some(latch) => format!("latched    since {}: {}", latch.at, latch.reason),
-        None => "free       weighings may be made".to_owned(),
+    lines.push(match (&found.latch, &found.held) {
+        (Some(latch), _) => format!("latched    since {}: {}", latch.at, latch.reason),
+        (None, Some(held)) => format!("held       since {}: {}", held.at, held.reason),
+        (None, None) => "free       weighings may be made".to_owned(),
     });
+    lines.extend(found.waiting.iter().map(|it| {
+        let vial = it.vial.as_ref().map_or_else(String::new, |vial| format!(" into vial {vial}"));
+        format!("waits      {} {:.1} mg of {}{vial}", it.id, it.target_mg, it.powder)
+    }));
+    lines.extend(found.vial.iter().map(|vial| {
+        let name = vial.name.as_deref().unwrap_or("of no name");
+        let holds = vial.holds_mg.map_or_else(|| "an unknown mass".to_owned(), |mg| format!("{mg:.1} mg"));
+        format!("vial       {name}, {holds} in it, last by weighing {}", vial.weighing)
+    }));
+    lines.extend(
+        found.reservation.iter().map(|it| format!("reserved   for {} until {}, {}", it.owner, it.until, it.id)),
+    );
     lines.extend(found.moving.iter().map(|id| format!("moving     {id}")));
     lines.extend(found.repeatability.iter().map(|check| format!("repeats    SD {:.3} mg", check.sd_mg)));
     lines.join("\n")

@@ -28,7 +28,7 @@ mod words;
 
 use super::campaign::{Campaign, Covariate, Quantity, Values};
 use super::hypothesis::has_mechanism;
-use super::report::LeftOut;
+use super::report::ColumnLeftOut;
 use crate::stats::summary::mean;
 use nalgebra::{DMatrix, DVector};
 use std::collections::{BTreeMap, BTreeSet};
@@ -88,18 +88,18 @@ struct Course {
 }
 
 /// The campaign without the columns that follow from what it measures, and these with why.
-pub(super) fn without(campaign: &Campaign) -> (Campaign, Vec<LeftOut>) {
+pub(super) fn without(campaign: &Campaign) -> (Campaign, Vec<ColumnLeftOut>) {
     let rows = rows(campaign);
     let asked: Vec<&Covariate> = campaign.covariates.iter().filter(|it| is_asked(&it.name)).collect();
-    let mut left_out: Vec<LeftOut> = asked.iter().filter_map(|it| follows(campaign, &rows, it)).collect();
-    let is_out = |left_out: &[LeftOut], name: &str| left_out.iter().any(|it| it.column == name);
+    let mut left_out: Vec<ColumnLeftOut> = asked.iter().filter_map(|it| follows(campaign, &rows, it)).collect();
+    let is_out = |left_out: &[ColumnLeftOut], name: &str| left_out.iter().any(|it| it.column == name);
     let is_named = |it: &&&Covariate| words::is_of_heap(&it.name, campaign.quantity) && !is_out(&left_out, &it.name);
     let named = asked.iter().filter(is_named).filter_map(|it| Some((it.name.as_str(), numbers(it)?)));
     let may_be = |values: &[Option<f64>]| Course::of(&rows, values).is_none_or(|it| !it.is_blind_to_powders());
     let others: Vec<(&str, Vec<Option<f64>>)> = named.filter(|it| may_be(&it.1) && !is_setting(it.0, &it.1)).collect();
     // What is called like a column that follows, and was not set, is another look at the same heap.
     if !left_out.is_empty() || together(&rows, &others) {
-        left_out.extend(others.iter().map(|(name, _)| LeftOut {
+        left_out.extend(others.iter().map(|(name, _)| ColumnLeftOut {
             column: (*name).to_owned(),
             reason: "follows from the angle: its name, and columns like it, say that it is of the heap that was measured"
                 .to_owned(),
@@ -136,13 +136,13 @@ fn numbers(covariate: &Covariate) -> Option<Vec<Option<f64>>> {
 }
 
 /// Why a column follows from the angle, if it does.
-fn follows(campaign: &Campaign, rows: &[Row], covariate: &Covariate) -> Option<LeftOut> {
+fn follows(campaign: &Campaign, rows: &[Row], covariate: &Covariate) -> Option<ColumnLeftOut> {
     let reason = match &covariate.values {
         Values::Numbers(values) => of_numbers(campaign.quantity, rows, &covariate.name, values),
         Values::Levels { of, .. } => are_classes(rows, of)
             .then(|| "follows from the angle: its names are ranges of it, whatever the powder".to_owned()),
     };
-    Some(LeftOut { column: covariate.name.clone(), reason: reason? })
+    Some(ColumnLeftOut { column: covariate.name.clone(), reason: reason? })
 }
 
 fn of_numbers(quantity: Quantity, rows: &[Row], name: &str, values: &[Option<f64>]) -> Option<String> {

@@ -5,11 +5,12 @@ use crate::domain::bench::{BenchKind, Tick};
 use crate::domain::bench_check::ShakeCalibration;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::spoon::Spoon;
+use crate::domain::vial::{EmptyVial, PanCheck};
 use crate::domain::weighing::{MeasuredMass, Outcome};
 use crate::emulate::arm::GrainsSpoon;
 use crate::emulate::lab::{self, Laboratory};
 use crate::hardware::DeviceError;
-use crate::hardware::arm::{Arm, Stopper};
+use crate::hardware::arm::{Arm, Deadlines, Stopper};
 use crate::hardware::balance::StableBy;
 use crate::hardware::bench_file::BenchFile;
 use crate::hardware::clock::Clock;
@@ -24,6 +25,9 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Longest cause of a latch that is passed on, characters.
+const CAUSE_MAX: usize = 200;
 
 /// Everything that one weighing needs.
 #[derive(Debug, Clone)]
@@ -48,6 +52,8 @@ pub struct Pouring {
     pub forecast: Forecast,
     /// Seed of the simulated powder.
     pub seed: u64,
+    /// What the display must show before anything moves.
+    pub pan: PanCheck,
 }
 
 impl Pouring {
@@ -93,6 +99,9 @@ pub type Pour =
 /// What makes a latched arm movable again.
 pub type Recover = Arc<dyn Fn(&str) -> Result<(), DeviceError> + Send + Sync>;
 
+/// Why the arm is latched, if it is.
+pub type ArmLatch = Arc<dyn Fn() -> Result<Option<String>, DeviceError> + Send + Sync>;
+
 /// What the lane drives.
 #[derive(Clone)]
 pub struct Apparatus {
@@ -108,6 +117,12 @@ pub struct Apparatus {
     pub devices: Arc<dyn Fn() -> BTreeMap<String, String> + Send + Sync>,
     /// A person has looked and says that the arm may move: it levels and retracts the spoon. Takes the person's name.
     pub recover: Recover,
+    /// Asks the arm whether it is latched, on a connection of its own.
+    pub arm_latch: ArmLatch,
+    /// Whoever makes piles begins none while this is set: the bench is held.
+    pub held: Arc<AtomicBool>,
+    /// What an empty vial of the lab weighs, where that is known.
+    pub empty_vial: Option<EmptyVial>,
     /// Step of the balance's display, mg, where it is known beforehand.
     pub readability_mg: Arc<dyn Fn() -> Option<f64> + Send + Sync>,
     /// What a powder did in earlier doses counts. Not where a dose has to follow from its seed alone.
@@ -128,6 +143,9 @@ impl Apparatus {
             exchanges: Arc::new(Vec::new),
             devices: Arc::new(BTreeMap::new),
             recover: Arc::new(|_| Ok(())),
+            arm_latch: Arc::new(|| Ok(None)),
+            held: Arc::default(),
+            empty_vial: None,
             readability_mg: Arc::new(|| None),
             remembers: false,
             spoon: Spoon::default(),
@@ -178,15 +196,31 @@ pub fn emulated(settings: lab::Settings) -> Apparatus {
 
 /// The closed loop on the devices of this file.
 pub fn devices(file: BenchFile) -> Apparatus {
+    devices_by(file, Clock::wall())
+}
+
+/// The same by another clock: of a laboratory that is emulated, and whose time is its own.
+pub fn devices_by(file: BenchFile, clock: Clock) -> Apparatus {
     let wires = Wires::default();
     let readability_mg = file.balance.readability_mg;
-    let (opened, arm, tap) = (wires.clone(), file.arm.clone(), wires.tap());
+    let (opened, empty_vial, spoon) = (wires.clone(), file.vial, file.spoon);
+    let (arm, tap) = (file.arm.clone(), wires.tap());
     let recover: Recover =
         Arc::new(move |person| Arm::connect(&arm.url, tap.clone(), arm.deadlines())?.recover(person));
-    let (stand, spoon) = (stand::devices(file.clone(), wires.clone()), file.spoon);
+    let (url, tap) = (file.arm.url.clone(), wires.tap());
+    let arm_latch: ArmLatch = Arc::new(move || latch_cause(&url, tap.clone()));
+    let stand = stand::devices(file.clone(), wires.clone());
     let pour: Pour =
-        Arc::new(move |pouring, on_event, stop| on_devices(&opened, &file, Clock::wall(), pouring, on_event, stop));
-    Apparatus { stand: Some(stand), spoon, ..wires.apparatus(BenchKind::Devices, pour, recover, readability_mg) }
+        Arc::new(move |pouring, on_event, stop| on_devices(&opened, &file, clock.clone(), pouring, on_event, stop));
+    let apparatus = wires.apparatus(BenchKind::Devices, pour, recover, readability_mg);
+    Apparatus { stand: Some(stand), arm_latch, empty_vial, spoon, ..apparatus }
+}
+
+/// Why the arm says that it is latched, if it is.
+fn latch_cause(url: &str, tap: Tap) -> Result<Option<String>, DeviceError> {
+    let arm = Arm::connect(url, tap, Deadlines::default())?;
+    let cause: String = arm.description().latch_cause.chars().filter(|c| !c.is_control()).take(CAUSE_MAX).collect();
+    Ok(Some(cause).filter(|cause| !cause.is_empty()))
 }
 
 /// What outlives the weighing that opened the devices.
@@ -251,6 +285,9 @@ impl Wires {
             devices: Arc::new(move || locked(&devices).clone()),
             recover,
             readability_mg: Arc::new(move || readability_mg),
+            arm_latch: Arc::new(|| Ok(None)),
+            held: Arc::default(),
+            empty_vial: None,
             remembers: kind == BenchKind::Devices,
             spoon: Spoon::default(),
             stand: None,
@@ -274,24 +311,42 @@ fn on_devices(
     });
     let mut station = match opened {
         Ok(station) => station,
-        Err(error) => return refused(error),
+        Err(error) => return refused(error, latch_cause(&file.arm.url, wires.tap())),
     };
     let (accuracy, forecast, readings) = (pouring.accuracy, Some(pouring.forecast), file.readings);
-    let (life_s, rest_max_s) = (readings.life_s, readings.stand_max_s);
-    let settings = Settings { accuracy, forecast, life_s, rest_max_s, ..Settings::BENCH };
+    let (life_s, rest_max_s, pan) = (readings.life_s, readings.stand_max_s, pouring.pan);
+    let settings = Settings { accuracy, forecast, life_s, rest_max_s, pan, ..Settings::BENCH };
     let weighed = weigh(&mut station, &pouring.controller, &pouring.rules, &pouring.order, &settings, on_event, stop);
     wires.closed();
+    let went_well = !weighed.must_look && !matches!(weighed.outcome, Outcome::Aborted | Outcome::Stopped);
     let mut poured = poured(weighed, None);
     // Where FLIP's own window decides for a balance that flags nothing, the balance said nothing.
     if let Some(measured) = poured.measured.as_mut().filter(|_| file.balance.stable_by == StableBy::Window) {
         measured.stable_by_balance = false;
     }
-    poured
+    match if went_well { Ok(None) } else { latch_cause(&file.arm.url, wires.tap()) } {
+        Ok(Some(cause)) => arm_latched(poured, &cause),
+        _ => poured,
+    }
 }
 
-/// The devices could not be opened: nothing moved.
-fn refused(error: DeviceError) -> Poured {
-    not_begun(error.to_string())
+/// The devices could not be opened: nothing moved. A person must look at an arm that is latched.
+fn refused(error: DeviceError, latch: Result<Option<String>, DeviceError>) -> Poured {
+    match latch {
+        Ok(Some(cause)) => arm_latched(not_begun(error.to_string()), &cause),
+        _ => not_begun(error.to_string()),
+    }
+}
+
+/// The arm has latched itself: a person must look, and hears why in its own words.
+fn arm_latched(poured: Poured, cause: &str) -> Poured {
+    let said = format!("the arm is latched: {cause}. Look at spoon, vial and arm, then clear the bench");
+    // A latched arm refuses whatever it is asked: that is no cause.
+    let error = match poured.error.filter(|error| !error.contains("the arm must not do this now")) {
+        Some(error) => format!("{said}; before that: {error}"),
+        None => said,
+    };
+    Poured { error: Some(error.clone()), must_look: Some(error), ..poured }
 }
 
 fn not_begun(cause: String) -> Poured {

@@ -4,32 +4,48 @@
 //! before any motion, what was moving when the process ended is `unknown` at the next start, the bench is latched, and a person looks.
 //!
 //! ```text
-//!  [planned] --> [armed] --> [dosing] --> [settling] --> [done]      within, under, over, not_stable, blocked
-//!      |            |            |             |-------> [aborted]   stopped, aborted
-//!      +--stopped---+------------+-------------+
-//!                   +--process ended-----------+-------> [unknown]   and the bench is latched
+//!  [planned] --> [awaiting_vial] --> [armed] --> [dosing] --> [settling] --> [done]      within, under, over, not_stable, blocked
+//!      |                |               |            |             |-------> [aborted]   stopped, aborted
+//!      +----stopped-----+---------------+------------+-------------+
+//!                                       +--process ended-----------+-------> [unknown]   and the bench is latched
 //! ```
 //!
-//! `lane.rs` is the thread and the record it keeps; `apparatus.rs` is what moves: the simulator, an emulated laboratory, or devices; `stand.rs` is where
-//! piles are made between weighings.
+//! A weighing waits for its vial only where the bench cannot exchange vials and nobody said that it need not.
+//!
+//! `lane.rs` is the thread and the record it keeps, `prepare.rs` what a dose needs, `ending.rs` how it ended and how that is written down whatever the
+//! database does; `condition.rs` is what is known of the bench in memory; `halter.rs` tells the arm of a stop, and `records.rs` writes stops down
+//! afterwards; `apparatus.rs` is what moves: the simulator, an emulated laboratory, or devices; `stand.rs` is where piles are made between weighings.
 
 mod apparatus;
+mod condition;
+mod ending;
+mod halter;
 mod lane;
+mod prepare;
+mod records;
 mod stand;
 
-pub use apparatus::{Apparatus, Pour, Poured, Pouring, devices, emulated, simulated};
+pub use apparatus::{Apparatus, Pour, Poured, Pouring, devices, devices_by, emulated, simulated};
+pub use condition::{Standing, Unwritten};
 pub(super) use lane::audit_exchanges;
 pub use stand::{Awaited, Inbox, PileStand, Piling, Unpiled};
 
 use super::spoon::holds_mg;
 use crate::domain::bench::BenchKind;
+use crate::domain::bench_check::Repeatability;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::weighing::{Outcome, WeighingState};
 use crate::hardware::DeviceError;
 use crate::sim::balance;
+use crate::store::holds::Held;
+use crate::store::pan::Reservation;
 use crate::store::weighings::{Ending, Weighing};
 use crate::store::{self, Store, now};
+use condition::{Condition, Halted};
+use ending::record_interrupted;
+use halter::Halter;
 use lane::LaneThread;
+use records::Records;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -40,14 +56,13 @@ use tokio::runtime::Handle;
 /// Most weighings that may wait for the bench.
 pub const WAITING_MAX: i64 = 64;
 
-/// The weighing that moves, and its stop flag.
-type Moving = Arc<Mutex<Option<(String, Arc<AtomicBool>)>>>;
-
-/// The lane's outside: wake it, stop what it does, shut it down.
+/// The lane's outside: wake it, stop what it does, say what it is like, shut it down.
 pub struct Bench {
     store: Store,
     apparatus: Apparatus,
-    moving: Moving,
+    condition: Condition,
+    records: Arc<Records>,
+    halter: Halter,
     closing: Arc<AtomicBool>,
     lane: Mutex<Option<Lane>>,
 }
@@ -58,8 +73,15 @@ struct Lane {
 }
 
 impl Bench {
-    pub(super) fn new(store: Store, apparatus: Apparatus) -> Self {
-        Self { store, apparatus, moving: Arc::default(), closing: Arc::default(), lane: Mutex::default() }
+    /// Record what the last process left moving, and read what is known of the bench.
+    pub(super) async fn open(store: Store, apparatus: Apparatus) -> store::Result<Self> {
+        let (condition, records) = (Condition::of(apparatus.held.clone()), Arc::<Records>::default());
+        // Also where nobody weighs in this process: the lock on the data folder proves that no other one does.
+        record_interrupted(&store, &condition).await?;
+        condition.load(&store).await?;
+        records.keep_writing(&store);
+        let halter = Halter::start(apparatus.halt.clone());
+        Ok(Self { store, apparatus, condition, records, halter, closing: Arc::default(), lane: Mutex::default() })
     }
 
     /// What the spoon on this bench holds, whichever of these sets is the powder, mg; `None` without sets.
@@ -72,16 +94,17 @@ impl Bench {
         self.apparatus.spoon.is_usual()
     }
 
-    /// Record what the last process left moving, then begin to work.
+    /// Begin to work.
     pub(super) async fn start(&self) -> store::Result<()> {
-        self.record_interrupted().await?;
+        self.forget_vials().await?;
         let (wake, woken) = sync_channel(1);
         let lane = LaneThread {
             store: self.store.clone(),
             apparatus: self.apparatus.clone(),
-            moving: self.moving.clone(),
+            condition: self.condition.clone(),
             closing: self.closing.clone(),
             runtime: Handle::current(),
+            unrecorded: Mutex::default(),
         };
         let thread = std::thread::Builder::new().name("bench".into()).spawn(move || lane.work(&woken));
         let thread = thread.map_err(|source| store::Error::File { path: "the bench's thread".into(), source })?;
@@ -89,17 +112,23 @@ impl Bench {
         Ok(())
     }
 
-    async fn record_interrupted(&self) -> store::Result<()> {
+    /// Whoever exchanged a vial for the last process may have been wrong by now.
+    async fn forget_vials(&self) -> store::Result<()> {
         let mut tx = self.store.write().await?;
-        let cause = "the process ended during the weighing: check the vial and the bench, then ask for a new weighing";
-        for (id, bench) in tx.interrupted_weighings().await? {
-            tracing::warn!(weighing = id, "was interrupted; its outcome is unknown");
-            tx.end_weighing(&id, &Ending::bare(WeighingState::Unknown, Outcome::Unknown, cause), now()).await?;
-            if bench.has_devices() {
-                tx.latch_bench(cause, Some(&id), now()).await?;
-            }
-        }
-        tx.commit().await
+        tx.forget_vials(now()).await?;
+        tx.commit().await?;
+        self.condition.refresh(&self.store).await;
+        Ok(())
+    }
+
+    /// What is known of it now; no database is asked.
+    pub fn standing(&self) -> Standing {
+        self.condition.standing(self.kind().exchanges_vials())
+    }
+
+    /// The end of a dose that could not be written down yet: nothing begins before it is.
+    pub fn unwritten(&self) -> Option<Unwritten> {
+        self.standing().unwritten
     }
 
     /// What kind of bench it is.
@@ -123,20 +152,133 @@ impl Bench {
         (self.apparatus.devices)()
     }
 
-    /// The weighing that moves.
-    pub fn moving_weighing(&self) -> Option<String> {
-        self.moving().as_ref().map(|(id, _)| id.clone())
+    /// Stop whatever moves, and begin nothing until a person resumes. The flag and the hold are set when this returns, the arm is being told by a thread of its
+    /// own, and the record follows when the database lets it: this waits for nothing.
+    pub fn halt(&self, by: Option<&str>) -> Option<String> {
+        let halted = self.condition.halt(by);
+        let weighing = halted.weighing.clone();
+        self.halted(halted);
+        weighing
     }
 
-    /// Stop whatever moves; which weighing that is, if it is one.
-    pub fn stop_moving(&self) -> Option<String> {
-        let moving = self.moving();
-        let Some((id, stop)) = moving.as_ref() else {
-            (self.apparatus.halt)();
-            return None;
-        };
-        self.halt(stop);
-        Some(id.clone())
+    /// The same, if it is this weighing that moves; what is known of it.
+    pub fn halt_weighing(&self, id: &str, by: Option<&str>) -> Option<Weighing> {
+        let (weighing, halted) = self.condition.halt_weighing(id, by)?;
+        self.halted(halted);
+        Some(weighing)
+    }
+
+    fn halted(&self, halted: Halted) {
+        self.halter.tell();
+        self.records.push(halted);
+    }
+
+    /// Let doses begin again; the record says who did. `false`: the bench was not held.
+    ///
+    /// # Errors
+    /// [`store::Error`]: it is held as before.
+    pub async fn resume(&self, by: &str, note: &str) -> store::Result<bool> {
+        let stops = self.condition.stops();
+        self.records.write_down(&self.store).await?;
+        let mut tx = self.store.write().await?;
+        if !tx.resume_bench(by, note, now()).await? {
+            return Ok(false);
+        }
+        tx.commit().await?;
+        self.condition.resume(stops);
+        self.wake();
+        Ok(true)
+    }
+
+    /// A person has looked: what was latched is free. If weighings wait, the bench is held unless they are to begin.
+    ///
+    /// # Errors
+    /// [`store::Error`]: it is latched as before.
+    pub async fn clear(&self, by: &str, note: &str, resume: bool) -> store::Result<()> {
+        let stops = self.condition.stops();
+        self.records.write_down(&self.store).await?;
+        let pan = self.condition.pan().emptied();
+        let mut tx = self.store.write().await?;
+        tx.clear_latch(by, note, now()).await?;
+        if !self.kind().exchanges_vials() {
+            tx.set_pan(&pan).await?;
+        }
+        let waits = !resume && tx.planned_weighings().await? > 0;
+        let reason = "the latch was cleared while weighings waited".to_owned();
+        let held = Held { at: now(), reason, by: Some(by.to_owned()) };
+        match waits {
+            true => tx.hold_bench(&held).await?,
+            false => drop(tx.resume_bench(by, note, now()).await?),
+        }
+        tx.commit().await?;
+        // First the hold, so that nothing begins between the two.
+        match waits {
+            true => self.condition.hold(held),
+            false => self.condition.resume(stops),
+        }
+        self.condition.cleared();
+        self.wake();
+        Ok(())
+    }
+
+    /// Somebody says that the vial of the weighing whose turn it is is in.
+    ///
+    /// # Errors
+    /// [`store::Error`]
+    pub async fn vial_is_in(&self, weighing: &Weighing, by: Option<&str>, vial: Option<String>) -> store::Result<()> {
+        let mut tx = self.store.write().await?;
+        tx.vial_is_in(&weighing.id, by, vial.as_deref(), now()).await?;
+        tx.commit().await?;
+        self.condition.vial_is_in(&weighing.id, vial);
+        self.wake();
+        Ok(())
+    }
+
+    /// Somebody has the bench for himself, or nobody any more.
+    ///
+    /// # Errors
+    /// [`store::Error`]
+    pub async fn reserve(&self, reservation: &Reservation) -> store::Result<()> {
+        let mut tx = self.store.write().await?;
+        tx.reserve_bench(reservation, now()).await?;
+        tx.commit().await?;
+        self.condition.set_reservation(Some(reservation.clone()));
+        Ok(())
+    }
+
+    /// Whoever has the bench gives it back. `false`: it is not his.
+    ///
+    /// # Errors
+    /// [`store::Error`]
+    pub async fn release(&self, id: &str) -> store::Result<bool> {
+        let mut tx = self.store.write().await?;
+        let released = tx.release_bench(id, now()).await?;
+        tx.commit().await?;
+        if released {
+            self.condition.set_reservation(None);
+        }
+        Ok(released)
+    }
+
+    /// A new check of how well the balance repeats is stored.
+    pub fn repeats(&self, found: Repeatability) {
+        self.condition.set_repeatability(found);
+    }
+
+    /// Another intent is committed.
+    pub async fn planned(&self) {
+        self.condition.refresh(&self.store).await;
+        self.wake();
+    }
+
+    /// Why the arm is latched, if it is.
+    ///
+    /// # Errors
+    /// The arm cannot be reached.
+    pub async fn arm_latch(&self) -> Result<Option<String>, DeviceError> {
+        let arm_latch = self.apparatus.arm_latch.clone();
+        let asked = tokio::task::spawn_blocking(move || arm_latch()).await;
+        asked.unwrap_or_else(|error| Err(DeviceError::Faulted { device: "the arm", cause: error.to_string() }))
     }
 
     /// A person has looked: a latched arm may move again. Nothing is written down here.
@@ -149,57 +291,47 @@ impl Bench {
         recovered.unwrap_or_else(|error| Err(DeviceError::Faulted { device: "the arm", cause: error.to_string() }))
     }
 
-    /// First the flag, then the arm itself: both need no database and wait for nothing that the lane does.
-    fn halt(&self, stop: &AtomicBool) {
-        stop.store(true, Ordering::SeqCst);
-        (self.apparatus.halt)();
-    }
-
-    /// A new intent is committed.
-    pub fn wake(&self) {
+    /// The lane has something to look at.
+    fn wake(&self) {
         if let Some(lane) = &*self.lane() {
             // Full means that it is about to look anyway.
             let _ = lane.wake.try_send(());
         }
     }
 
-    /// Stop a weighing: one that waits ends at once; of one that moves the arm stands still first, then the spoon is levelled and taken away.
-    /// `None`: it had ended already.
+    /// End a weighing that waits. `None`: it does not.
     ///
     /// # Errors
     /// [`store::Error`]
-    pub async fn stop(&self, id: &str) -> store::Result<Option<Weighing>> {
-        if let Some((moving, stop)) = &*self.moving()
-            && moving == id
-        {
-            self.halt(stop);
-        }
+    pub async fn stop_waiting(&self, id: &str) -> store::Result<Option<Weighing>> {
         let mut tx = self.store.write().await?;
         let ending = Ending::bare(WeighingState::Aborted, Outcome::Stopped, "stopped before its turn");
         let ended = tx.end_planned_weighing(id, &ending, now()).await?;
         tx.commit().await?;
-        match ended {
-            Some(weighing) => Ok(Some(weighing)),
-            None => Ok(self.store.weighing(id).await?.map(|row| row.weighing).filter(|w| w.outcome.is_none())),
+        if ended.is_some() {
+            self.planned().await;
         }
+        Ok(ended)
     }
 
-    /// Stop what moves, level the spoon, and end the lane. Intents that wait stay planned.
+    /// Stop what moves, level the spoon, and end the lane. Intents that wait stay planned, and nobody has to resume.
     pub(super) async fn shutdown(&self) {
         self.closing.store(true, Ordering::SeqCst);
-        if let Some((_, stop)) = &*self.moving() {
-            self.halt(stop);
+        if self.condition.stop_moving() {
+            self.halter.tell();
         }
         self.wake();
-        let Some(lane) = self.lane().take() else { return };
-        let ended = tokio::task::spawn_blocking(move || lane.thread.join().is_ok()).await;
-        if !matches!(ended, Ok(true)) {
-            tracing::error!("the bench's thread ended badly");
+        if let Some(lane) = self.take_lane() {
+            let ended = tokio::task::spawn_blocking(move || lane.thread.join().is_ok()).await;
+            if !matches!(ended, Ok(true)) {
+                tracing::error!("the bench's thread ended badly");
+            }
         }
+        self.records.close(&self.store).await;
     }
 
-    fn moving(&self) -> std::sync::MutexGuard<'_, Option<(String, Arc<AtomicBool>)>> {
-        self.moving.lock().unwrap_or_else(PoisonError::into_inner)
+    fn take_lane(&self) -> Option<Lane> {
+        self.lane().take()
     }
 
     fn lane(&self) -> std::sync::MutexGuard<'_, Option<Lane>> {
@@ -210,5 +342,6 @@ impl Bench {
 impl Drop for Bench {
     fn drop(&mut self) {
         self.closing.store(true, Ordering::SeqCst);
+        self.records.abandon();
     }
 }

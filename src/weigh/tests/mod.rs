@@ -65,6 +65,7 @@ fn a_dose_goes_through_its_phases_and_its_result_is_complete() {
     let note = |event: &Event<'_>| {
         told.push(match event {
             Event::Phase(phase) => format!("{phase:?}"),
+            Event::Pan(flaw) => flaw.to_string(),
             Event::Decision(decision) => format!("decision {}", decision.step),
             Event::Tick(tick) => format!("tick {}", tick.step),
         });
@@ -382,7 +383,7 @@ proptest! {
                     }
                     last = (tick.reading.mass_mg, tick.pitch_deg);
                 }
-                Event::Phase(_) => {}
+                Event::Phase(_) | Event::Pan(_) => {}
             }
             ControlFlow::Continue(())
         };
@@ -392,4 +393,20 @@ proptest! {
         prop_assert!(bench.is_safe() && bench.count(Call::Act) == acts && !weighed.must_look);
         prop_assert!(fault_at > acts || weighed.outcome == Outcome::NotStable, "{:?}", weighed.outcome);
     }
+}
+
+#[test]
+fn a_pan_that_does_not_show_what_it_must_is_not_poured_into_and_nothing_was_scooped() {
+    use crate::domain::vial::{Band, PanCheck};
+    let before = Some(Band { lower_mg: 11_998.0, upper_mg: 12_003.0 });
+    let settings = Settings { pan: PanCheck { before, ..PanCheck::NONE }, ..BLIND };
+    let (mut bench, mut flaws) = (Scripted::giving(&[2.0]), 0);
+    let note = |event: &Event<'_>| {
+        flaws += u32::from(matches!(event, Event::Pan(_)));
+        ControlFlow::Continue(())
+    };
+    let weighed = hear(&mut bench, &Rules::FLIP, &settings, note, &AtomicBool::new(false));
+    assert_eq!((weighed.outcome, weighed.must_look, flaws), (Outcome::Aborted, false, 1));
+    assert!(weighed.cause.unwrap().contains("still on the pan"));
+    assert_eq!(bench.calls, [Call::Stand, Call::Level, Call::Retract]);
 }

@@ -1,0 +1,71 @@
+//! `flip bench reserve|release|vial-ready`: whose turn it is.
+
+use super::super::Common;
+use super::super::benches::BenchArguments;
+use super::super::failure::Failure;
+use super::super::session::{with_bench, with_writer};
+use super::super::weigh::{ended, report};
+use crate::app::{ReservationRequest, VialReadyRequest};
+
+/// Arguments of `flip bench reserve`.
+#[derive(Debug, clap::Args)]
+pub(in super::super) struct ReserveArguments {
+    /// Who has the bench for himself.
+    #[arg(long, value_name = "NAME")]
+    owner: String,
+    /// For how long from now, s, 1 to 86400.
+    #[arg(long, value_name = "S")]
+    seconds: u32,
+    /// One's own reservation, to have it for longer.
+    #[arg(long, value_name = "ID")]
+    id: Option<String>,
+}
+
+/// Arguments of `flip bench release`.
+#[derive(Debug, clap::Args)]
+pub(in super::super) struct ReleaseArguments {
+    /// Reservation id.
+    #[arg(value_name = "ID")]
+    id: String,
+}
+
+/// Arguments of `flip bench vial-ready`.
+#[derive(Debug, clap::Args)]
+pub(in super::super) struct VialReadyArguments {
+    /// Weighing id.
+    #[arg(value_name = "ID")]
+    id: String,
+    /// Who says so.
+    #[arg(long, value_name = "NAME")]
+    by: Option<String>,
+    /// What is written on the vial.
+    #[arg(long, value_name = "TEXT")]
+    vial: Option<String>,
+    #[command(flatten)]
+    bench: BenchArguments,
+}
+
+/// Have the bench for oneself for a while.
+pub(in super::super) fn reserve(common: &Common, arguments: &ReserveArguments) -> Result<(), Failure> {
+    let ReserveArguments { owner, seconds, id } = arguments;
+    let request = ReservationRequest { owner: owner.clone(), seconds: *seconds, id: id.clone() };
+    let reserved = with_writer(common, async |app| Ok(app.reserve_bench(request).await?))?;
+    common.print(&reserved, || format!("{} has the bench until {}: {}", reserved.owner, reserved.until, reserved.id))
+}
+
+/// Give the bench back.
+pub(in super::super) fn release(common: &Common, arguments: &ReleaseArguments) -> Result<(), Failure> {
+    let found = with_writer(common, async |app| {
+        app.release_bench(&arguments.id).await?;
+        Ok(app.bench().await?)
+    })?;
+    common.print(&found, || "nobody has the bench for himself any more".to_owned())
+}
+
+/// Say that a vial is in, and wait for the dose.
+pub(in super::super) fn vial_ready(common: &Common, arguments: &VialReadyArguments) -> Result<(), Failure> {
+    let VialReadyArguments { id, by, vial, bench } = arguments;
+    let said = VialReadyRequest { by: by.clone(), vial: vial.clone() };
+    let weighing = with_bench(common, bench, async |app| ended(app, id, &said).await)?;
+    report(common, weighing)
+}

@@ -1,0 +1,276 @@
+//! How a dose ended, kept in memory until it is written down: nothing else begins before that.
+
+use super::apparatus::{Poured, Pouring};
+use super::condition::{Condition, Unwritten};
+use super::lane::{Heard, LaneThread, audit_exchanges};
+use crate::domain::bench::Tick;
+use crate::domain::vial::{Dosed, Pan, Vial, VialFlaw};
+use crate::domain::weighing::{MeasuredMass, Outcome, WeighingState};
+use crate::store::bench::Latch;
+use crate::store::weighings::{Ending, Weighing};
+use crate::store::{self, Store, now};
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+/// First pause before an ending that could not be written is tried again; each is twice as long as the one before.
+const AGAIN: Duration = Duration::from_millis(100);
+/// Longest pause.
+const AGAIN_MAX: Duration = Duration::from_secs(2);
+/// How often it is asked meanwhile whether the process ends.
+const ASK_EVERY: Duration = Duration::from_millis(50);
+
+/// How a dose ended.
+pub(super) struct Ended {
+    ending: Ending,
+    ticks: Option<Vec<Tick>>,
+    /// Why a person must look.
+    must_look: Option<String>,
+    /// What happened to the pan.
+    touched: Touched,
+}
+
+/// What a dose did to what stands on the pan.
+enum Touched {
+    /// Nothing: the bench was not opened, or nothing moved.
+    Not,
+    /// Nobody knows what it holds.
+    Unknown,
+    /// It was set to zero, and shows this now, mg.
+    Known { tare_mg: f64, shown_mg: f64, step_mg: f64 },
+}
+
+impl Ended {
+    fn bare(cause: String, touched: Touched) -> Self {
+        let ending = Ending::bare(WeighingState::Aborted, Outcome::Aborted, cause);
+        Self { ending, ticks: None, must_look: None, touched }
+    }
+
+    /// Nothing moved.
+    pub(super) fn not_begun(cause: String) -> Self {
+        Self::bare(cause, Touched::Not)
+    }
+
+    /// Whoever poured failed in the middle of it.
+    pub(super) fn panicked(cause: String, has_devices: bool) -> Self {
+        let must_look = has_devices.then(|| cause.clone());
+        Self { must_look, ..Self::bare(cause, Touched::Unknown) }
+    }
+
+    pub(super) fn outcome(&self) -> Outcome {
+        self.ending.outcome
+    }
+
+    pub(super) fn reading_mg(&self) -> Option<f64> {
+        self.ending.reading_mg
+    }
+
+    /// Nobody has to look first.
+    pub(super) fn may_go_on(&self) -> bool {
+        self.must_look.is_none()
+    }
+
+    /// These were thrown away before it.
+    pub(super) fn discarded(&mut self, discarded_mg: Vec<f64>) {
+        if let Some(measured) = &mut self.ending.measured {
+            measured.discarded_mg = discarded_mg;
+        }
+    }
+}
+
+impl LaneThread {
+    /// How it ended, in terms of the weighing.
+    pub(super) fn ended(
+        &self,
+        weighing: &Weighing,
+        pouring: &Pouring,
+        poured: Poured,
+        heard: Heard,
+        refused: Option<String>,
+    ) -> Ended {
+        let state = match poured.outcome {
+            Outcome::Within | Outcome::Under | Outcome::Over | Outcome::NotStable | Outcome::Blocked => {
+                WeighingState::Done
+            }
+            Outcome::Stopped | Outcome::Aborted => WeighingState::Aborted,
+            Outcome::Unknown => WeighingState::Unknown,
+        };
+        let touched = touched(&poured, &heard, pouring.order.readability_mg);
+        let measured = poured.measured.map(|measured| MeasuredMass {
+            minimum_mg: pouring.accuracy.repeatability_mg.map(|_| pouring.minimum_mg()),
+            below_minimum_weight: pouring.accuracy.repeatability_mg.map(|_| measured.net_mg < pouring.minimum_mg()),
+            devices: (self.apparatus.devices)(),
+            ..measured
+        });
+        // The verdict is that of the reading, and so is the error. What was not weighed has none.
+        let is_weighed = matches!(poured.outcome, Outcome::Within | Outcome::Under | Outcome::Over | Outcome::Blocked);
+        let error_mg = poured.reading_mg.filter(|_| is_weighed).map(|reading_mg| reading_mg - weighing.target_mg);
+        let error = match (refused, heard.unrecorded) {
+            (Some(refused), _) => Some(refused),
+            // What the loop itself says of it knows no reason.
+            (None, Some(why)) if poured.outcome == Outcome::Aborted && poured.must_look.is_none() => Some(why),
+            _ => poured.error,
+        };
+        let ending = Ending {
+            state,
+            outcome: poured.outcome,
+            dispensed_mg: poured.dispensed_mg,
+            reading_mg: poured.reading_mg,
+            error_mg,
+            shakes: Some(poured.shakes),
+            seconds: Some(poured.seconds),
+            measured,
+            trace: None,
+            error,
+        };
+        let must_look = poured.must_look.filter(|_| self.apparatus.kind.has_devices());
+        Ended { ending, ticks: Some(poured.ticks), must_look, touched }
+    }
+
+    /// Why nothing was poured into what stands on the pan, and what to do.
+    pub(super) fn refused(&self, weighing: &Weighing, before: &Pan, flaw: VialFlaw) -> String {
+        let named = |name: Option<&str>| name.map_or_else(|| "a vial".to_owned(), |name| format!("vial `{name}`"));
+        let wanted = named(self.condition.pan().vial.and_then(|vial| vial.name).as_deref());
+        let known = match (flaw, &before.vial) {
+            (VialFlaw::SameAsBefore { .. }, Some(Vial { name, holds_mg: Some(holds_mg), weighing, .. })) => {
+                format!(" ({} with {holds_mg:.1} mg, of weighing {weighing})", named(name.as_deref()))
+            }
+            _ => String::new(),
+        };
+        format!(
+            "{wanted} was said to be in and empty for weighing {}, but {flaw}{known}. Nothing was poured: put an empty vial in and ask for a new weighing",
+            weighing.id
+        )
+    }
+
+    /// What is known of the pan after a dose that began with this one.
+    pub(super) fn pan_after(&self, weighing: &Weighing, before: &Pan, ended: &Ended) -> Pan {
+        let during = self.condition.pan();
+        match (&ended.touched, during.vial.clone()) {
+            (Touched::Not, _) => before.clone(),
+            (Touched::Known { tare_mg, shown_mg, step_mg }, Some(vial)) => before.after(&Dosed {
+                weighing: weighing.id.clone(),
+                vial: vial.name,
+                at: vial.since,
+                tare_mg: *tare_mg,
+                shown_mg: *shown_mg,
+                confirmed: self.is_confirmed(weighing),
+                step_mg: *step_mg,
+            }),
+            _ => during,
+        }
+    }
+
+    /// Write the ending down, again and again until it is; nothing else begins meanwhile. If the process ends before, the next start finds a weighing
+    /// whose end is not on record.
+    pub(super) fn write_down(&self, weighing: &Weighing, ended: &Ended, pan: &Pan) {
+        let latch = ended.must_look.as_ref().map(|reason| Latch {
+            at: now(),
+            reason: reason.clone(),
+            weighing: Some(weighing.id.clone()),
+            bench: Some(self.apparatus.kind),
+        });
+        latch.iter().cloned().for_each(|latch| self.condition.latch(latch));
+        self.condition.stands(pan.clone());
+        let (mut pause, since) = (AGAIN, now());
+        while let Err(error) = self.runtime.block_on(self.try_to_write(weighing, ended, latch.as_ref(), pan)) {
+            tracing::error!(weighing = weighing.id, %error, "the end of a weighing is not written down yet");
+            let unwritten = Unwritten { weighing: weighing.id.clone(), since, why: error.remedy() };
+            self.condition.set_unwritten(Some(unwritten));
+            self.latch_if_gone(weighing, &error);
+            if self.closes_within(pause) {
+                return self.write_at_last(weighing, ended, latch.as_ref(), pan);
+            }
+            pause = (2 * pause).min(AGAIN_MAX);
+        }
+        self.condition.set_unwritten(None);
+    }
+
+    /// Without a record nobody knows later what stands on the bench: a person must look, also if the database comes back.
+    fn latch_if_gone(&self, weighing: &Weighing, error: &store::Error) {
+        if matches!(error, store::Error::Gone(_)) && self.apparatus.kind.has_devices() {
+            let (weighing, bench) = (Some(weighing.id.clone()), Some(self.apparatus.kind));
+            self.condition.latch(Latch { at: now(), reason: error.remedy(), weighing, bench });
+        }
+    }
+
+    /// Whether the process ends while one waits.
+    fn closes_within(&self, pause: Duration) -> bool {
+        let mut left = pause;
+        while !self.closing.load(Ordering::SeqCst) && !left.is_zero() {
+            std::thread::sleep(left.min(ASK_EVERY));
+            left = left.saturating_sub(ASK_EVERY);
+        }
+        self.closing.load(Ordering::SeqCst)
+    }
+
+    fn write_at_last(&self, weighing: &Weighing, ended: &Ended, latch: Option<&Latch>, pan: &Pan) {
+        if let Err(error) = self.runtime.block_on(self.try_to_write(weighing, ended, latch, pan)) {
+            let ending = &ended.ending;
+            tracing::error!(weighing = weighing.id, %error, ?ending, "the end of a weighing is lost: the next start calls it unknown");
+        }
+    }
+
+    async fn try_to_write(
+        &self,
+        weighing: &Weighing,
+        ended: &Ended,
+        latch: Option<&Latch>,
+        pan: &Pan,
+    ) -> store::Result<()> {
+        // Before the trace: its file would make a folder where the database is no more.
+        self.store.is_in_place()?;
+        let ending = self.with_trace(ended);
+        let rest = self.exchanges();
+        let mut tx = self.store.write().await?;
+        audit_exchanges(&mut tx, Some(&weighing.id), &rest).await?;
+        tx.end_weighing(&weighing.id, &ending, now()).await?;
+        if !self.apparatus.kind.exchanges_vials() {
+            tx.set_pan(pan).await?;
+        }
+        if let Some(latch) = latch {
+            tx.latch_bench(latch).await?;
+        }
+        tx.commit().await?;
+        self.recorded(rest.len());
+        Ok(())
+    }
+
+    /// The ending with its ticks as a file; where there is no room for that, without.
+    fn with_trace(&self, ended: &Ended) -> Ending {
+        let Some(ticks) = &ended.ticks else { return ended.ending.clone() };
+        let trace = serde_json::to_vec(ticks).map_err(|error| store::Error::Corrupt(error.to_string()));
+        let trace = trace.and_then(|bytes| self.store.artifacts().put(&bytes));
+        let lost = trace.as_ref().err().map(|error| format!("the trace was not stored: {error}"));
+        Ending { trace: trace.ok(), error: ended.ending.error.clone().or(lost), ..ended.ending.clone() }
+    }
+}
+
+/// Weighings that were moving when the process ended, or whose last write failed after it had been made: what lies in their vials nobody knows.
+pub(super) async fn record_interrupted(store: &Store, condition: &Condition) -> store::Result<()> {
+    let interrupted = store.interrupted_weighings().await?;
+    if interrupted.is_empty() {
+        return Ok(());
+    }
+    let reason = "the end of the weighing is not on record, because the process ended or a write failed before it: check the vial and the bench, then ask \
+                  for a new weighing";
+    let mut tx = store.write().await?;
+    for (id, bench) in interrupted {
+        tracing::warn!(weighing = id, "was interrupted; its outcome is unknown");
+        tx.end_weighing(&id, &Ending::bare(WeighingState::Unknown, Outcome::Unknown, reason), now()).await?;
+        if bench.has_devices() {
+            let latch = Latch { at: now(), reason: reason.to_owned(), weighing: Some(id), bench: Some(bench) };
+            condition.latch(tx.latch_bench(&latch).await?);
+        }
+    }
+    tx.commit().await
+}
+
+fn touched(poured: &Poured, heard: &Heard, step_mg: f64) -> Touched {
+    if !heard.began || heard.flaw.is_some() {
+        return Touched::Not;
+    }
+    match poured.measured.as_ref().and_then(|it| it.tare_mg.map(|tare_mg| (tare_mg, it.net_mg))) {
+        Some((tare_mg, shown_mg)) => Touched::Known { tare_mg, shown_mg, step_mg },
+        None => Touched::Unknown,
+    }
+}

@@ -1,0 +1,93 @@
+//! What one weighing needs, from the store: policy, powder, checks of the bench, earlier doses.
+
+use super::apparatus::Pouring;
+use super::lane::LaneThread;
+use crate::domain::bench::Tick;
+use crate::domain::bench_check::{CheckKind, Repeatability, ShakeCalibration};
+use crate::domain::vial::{Pan, PanCheck};
+use crate::policy;
+use crate::sim::{balance, dispense};
+use crate::store::audit::About;
+use crate::store::weighings::Weighing;
+use crate::store::{self, now};
+use crate::weigh::forecast::{Fall, Forecast};
+use crate::weigh::{Accuracy, Order};
+
+/// Earlier doses of a powder that the forecast knows at most: its lot and the air of long ago are others.
+const REMEMBERED: u32 = 20;
+
+impl LaneThread {
+    /// Everything that one weighing on this pan needs.
+    pub(super) fn prepare(&self, weighing: &Weighing, pan: &Pan) -> store::Result<Pouring> {
+        let missing = |what: &str| store::Error::Corrupt(format!("the weighing's {what} is gone"));
+        self.runtime.block_on(async {
+            let policy = self.store.policy_bytes(&weighing.policy).await?.ok_or_else(|| missing("policy"))?;
+            let set =
+                self.store.parameter_set(&weighing.parameter_set).await?.ok_or_else(|| missing("parameter set"))?;
+            let repeatability: Option<(_, Repeatability)> = self.store.newest_check(CheckKind::Repeatability).await?;
+            let shakes: Option<(_, ShakeCalibration)> = self.store.newest_check(CheckKind::Shakes).await?;
+            let balance = balance::Settings::default();
+            let spoon = dispense::Settings::default();
+            let extensions = spoon.extensions.patched(&weighing.patch);
+            let extensions = extensions.map_err(|error| store::Error::Corrupt(error.to_string()))?;
+            let policy = policy::decode(&policy).map_err(|error| store::Error::Corrupt(error.to_string()))?;
+            let readability_mg = (self.apparatus.readability_mg)().unwrap_or(balance.readability_mg);
+            let earlier = if self.apparatus.remembers { self.earlier(&weighing.powder).await? } else { Vec::new() };
+            if !earlier.is_empty() {
+                self.record_earlier(&weighing.id, earlier.len()).await?;
+            }
+            Ok(Pouring {
+                forecast: Forecast::GENERIC.informed(&earlier, readability_mg),
+                order: Order {
+                    target_mg: weighing.target_mg,
+                    tolerance_lower_mg: weighing.tolerance_lower_mg,
+                    tolerance_upper_mg: weighing.tolerance_upper_mg,
+                    readability_mg,
+                },
+                accuracy: Accuracy {
+                    repeatability_mg: repeatability.map(|(_, check)| check.sd_mg),
+                    class_pct: weighing.asked.accuracy_pct.unwrap_or(Accuracy::default().class_pct),
+                },
+                controller: policy.controller,
+                rules: policy.manifest.rules,
+                balance,
+                spoon: dispense::Settings { extensions, ..spoon },
+                set: weighing.patch.powder(&set.parameters),
+                shakes: shakes.map(|(_, line)| line),
+                seed: weighing.seed,
+                pan: self.pan_check(weighing, pan, readability_mg),
+            })
+        })
+    }
+
+    /// What earlier doses of this powder on such a bench did, those that ran their course.
+    async fn earlier(&self, powder: &str) -> store::Result<Vec<Vec<Fall>>> {
+        let traces = self.store.traces_of(powder, self.apparatus.kind, REMEMBERED).await?;
+        let falls = |trace: &String| {
+            let bytes = self.store.artifacts().get(trace).map_err(|error| error.to_string())?;
+            let ticks: Vec<Tick> = serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
+            Ok::<_, String>(Fall::of(&ticks))
+        };
+        // A dose whose trace is lost is one that is not known; no other need wait for it.
+        let known = |trace: &String| {
+            falls(trace).inspect_err(|error| tracing::warn!(trace, error, "an earlier dose cannot be read")).ok()
+        };
+        Ok(traces.iter().filter_map(known).collect())
+    }
+
+    /// Say in the record that a dose was forecast from earlier ones.
+    async fn record_earlier(&self, weighing: &str, doses: usize) -> store::Result<()> {
+        let mut tx = self.store.write().await?;
+        let said = serde_json::json!({ "action": "forecast from earlier doses of the powder", "doses": doses });
+        tx.audit(About { weighing: Some(weighing), kind: "decision" }, &said, now()).await?;
+        tx.commit().await
+    }
+
+    /// What the display must show, where somebody has said that the vial is in.
+    fn pan_check(&self, weighing: &Weighing, pan: &Pan, readability_mg: f64) -> PanCheck {
+        match self.is_confirmed(weighing) {
+            true => pan.check(readability_mg, self.apparatus.empty_vial),
+            false => PanCheck::NONE,
+        }
+    }
+}

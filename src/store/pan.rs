@@ -1,0 +1,113 @@
+//! What is known of the pan, and who has the bench for himself: one row each.
+
+use super::bench::BENCH_TOPIC;
+use super::row::{Columns, json};
+use super::{Result, Store, Tx};
+use crate::domain::timestamp::Timestamp;
+use crate::domain::vial::Pan;
+use crate::store::audit::About;
+use serde::{Deserialize, Serialize};
+use sqlx::sqlite::SqliteRow;
+
+/// Somebody has the bench for himself.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Reservation {
+    /// Names it in requests: `rs-…`.
+    pub id: String,
+    /// Who has it.
+    pub owner: String,
+    /// It ends by itself then.
+    pub until: Timestamp,
+}
+
+impl Store {
+    /// What is known of the pan.
+    pub(crate) async fn pan(&self) -> Result<Pan> {
+        let row = sqlx::query("SELECT body FROM bench_pan").fetch_optional(&self.reader).await?;
+        row.map_or_else(|| Ok(Pan::default()), |row| row.json("body"))
+    }
+
+    /// The last reservation, which may have ended.
+    pub(crate) async fn reservation(&self) -> Result<Option<Reservation>> {
+        let row = sqlx::query("SELECT * FROM bench_reservation").fetch_optional(&self.reader).await?;
+        row.as_ref().map(reservation).transpose()
+    }
+}
+
+impl Tx {
+    /// Something else is known of the pan.
+    pub(crate) async fn set_pan(&mut self, pan: &Pan) -> Result<()> {
+        let sql =
+            "INSERT INTO bench_pan (one, body) VALUES (1, ?1) ON CONFLICT (one) DO UPDATE SET body = excluded.body";
+        sqlx::query(sql).bind(json(pan)?).execute(&mut *self.inner).await?;
+        self.emit(BENCH_TOPIC, "vial", &serde_json::json!({ "vial": pan.vial })).await
+    }
+
+    /// Somebody says that the vial of a weighing is in.
+    pub(crate) async fn vial_is_in(
+        &mut self,
+        weighing: &str,
+        by: Option<&str>,
+        vial: Option<&str>,
+        now: Timestamp,
+    ) -> Result<()> {
+        let said = serde_json::json!({ "action": "vial ready", "by": by, "vial": vial });
+        self.audit(About { weighing: Some(weighing), kind: "person" }, &said, now).await
+    }
+
+    /// Somebody has the bench for himself, in place of whoever had it before.
+    pub(crate) async fn reserve_bench(&mut self, reserved: &Reservation, now: Timestamp) -> Result<()> {
+        let sql = "INSERT INTO bench_reservation (one, id, owner, until) VALUES (1, ?1, ?2, ?3) \
+                   ON CONFLICT (one) DO UPDATE SET id = excluded.id, owner = excluded.owner, until = excluded.until";
+        let row = sqlx::query(sql).bind(&reserved.id).bind(&reserved.owner).bind(reserved.until.unix_ms());
+        row.execute(&mut *self.inner).await?;
+        let said = serde_json::json!({ "action": "reserve", "reservation": reserved });
+        self.audit(About { weighing: None, kind: "person" }, &said, now).await?;
+        self.emit(BENCH_TOPIC, "reserved", reserved).await
+    }
+
+    /// Whoever has the bench gives it back. `false`: it is not his.
+    pub(crate) async fn release_bench(&mut self, id: &str, now: Timestamp) -> Result<bool> {
+        let deleted =
+            sqlx::query("DELETE FROM bench_reservation WHERE id = ?1").bind(id).execute(&mut *self.inner).await?;
+        if deleted.rows_affected() == 0 {
+            return Ok(false);
+        }
+        let said = serde_json::json!({ "action": "release", "reservation": id });
+        self.audit(About { weighing: None, kind: "person" }, &said, now).await?;
+        self.emit(BENCH_TOPIC, "released", &said).await?;
+        Ok(true)
+    }
+}
+
+fn reservation(row: &SqliteRow) -> Result<Reservation> {
+    Ok(Reservation { id: row.plain("id")?, owner: row.plain("owner")?, until: row.time("until")? })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::domain::vial::Vial;
+    use crate::store::now;
+
+    #[tokio::test]
+    async fn the_pan_and_the_reservation_are_there_after_a_restart() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        assert_eq!((store.pan().await.unwrap(), store.reservation().await.unwrap()), (Pan::default(), None));
+        let vial = Vial { name: Some("A".into()), weighing: "w".into(), holds_mg: Some(8.0), since: now() };
+        let pan = Pan { vial: Some(vial), zero_mg: Some(12_000.0), shown_mg: Some(8.0), empties_mg: vec![12_000.0] };
+        let reserved = Reservation { id: "rs-1".into(), owner: "Ada".into(), until: now() };
+        let mut tx = store.write().await.unwrap();
+        tx.set_pan(&Pan::default()).await.unwrap();
+        tx.set_pan(&pan).await.unwrap();
+        tx.reserve_bench(&reserved, now()).await.unwrap();
+        tx.commit().await.unwrap();
+        store.close().await;
+        drop(store);
+        let store = Store::open(folder.path()).await.unwrap();
+        assert_eq!((store.pan().await.unwrap(), store.reservation().await.unwrap()), (pan, Some(reserved)));
+        let mut tx = store.write().await.unwrap();
+        assert!(!tx.release_bench("rs-2", now()).await.unwrap() && tx.release_bench("rs-1", now()).await.unwrap());
+    }
+}

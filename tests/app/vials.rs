@@ -1,0 +1,187 @@
+//! Vials on a bench that cannot exchange them: somebody says that one is in, and the balance is asked too.
+
+use crate::bench::{clear, code, resume};
+use crate::harness::{calibrated, functions, mg, open, open_in, until};
+use crate::weighing::done;
+use flip::app::{App, BenchStatus, Error, Functions, VialCheck, VialReadyRequest, Weighing};
+use flip::domain::weighing::{Outcome, WeighingState};
+use flip::emulate::arm::{self, Flow, FormulaSpoon};
+use flip::emulate::lab::{self, Laboratory};
+use flip::hardware::arm::{Arm, Deadlines};
+use flip::hardware::clock::Clock;
+use flip::hardware::wire::Tap;
+use flip::jobs::bench::devices_by;
+
+fn spoon(seed: u64) -> Box<FormulaSpoon> {
+    Box::new(FormulaSpoon::new(Flow::default(), seed))
+}
+
+/// A laboratory whose vial a person exchanges, and whose time is its own.
+fn laboratory(dead_man_ms: u32) -> (Laboratory, Functions) {
+    let clock = Clock::standing();
+    let settings =
+        lab::Settings { arm: arm::Settings { dead_man_ms, ..Default::default() }, ..lab::Settings::default() };
+    let laboratory = Laboratory::start(settings, clock.clone(), spoon(1)).unwrap();
+    let bench = Some(devices_by(laboratory.file(), clock));
+    (laboratory, Functions { bench, ..functions() })
+}
+
+/// Longer than a busy machine holds a thread up.
+const PATIENT_MS: u32 = 20_000;
+
+async fn asked(app: &App, vial: &str) -> String {
+    let mut request = mg("sand", 12.0);
+    request.asked.vial = Some(vial.into());
+    app.start_weighing(request, vial).await.unwrap().0.id
+}
+
+async fn until_awaiting(app: &App, id: &str) {
+    until("it is its turn", async || app.weighing(id).await.unwrap().weighing.state == WeighingState::AwaitingVial)
+        .await;
+}
+
+fn said(vial: &str) -> VialReadyRequest {
+    VialReadyRequest { by: Some("Ada".into()), vial: Some(vial.into()) }
+}
+
+/// The vial on the pan: its name, and whether it holds this much.
+fn holds(found: &BenchStatus, name: &str, mass_mg: f64) -> bool {
+    let vial = found.vial.as_ref().expect("a vial is known");
+    vial.name.as_deref() == Some(name) && vial.holds_mg.is_some_and(|mg| (mg - mass_mg).abs() <= 3.0)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn three_weighings_for_three_named_vials_do_not_go_into_one() {
+    let (laboratory, functions) = laboratory(PATIENT_MS);
+    let (_folder, app) = open(functions).await;
+    calibrated(&app, "sand").await;
+    let [a, b, c] = [asked(&app, "A").await, asked(&app, "B").await, asked(&app, "C").await];
+    until_awaiting(&app, &a).await;
+    assert_eq!(laboratory.dispensed_mg(), 0.0);
+    assert_eq!(code(app.vial_ready(&b, said("B")).await), "not_its_turn");
+    assert_eq!(code(app.vial_ready(&a, said("B")).await), "vial_differs");
+    assert!(matches!(app.vial_ready("none", said("B")).await, Err(Error::NotFound { .. })));
+    app.vial_ready(&a, said("A")).await.unwrap();
+    let first: Weighing = done(&app, &a).await;
+    assert_eq!(first.state, WeighingState::Done, "{first:?}");
+    assert_eq!(code(app.vial_ready(&a, said("A")).await), "weighing_finished");
+    let poured_mg = laboratory.dispensed_mg();
+    assert!(poured_mg > 5.0, "{first:?}");
+
+    // Nobody has exchanged it, and somebody says so.
+    until_awaiting(&app, &b).await;
+    let found = app.bench().await.unwrap();
+    assert!(holds(&found, "A", poured_mg) && found.exchanges_vials == Some(false), "{found:?}");
+    app.vial_ready(&b, said("B")).await.unwrap();
+    let second = done(&app, &b).await;
+    assert_eq!((second.state, second.outcome), (WeighingState::Aborted, Some(Outcome::Aborted)));
+    let words = second.error.unwrap();
+    assert!(
+        ["vial `B`", "vial `A`", "still on the pan", "Nothing was poured"].iter().all(|it| words.contains(it)),
+        "{words}"
+    );
+    assert_eq!(laboratory.dispensed_mg(), poured_mg);
+
+    // The bench is not latched, and the next dose has its vial.
+    until_awaiting(&app, &c).await;
+    let found = app.bench().await.unwrap();
+    assert!(found.latch.is_none() && found.held.is_none() && holds(&found, "A", poured_mg), "{found:?}");
+    laboratory.prepare(spoon(3));
+    app.vial_ready(&c, said("C")).await.unwrap();
+    let third = done(&app, &c).await;
+    assert_eq!(third.state, WeighingState::Done, "{third:?}");
+    assert!(laboratory.dispensed_mg() > 5.0, "{third:?}");
+    assert!(holds(&app.bench().await.unwrap(), "C", laboratory.dispensed_mg()));
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn whoever_skips_the_vial_is_not_asked_dose_after_dose_and_the_pan_is_still_known() {
+    let (laboratory, functions) = laboratory(PATIENT_MS);
+    let (_folder, app) = open(functions).await;
+    calibrated(&app, "sand").await;
+    for key in ["first", "second"] {
+        let mut request = mg("sand", 12.0);
+        request.vial_check = VialCheck::Skip;
+        let id = app.start_weighing(request, key).await.unwrap().0.id;
+        let weighing = done(&app, &id).await;
+        assert_eq!(weighing.state, WeighingState::Done, "{weighing:?}");
+    }
+    let found = app.bench().await.unwrap();
+    let holds_mg = found.vial.unwrap().holds_mg.unwrap();
+    assert!((holds_mg - laboratory.dispensed_mg()).abs() <= 4.0 && holds_mg > 15.0, "{holds_mg}");
+    // It is not empty to whoever asks.
+    let id = asked(&app, "B").await;
+    until_awaiting(&app, &id).await;
+    app.vial_ready(&id, said("B")).await.unwrap();
+    assert_eq!(done(&app, &id).await.outcome, Some(Outcome::Aborted));
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_was_said_of_a_vial_is_void_after_a_stop_and_after_a_restart() {
+    let (laboratory, functions) = laboratory(PATIENT_MS);
+    let folder = tempfile::tempdir().unwrap();
+    let app = open_in(folder.path(), functions.clone()).await;
+    calibrated(&app, "sand").await;
+    let a = asked(&app, "A").await;
+    until_awaiting(&app, &a).await;
+    app.stop_bench().await.unwrap();
+    app.vial_ready(&a, said("A")).await.unwrap();
+    // Whoever stops again may take the vial away.
+    app.stop_bench().await.unwrap();
+    app.resume_bench(resume()).await.unwrap();
+    until("the lane has looked", async || {
+        app.weighing(&a).await.unwrap().weighing.state == WeighingState::AwaitingVial
+    })
+    .await;
+    app.stop_bench().await.unwrap();
+    app.vial_ready(&a, said("A")).await.unwrap();
+    app.shutdown().await.unwrap();
+    drop(app);
+    let app = open_in(folder.path(), functions).await;
+    app.resume_bench(resume()).await.unwrap();
+    until_awaiting(&app, &a).await;
+    assert_eq!((laboratory.arm.log().len(), laboratory.dispensed_mg()), (0, 0.0), "nothing has moved");
+    app.vial_ready(&a, said("A")).await.unwrap();
+    assert_eq!(done(&app, &a).await.state, WeighingState::Done);
+    app.shutdown().await.unwrap();
+}
+
+/// A client that takes control of the arm and is heard of no more, until the arm has latched itself.
+async fn dead_client(laboratory: &Laboratory) {
+    let client = Arm::connect(
+        laboratory.arm.url(),
+        Tap::none(),
+        Deadlines { idle: std::time::Duration::ZERO, ..Deadlines::default() },
+    );
+    let mut client = client.unwrap();
+    client.acquire().unwrap();
+    until("the dead-man", async || laboratory.arm.latched().is_some()).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_arm_that_is_latched_latches_the_bench_says_why_and_a_person_clears_both() {
+    let (laboratory, functions) = laboratory(300);
+    let (_folder, app) = open(functions).await;
+    calibrated(&app, "sand").await;
+    assert_eq!(code(app.clear_bench(clear(false)).await), "bench_not_latched");
+    dead_client(&laboratory).await;
+    // Before anybody has weighed: the arm alone is latched.
+    let cleared = app.clear_bench(clear(false)).await.unwrap();
+    assert_eq!((cleared.latch, cleared.held, laboratory.arm.latched()), (None, None, None));
+
+    dead_client(&laboratory).await;
+    let (a, b) = (asked(&app, "A").await, asked(&app, "B").await);
+    until_awaiting(&app, &a).await;
+    app.vial_ready(&a, said("A")).await.unwrap();
+    let words = done(&app, &a).await.error.unwrap();
+    assert!(words.contains("nobody renewed the lease in time") && !words.contains("acquire"), "{words}");
+    let latch = app.bench().await.unwrap().latch.expect("the bench is latched too");
+    assert!(latch.reason.contains("nobody renewed the lease in time"), "{}", latch.reason);
+    let cleared = app.clear_bench(clear(false)).await.unwrap();
+    assert_eq!((cleared.latch, laboratory.arm.latched()), (None, None));
+    // A dose waits: it is named, and does not begin by itself.
+    assert_eq!((cleared.held.is_some(), cleared.waiting[0].id == b), (true, true));
+    app.shutdown().await.unwrap();
+}
