@@ -43,11 +43,11 @@ fn wet(seen: &Arc<Seen>) -> Functions {
 
 fn campaign(budget_runs: u32) -> InvestigationRequest {
     InvestigationRequest {
-        traces_csv: None,
         measurements_csv: Some(CAMPAIGN.to_owned()),
         simulations: Some(99),
         budget_runs: Some(budget_runs),
         seed: Some(1),
+        ..InvestigationRequest::default()
     }
 }
 
