@@ -18,6 +18,11 @@ export function errorOf(w: Weighing): number | null {
   return reading === null ? null : reading - w.target_mg
 }
 
+/** It ended by itself, with a final reading: only such doses say how well the bench weighs. */
+export function counts(w: Weighing): boolean {
+  return w.outcome !== 'stopped' && errorOf(w) !== null
+}
+
 /** Expanded uncertainty of the reading, mg. */
 export function uncertaintyOf(w: Weighing): number | null {
   return w.measured?.uncertainty_mg ?? null

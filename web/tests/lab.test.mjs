@@ -34,15 +34,48 @@ async function weigh(vial) {
 }
 const strip = () => page.getByRole('region', { name: 'Bench now' })
 const state = (word) => page.locator('.verdict .badge').getByText(word, { exact: true }).waitFor({ timeout: 60_000 })
+const confirm = async (label) => {
+  await page.getByLabel('What its label says').fill(label)
+  await page.getByRole('button', { name: /^Vial .* is in$/ }).click()
+}
 
-describe('a dose in a laboratory', () => {
-  it('is stopped from the strip while the spoon shakes', async () => {
-    const id = await weigh('A1')
+describe('doses for two vials in a laboratory', () => {
+  it('wait until a person says that the vial is in that they name', async () => {
+    await weigh('A1')
+    await state('Awaiting vial')
+    await page.getByRole('heading', { name: 'Put vial A1 in, then confirm' }).waitFor()
+    await service.post('/v1/weighings', { powder: 'sand', target: { value: 12, unit: 'mg' }, tolerance: { lower: 1, upper: 1, unit: 'mg' }, asked: { vial: 'A2' } }, { 'idempotency-key': 'second' })
+    await confirm('A9')
+    await page.getByRole('alert').getByText('`A9`').waitFor()
+    await confirm('A1')
     await state('Dosing')
+  })
+
+  it('are stopped from the strip while the spoon shakes, and the second does not begin', async () => {
+    // Half of it is in the vial.
+    await page.waitForFunction(() => Number(document.querySelector('.digits')?.textContent) >= 6, undefined, { timeout: 120_000 })
     await strip().getByRole('button', { name: 'Stop', exact: true }).click()
     await strip().getByText(/^Stopped after \d+ ms$/).waitFor()
     await state('Stopped')
-    assert.equal((await service.get(`/v1/weighings/${id}`)).weighing.outcome, 'stopped')
-    assert.equal((await service.get('/v1/bench')).moving, null)
+    await strip().getByText('nothing begins until somebody resumes').waitFor()
+    await strip().getByText('One dose waits.').waitFor()
+    const { moving, held, waiting } = await service.get('/v1/bench')
+    assert.deepEqual([moving, !!held, waiting.map((dose) => dose.vial)], [null, true, ['A2']])
+  })
+
+  it('go on when a person resumes the bench, who sees the second', async () => {
+    await strip().getByRole('link', { name: 'To resume' }).click()
+    await page.getByRole('list', { name: 'Doses that wait' }).getByText('12.00 mg of Sand').waitFor()
+    await page.getByLabel('Your name').fill('Grace')
+    await page.getByRole('button', { name: 'Resume', exact: true }).click()
+    await strip().getByRole('link', { name: 'Put vial A2 in, then confirm' }).click()
+    await page.getByText('What was on the pan last: vial A1').waitFor()
+  })
+
+  it('are not poured into the vial of the first, whatever is said', async () => {
+    await confirm('A2')
+    await state('Aborted')
+    await page.getByText(/Nothing was poured/).waitFor()
+    await page.getByRole('group', { name: 'Balance', exact: true }).getByText('no reading').waitFor()
   })
 })

@@ -62,6 +62,17 @@ describe('a dose of which the balance shows another mass than is in the vial', (
   })
 })
 
+describe('a dose that a person stopped', () => {
+  it('is listed with its reading, and counts in no mean', async () => {
+    await list(SALT, { ...SALT, id: `${ID}3`, powder: 'sugar', state: 'aborted', outcome: 'stopped', reading_mg: 2 })
+    await chromium.open(page, 'weighings')
+    const { rows } = await csvOf(page, 'Weighings')
+    assert.equal(rows[2][rows[0].indexOf('Reading (mg)')], '2.0')
+    await chromium.open(page)
+    await page.getByText('Mean absolute error of these doses: 0.40 mg; within tolerance: 1 of 1').waitFor()
+  })
+})
+
 describe('a dose within its tolerance by less than its uncertainty', () => {
   it('is not proven, and its uncertainty is drawn as an interval', async () => {
     await show({ ...SALT, measured: measured(0.9, false) })
