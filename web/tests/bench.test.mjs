@@ -66,7 +66,16 @@ describe('the bench', () => {
     assert.equal((await answered).status(), 200)
     await page.unrouteAll()
     await stop.waitFor({ state: 'detached' })
+    await page.locator('main .badge').getByText('Held', { exact: true }).waitFor()
+  })
+
+  it('is held after a stop until a person resumes it', async () => {
+    assert.ok((await service.get('/v1/bench')).held)
+    await page.getByText('No dose waits.').waitFor()
+    await page.getByLabel('Your name').fill('Grace')
+    await page.getByRole('button', { name: 'Resume', exact: true }).click()
     await page.locator('main .badge').getByText('Ready').waitFor()
+    assert.equal((await service.get('/v1/bench')).held, null)
   })
 
   it('asks for a token before it stops anything', async () => {

@@ -87,7 +87,7 @@ export const currentSimulator = () => body(client.GET('/v1/simulators/current'))
 export const chooseSimulator = (simulator: string) => body(client.PUT('/v1/simulators/current', { body: { simulator } }))
 
 export const weighings = (query: Query = {}) => body(client.GET('/v1/weighings', { params: { query } }))
-export const weighing = (id: string): Promise<{ weighing: T.Weighing; ticks: T.Tick[] }> => body(client.GET('/v1/weighings/{id}', { params: at(id) }))
+export const weighing = (id: string) => body(client.GET('/v1/weighings/{id}', { params: at(id) }))
 /** No answer within this time leaves it unknown whether a dose was taken on. */
 const WEIGHING_MS = 20_000
 /** The same key with the same request never pours twice; `before`: it had been taken on already. */
@@ -96,13 +96,15 @@ export async function startWeighing(request: T.WeighingRequest, key: string) {
   return { id: (await body(Promise.resolve(answer))).id, before: answer.response.headers.get('idempotency-replayed') === 'true' }
 }
 
+/** A person says that the vial is in which a dose waits for. */
+export const vialReady = (id: string, said: T.VialReadyRequest) => body(client.POST('/v1/weighings/{id}/vial-ready', { params: at(id), body: said }))
+
 /** A service that does not answer this within a few seconds does not answer. */
 const BENCH_MS = 4000
-export const bench = (): Promise<T.BenchStatus> => body(client.GET('/v1/bench', { signal: AbortSignal.timeout(BENCH_MS) }))
+export const bench = () => body(client.GET('/v1/bench', { signal: AbortSignal.timeout(BENCH_MS) }))
 /** After a stop or a cleared latch: the doses that wait may begin. */
-export const resumeBench = (said: { by: string; note?: string }) => body<T.BenchStatus>((client as any).POST('/v1/bench/resume', { body: said }))
-export const vialReady = (id: string, said: { by?: string; vial?: string }) => body<T.Weighing>((client as any).POST('/v1/weighings/{id}/vial-ready', { params: at(id), body: said }))
-export const clearBench = (said: T.ClearRequest & { resume?: boolean }) => body(client.POST('/v1/bench/clear', { body: said }))
+export const resumeBench = (said: T.ResumeRequest) => body(client.POST('/v1/bench/resume', { body: said }))
+export const clearBench = (said: T.ClearRequest) => body(client.POST('/v1/bench/clear', { body: said }))
 export const checkRepeatability = (weighed: T.RepeatabilityRequest) => body(client.POST('/v1/bench/repeatability', { body: weighed }))
 
 /** Newest first. */

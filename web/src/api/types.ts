@@ -5,14 +5,7 @@ type Schemas = components['schemas']
 
 export type AuditRecord = Schemas['AuditRecord']
 export type AuditVerification = Schemas['AuditVerification']
-export type BenchStatus = Schemas['BenchStatus'] & {
-  held?: { at: string; reason: string; by?: string | null } | null
-  waiting?: Waiting[]
-  vial?: { name?: string | null; weighing?: string | null; holds_mg?: number | null; since: string } | null
-  reservation?: { owner: string; until: string } | null
-  exchanges_vials?: boolean
-}
-export type Waiting = { id: string; powder: string; target_mg: number; vial?: string | null; state: string }
+export type BenchStatus = Schemas['BenchStatus']
 export type Calibration = Schemas['Calibration']
 export type CalibrationMethod = Schemas['CalibrationMethod']
 export type CalibrationRequest = Schemas['CalibrationRequest']
@@ -58,6 +51,7 @@ export type Repeatability = Schemas['Repeatability']
 export type RepeatabilityRequest = Schemas['RepeatabilityRequest']
 export type Report = Schemas['Report']
 export type ReportRow = Schemas['Row']
+export type ResumeRequest = Schemas['ResumeRequest']
 export type ReposeMeasurement = Schemas['ReposeMeasurement']
 export type ReposeRequest = Schemas['ReposeRequest']
 export type SimulatorVersion = Schemas['SimulatorVersion']
@@ -66,5 +60,7 @@ export type Training = Schemas['Training']
 export type TrainingLevel = Schemas['TrainingLevel']
 export type TrainingRequest = Schemas['TrainingRequest']
 export type Trial = Schemas['Trial']
-export type Weighing = Omit<Schemas['Weighing'], 'state' | 'measured'> & { state: Schemas['Weighing']['state'] | 'awaiting_vial'; measured?: MeasuredMass | null }
-export type WeighingRequest = Schemas['WeighingRequest'] & { vial_check?: 'confirm' | 'skip' }
+export type VialReadyRequest = Schemas['VialReadyRequest']
+export type Waiting = Schemas['Waiting']
+export type Weighing = Schemas['Weighing'] & { measured?: MeasuredMass | null }
+export type WeighingRequest = Schemas['WeighingRequest']
