@@ -6,12 +6,9 @@ const THEME = 'flip-theme'
 
 export type Theme = 'system' | 'light' | 'dark'
 
-/** Whose token it is, as the service said. */
+/** What the service said of the token. */
 export interface Holder {
-  name: string
   role: string
-  /** Whether it may clear a latched bench. */
-  may_clear?: boolean
 }
 
 function kept(): Holder | undefined {
@@ -37,7 +34,7 @@ class Settings {
   get token() {
     return this.#token
   }
-  /** Whose it is. */
+  /** What it may. */
   get holder() {
     return this.#holder
   }

@@ -48,3 +48,25 @@ describe('a token that the service does not know', () => {
     await page.getByRole('button', { name: 'Keep the check' }).waitFor()
   })
 })
+
+describe('a token that the service knows', () => {
+  for (const [role, may] of [['viewer', /may read, but start and stop nothing/], ['operator', /may start, stop and add things/], ['admin', /may do everything/]]) {
+    it(`of role ${role} is named so, and may what it may`, async () => {
+      const { secret } = await service.post('/v1/tokens', { name: `a ${role}`, role })
+      const tab = await chromium.tab()
+      await chromium.open(tab, 'bench')
+      await unlock(tab, secret)
+      const set = tab.getByRole('button', { name: `Token set: ${role}` })
+      await set.click()
+      await tab.getByRole('dialog').getByRole('status').getByText(may).waitFor()
+      assert.deepEqual(await accessibilityFaults(tab), [])
+      await picture(tab, `token-${role}`)
+      await tab.getByRole('button', { name: 'Close' }).click()
+      assert.equal(await tab.getByRole('button', { name: 'Keep the check' }).count(), role === 'viewer' ? 0 : 1)
+      assert.equal(await tab.getByRole('button', { name: 'This token may only read: enter another' }).count(), role === 'viewer' ? 1 : 0)
+      await tab.reload()
+      await set.waitFor()
+      await tab.context().close()
+    })
+  }
+})
