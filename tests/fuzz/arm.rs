@@ -1,7 +1,7 @@
 //! Messages of an arm's driver process: what prost decodes, and what the client then believes.
 
 use crate::engine::{Seen, Target, bounded, outcome};
-use flip::domain::bench::{PitchLimits, SHAKE_MM_MAX};
+use flip::domain::bench::{PitchLimits, Reach, SHAKE_MM_MAX};
 use flip::hardware::arm::{Limits, checked, proto};
 use prost::Message;
 use std::fmt::Debug;
@@ -29,12 +29,12 @@ fn check_description(bytes: &[u8]) -> Result<Seen, String> {
     let motion = limits.motion;
     let speeds =
         [limits.pitch_deg_s_max, limits.shake_mm_max, motion.velocity_m_s, motion.acceleration_m_s2, motion.jerk_m_s3];
-    let is_narrow = (PitchLimits::WIDE.lower_deg..=0.0).contains(&lower_deg)
-        && (0.0..=PitchLimits::WIDE.upper_deg).contains(&upper_deg)
+    let is_narrow = (Reach::FULL.pitch.lower_deg..=0.0).contains(&lower_deg)
+        && (0.0..=Reach::FULL.pitch.upper_deg).contains(&upper_deg)
         && limits.shake_mm_max <= SHAKE_MM_MAX
         && speeds.iter().all(|speed| speed.is_finite() && *speed > 0.0);
     if !is_narrow {
-        return Err(format!("limits wider than FLIP's own: {limits:?}"));
+        return Err(format!("limits wider than those of an action: {limits:?}"));
     }
     for asked in [f64::NAN, f64::INFINITY, lower_deg - 1.0, upper_deg + 1.0, lower_deg, upper_deg, 0.0] {
         let may = limits.pitch_deg(asked).is_ok();
@@ -45,7 +45,7 @@ fn check_description(bytes: &[u8]) -> Result<Seen, String> {
     if limits.shake_mm(limits.shake_mm_max.next_up()).is_ok() || limits.shake_mm(-0.001).is_ok() {
         return Err(format!("a shake beyond {limits:?} may be asked for"));
     }
-    Ok(Seen::Read(outcome((description.protocol_version == 1, lower_deg == PitchLimits::WIDE.lower_deg))))
+    Ok(Seen::Read(outcome((description.protocol_version == 1, lower_deg == Reach::FULL.pitch.lower_deg))))
 }
 
 /// The first byte says which message the others are.

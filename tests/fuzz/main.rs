@@ -67,7 +67,7 @@ fn camera_frames_have_the_size_that_they_say() {
 }
 
 #[test]
-fn arm_limits_are_never_wider_than_flips_own() {
+fn arm_limits_are_never_wider_than_those_of_an_action() {
     fuzz(&arm::DESCRIPTION);
 }
 

@@ -90,13 +90,13 @@ pub(super) fn weight(number: Decimal, unit: &[u8], stable: bool, width: usize) -
 
 /// A frame whose number cannot be read, as `12:07.50 lb:oz` has one, still says its unit: refused by name where it is none that FLIP weighs in.
 pub(super) fn foreign(frame: &str) -> Result<Said, Unreadable> {
-    let words: Vec<&str> = frame.split_ascii_whitespace().collect();
-    let is_foreign = |pair: &&[&str]| {
-        let has_digit = pair[0].bytes().any(|byte| byte.is_ascii_digit());
-        has_digit && is_unit(pair[1].as_bytes()) && Unit::named(pair[1].as_bytes()).is_none()
+    let words = || frame.split_ascii_whitespace();
+    let is_foreign = |(number, unit): &(&str, &str)| {
+        let has_digit = number.bytes().any(|byte| byte.is_ascii_digit());
+        has_digit && is_unit(unit.as_bytes()) && Unit::named(unit.as_bytes()).is_none()
     };
-    let pair = words.windows(2).find(is_foreign).ok_or(Unreadable)?;
-    Ok(Said::Condition(Condition::ForeignUnit(pair[1].to_owned())))
+    let (_, unit) = words().zip(words().skip(1)).find(is_foreign).ok_or(Unreadable)?;
+    Ok(Said::Condition(Condition::ForeignUnit(unit.to_owned())))
 }
 
 /// At most five letters, or what stands between them: `%`, `lb:oz`.
