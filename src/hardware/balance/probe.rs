@@ -256,22 +256,33 @@ fn texts(found: &Probe, direction: Direction) -> impl Iterator<Item = &str> {
         .map(|exchange| exchange.text.as_str())
 }
 
-/// `9600, 19200 bits/s 8N1; 2400 bits/s 7E1`: speeds by framing.
+/// `9600, 19200 bits/s 8N1, 8O1; 2400 bits/s 7E1`: framings by the speeds that they were tried with.
 fn listed(settings: &[Serial]) -> String {
-    let mut framings: Vec<(u8, Parity)> = Vec::new();
-    for serial in settings {
-        if !framings.contains(&(serial.data_bits, serial.parity)) {
-            framings.push((serial.data_bits, serial.parity));
-        }
-    }
-    let part = |&(data_bits, parity): &(u8, Parity)| {
-        let with = |serial: &&Serial| (serial.data_bits, serial.parity) == (data_bits, parity);
-        let mut speeds: Vec<u32> = settings.iter().filter(with).map(|serial| serial.baud).collect();
+    let mut parts: Vec<(String, Vec<String>)> = Vec::new();
+    for framing in framings(settings) {
+        let with = settings.iter().filter(|serial| (serial.data_bits, serial.parity) == framing);
+        let mut speeds: Vec<u32> = with.map(|serial| serial.baud).collect();
         speeds.sort_unstable();
         let speeds = speeds.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
-        format!("{speeds} bits/s {data_bits}{}1", parity.letter())
-    };
-    framings.iter().map(part).collect::<Vec<_>>().join("; ")
+        let named = format!("{}{}1", framing.0, framing.1.letter());
+        match parts.iter_mut().find(|part| part.0 == speeds) {
+            Some(part) => part.1.push(named),
+            None => parts.push((speeds, vec![named])),
+        }
+    }
+    let part = |(speeds, framings): &(String, Vec<String>)| format!("{speeds} bits/s {}", framings.join(", "));
+    parts.iter().map(part).collect::<Vec<_>>().join("; ")
+}
+
+/// Each framing once, in the order of its first setting.
+fn framings(settings: &[Serial]) -> Vec<(u8, Parity)> {
+    let mut framings = Vec::new();
+    for framing in settings.iter().map(|serial| (serial.data_bits, serial.parity)) {
+        if !framings.contains(&framing) {
+            framings.push(framing);
+        }
+    }
+    framings
 }
 
 #[cfg(test)]
@@ -283,8 +294,10 @@ mod tests {
         let usual = usual_settings();
         assert_eq!(usual[0], Serial::default());
         assert_eq!(usual.len(), SPEEDS.len() * FRAMINGS.len());
-        let told = listed(&usual);
-        assert!(told.starts_with("1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200 bits/s 8N1; "), "{told}");
-        assert!(["8O1", "7E1", "7O1"].iter().all(|framing| told.contains(framing)), "{told}");
+        let every = "1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200 bits/s 8N1, 8O1, 7E1, 7O1";
+        assert_eq!(listed(&usual), every);
+        let few =
+            [usual[0], Serial { baud: 1200, ..usual[0] }, Serial { baud: 2400, data_bits: 7, parity: Parity::Even }];
+        assert_eq!(listed(&few), "1200, 9600 bits/s 8N1; 2400 bits/s 7E1");
     }
 }
