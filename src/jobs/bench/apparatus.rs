@@ -342,7 +342,10 @@ fn refused(error: DeviceError, latch: Result<Option<String>, DeviceError>) -> Po
 fn arm_latched(poured: Poured, cause: &str) -> Poured {
     let said = format!("the arm is latched: {cause}. Look at spoon, vial and arm, then clear the bench");
     // A latched arm refuses whatever it is asked: that is no cause.
-    let error = match poured.error.filter(|error| !error.contains("the arm must not do this now")) {
+    let is_refusal = |error: &String| {
+        ["the arm must not do this now", "the arm is latched"].iter().any(|refused| error.contains(refused))
+    };
+    let error = match poured.error.filter(|error| !is_refusal(error)) {
         Some(error) => format!("{said}; before that: {error}"),
         None => said,
     };
