@@ -95,9 +95,11 @@ impl From<store::Error> for Error {
             store::Error::ReadOnly => Self::Unavailable(
                 "the data folder was opened to read only because `flip serve` holds it: ask the server instead".into(),
             ),
-            store::Error::Locked | store::Error::Busy | store::Error::Full | store::Error::Gone(_) => {
-                Self::Unavailable(error.to_string())
-            }
+            store::Error::Locked
+            | store::Error::Busy
+            | store::Error::Full
+            | store::Error::Disk(_)
+            | store::Error::Gone(_) => Self::Unavailable(error.to_string()),
             error if error.is_closed() => {
                 Self::Unavailable("FLIP is shutting down: ask again after the restart".into())
             }

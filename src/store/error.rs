@@ -17,6 +17,9 @@ pub enum Error {
     /// No room to write.
     #[error("the disk of the data folder is full: make room there and try again")]
     Full,
+    /// The disk fails.
+    #[error("the disk does not take it ({0}): make room, or mend it")]
+    Disk(String),
     /// The file that is written is no longer the one at its path.
     #[error(
         "{0} is no longer the database that is being written: it was moved, removed or replaced. Stop FLIP, put it back, and start FLIP again"
@@ -94,6 +97,7 @@ impl From<sqlx::Error> for Error {
         match primary_code(&error) {
             Some(BUSY | LOCKED) => Self::Locked,
             Some(FULL) => Self::Full,
+            Some(INPUT_OUTPUT) => Self::Disk(error.to_string()),
             Some(CORRUPT | NOT_A_DATABASE) => Self::Damaged(error.to_string()),
             _ => Self::Database(error),
         }
@@ -103,6 +107,7 @@ impl From<sqlx::Error> for Error {
 // Primary result codes, https://www.sqlite.org/rescode.html.
 const BUSY: i32 = 5;
 const LOCKED: i32 = 6;
+const INPUT_OUTPUT: i32 = 10;
 const CORRUPT: i32 = 11;
 const FULL: i32 = 13;
 const NOT_A_DATABASE: i32 = 26;
