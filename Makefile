@@ -7,7 +7,7 @@
 # make discovery-report   effects hidden in data, hundreds of them, and the table of what was found; hours, stop it and call it again (NULLS=70 EFFECTS=10 WHOLE=10)
 # make weighing-gain   a version of the simulator from hidden data, and policies adapted to it, weighing: hours on two cores, stop it and call it again (SEEDS=6)
 # make reliability   every fault of every emulated device at every state of a weighing, 300 kills, a minute of fuzzing for each parser: an hour or more, most of it kills
-# make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll (ARGS="-- 1000 100 3")
+# make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll, and while others do their worst (ARGS="-- 200 100 1 none messages silent readers pollers streams lock all")
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash

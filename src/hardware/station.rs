@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 /// Bench time between two questions to the balance, s: its frames are a tenth or two apart.
 const ASK_EVERY_S: f64 = 0.05;
 /// The same while its mean is taken over many seconds: what it shows is remembered for longer.
-const WATCH_EVERY_S: f64 = 0.3;
+const WATCH_EVERY_S: f64 = 0.5;
 /// A pitch this near is where the spoon is, degrees.
 const PITCH_DEG_MIN: f64 = 1e-6;
 /// A vial may weigh this much less than the one that was tared before, mg.

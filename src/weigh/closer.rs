@@ -102,7 +102,9 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     pub(super) fn is_tared(&mut self, before: Reading, now: Reading) -> Result<(), Halted> {
         let tare_mg = self.tare.and_then(|tare| tare.tare_mg).unwrap_or(0.0);
         let rose_mg = now.mass_mg - before.mass_mg;
-        if tare_mg < TARE_MG_MIN || rose_mg < tare_mg / 2.0 {
+        // What is not a number is the guard's to refuse.
+        let is_lost = tare_mg >= TARE_MG_MIN && rose_mg >= tare_mg / 2.0;
+        if !is_lost {
             return Ok(());
         }
         self.must_look = true;

@@ -148,7 +148,7 @@ async fn fill(service: &Service) {
         "INSERT INTO measurement (id, powder, method, repose_deg, sd_deg, n, source, created_at)
          SELECT 'many-' || k, 'salt', 'manual', 30, 1, 5, '', 0 FROM n",
         "INSERT INTO audit (seq, at, weighing, kind, body, hash)
-         SELECT (SELECT coalesce(max(seq), 0) FROM audit) + k, 0, NULL, 'reading', '{\"mass_mg\":1.0}', 'none' FROM n",
+         SELECT (SELECT coalesce(max(seq), 0) FROM audit) + k, 0, NULL, 'reading', '{\"mass_mg\":1.0}', printf('%064d', k) FROM n",
     ] {
         sqlx::query(sqlx::AssertSqlSafe(format!("{many} {insert}"))).execute(&pool).await.unwrap();
     }

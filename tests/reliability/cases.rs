@@ -179,6 +179,11 @@ impl Case {
         cases
     }
 
+    /// The balance is switched on anew.
+    pub fn is_restart(&self) -> bool {
+        self.fault == Fault::Balance(balance::Fault::Restart)
+    }
+
     /// A number that follows from what the case is, whatever its place in the list.
     pub fn hash(&self) -> u64 {
         self.to_string().bytes().fold(0, |hash, byte| derive(hash, &[byte.into()]))

@@ -19,6 +19,10 @@ const WAITED_FOR: usize = 128;
 /// Memory for all bodies that have come in part, KiB.
 const KIB: usize = 64 * 1024;
 
+/// Bytes of a body that is too long which are still taken, and for how long: a client that is still sending would see its connection reset in place of the
+/// answer.
+const DISCARDED: (usize, Duration) = (8 * 1024 * 1024, Duration::from_secs(2));
+
 /// Who sends bodies at present.
 #[derive(Debug)]
 pub struct Arrivals {
@@ -53,22 +57,30 @@ impl Arrivals {
     pub async fn gather(
         &self,
         headers: &HeaderMap,
-        body: Body,
+        mut body: Body,
         bytes_max: usize,
         known: bool,
     ) -> Result<Bytes, Problem> {
         let announced = headers.get(header::CONTENT_LENGTH).and_then(|text| text.to_str().ok()?.parse::<u64>().ok());
-        if announced.is_some_and(|bytes| bytes > bytes_max as u64) {
-            return Err(Problem::too_large(bytes_max));
-        }
         let late = || Problem::too_slow("the body of the request did not come in time");
-        tokio::time::timeout(WHOLE, self.read(body, bytes_max, known)).await.map_err(|_| late())?
+        let gathered = match announced.is_some_and(|bytes| bytes > bytes_max as u64) {
+            true => Err(Problem::too_large(bytes_max)),
+            false => {
+                let read = tokio::time::timeout(WHOLE, self.read(&mut body, bytes_max, known)).await;
+                read.unwrap_or_else(|_| Err(late()))
+            }
+        };
+        // Who asks first whether to send it has not begun to.
+        if gathered.as_ref().is_err_and(|problem| problem.status == 413) && !headers.contains_key(header::EXPECT) {
+            discard(body).await;
+        }
+        gathered
     }
 
-    async fn read(&self, mut body: Body, bytes_max: usize, known: bool) -> Result<Bytes, Problem> {
+    async fn read(&self, body: &mut Body, bytes_max: usize, known: bool) -> Result<Bytes, Problem> {
         let mut gathered = Gathered { bytes: Vec::new(), waiting: None, kib: Vec::new() };
         loop {
-            let next = poll_fn(|cx| self.next(&mut body, &mut gathered.waiting, known, cx));
+            let next = poll_fn(|cx| self.next(body, &mut gathered.waiting, known, cx));
             let frame = tokio::time::timeout(self.pause, next).await;
             let late = || Problem::too_slow("the next part of the request's body did not come in time");
             match frame.map_err(|_| late())?? {
@@ -117,6 +129,18 @@ impl Arrivals {
     }
 }
 
+/// Takes what is on its way anyway.
+async fn discard(mut body: Body) {
+    let (mut left, limit) = DISCARDED;
+    let rest = async {
+        while left > 0 {
+            let Some(Ok(frame)) = poll_fn(|cx| Pin::new(&mut body).poll_frame(cx)).await else { return };
+            left = left.saturating_sub(frame.data_ref().map_or(0, Bytes::len));
+        }
+    };
+    let _enough = tokio::time::timeout(limit, rest).await;
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -138,7 +162,7 @@ mod tests {
     async fn a_body_that_never_ends_is_given_up_and_one_that_is_there_needs_no_place() {
         let arrivals = Arrivals { pause: Duration::from_millis(5), ..Arrivals::default() };
         assert_eq!(status(&arrivals, unfinished(&[b"abc"]), 10).await, 408);
-        assert_eq!(status(&arrivals, unfinished(&[b"abc", b"defghijk"]), 10).await, 413);
+        assert_eq!(status(&arrivals, Body::from("abcdefghijk"), 10).await, 413);
         let _all = arrivals.waited_for[0].try_acquire_many(WAITED_FOR as u32).unwrap();
         assert_eq!(status(&arrivals, unfinished(&[]), 10).await, 503);
         assert_eq!(status(&arrivals, Body::from("whole"), 10).await, 200);
@@ -153,7 +177,8 @@ mod tests {
 
     #[tokio::test]
     async fn a_body_that_says_it_is_too_long_is_not_read() {
-        let headers = HeaderMap::from_iter([(header::CONTENT_LENGTH, "11".parse().unwrap())]);
+        let expect = (header::EXPECT, "100-continue".parse().unwrap());
+        let headers = HeaderMap::from_iter([(header::CONTENT_LENGTH, "11".parse().unwrap()), expect]);
         let refused = Arrivals::default().gather(&headers, unfinished(&[]), 10, true).await.unwrap_err();
         assert_eq!(refused.status, 413);
     }

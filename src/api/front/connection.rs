@@ -10,7 +10,7 @@ pub const HEAD: Duration = Duration::from_secs(15);
 /// How long a connection may rest between requests.
 const REST: Duration = Duration::from_secs(60);
 /// How long an answer may make no progress: waiting for its body, its seat and the database are shorter together.
-const STALLED: Duration = Duration::from_secs(60);
+const STALLED: Duration = Duration::from_secs(120);
 /// How long the network may take no byte of what we have to say.
 const BLOCKED: Duration = Duration::from_secs(30);
 /// How long a connection that was asked to leave has for it.
@@ -50,6 +50,8 @@ struct State {
     is_holder: bool,
     /// Requests under way by [`Kind`].
     under_way: [usize; 3],
+    /// When a request last began.
+    begun: Instant,
     /// When an answer last made progress or a request last began or ended.
     moved: Instant,
     /// Since when the network takes nothing.
@@ -79,7 +81,7 @@ pub enum Use {
     Watching,
     /// Is being answered without a token.
     Asking,
-    /// Came a moment ago.
+    /// Came or asked a moment ago.
     Fresh,
     /// Has shown a token, and rests.
     HolderResting,
@@ -98,6 +100,7 @@ impl Connection {
             has_asked: false,
             is_holder: false,
             under_way: [0; 3],
+            begun: now,
             moved: now,
             blocked: None,
             asked_to_leave: None,
@@ -110,7 +113,8 @@ impl Connection {
     pub fn begin(self: &Arc<Self>, kind: Kind) -> UnderWay {
         let mut state = self.state();
         state.has_asked = true;
-        state.moved = Instant::now();
+        state.begun = Instant::now();
+        state.moved = state.begun;
         state.under_way[kind as usize] += 1;
         UnderWay { connection: self.clone(), kind }
     }
@@ -144,7 +148,7 @@ impl Connection {
     /// How useful it is, and when it last moved.
     pub fn usefulness(&self, now: Instant) -> (Use, Instant) {
         let state = self.state();
-        (state.usefulness(now.duration_since(self.born)), state.moved)
+        (state.usefulness(now), state.moved)
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -166,17 +170,20 @@ impl State {
         if rests && self.asked_to_leave.is_none() { Verdict::Leave } else { Verdict::Keep }
     }
 
-    fn usefulness(&self, age: Duration) -> Use {
+    fn usefulness(&self, now: Instant) -> Use {
+        // Who came or asked a moment ago may be about to show a token.
+        let is_fresh = now.saturating_duration_since(self.begun) < FRESH;
         let [ordinary, streams, stops] = self.under_way;
         match (stops, ordinary, streams, self.is_holder) {
             (1.., ..) => Use::Stopping,
             (0, 1.., _, true) => Use::HolderAsking,
             (0, 0, 1.., true) => Use::HolderWatching,
             (0, 0, 0, true) => Use::HolderResting,
+            (0, 1.., _, false) if is_fresh => Use::Fresh,
             (0, 1.., _, false) => Use::Asking,
             (0, 0, 1.., false) => Use::Watching,
             (0, 0, 0, false) if self.has_asked => Use::Resting,
-            (0, 0, 0, false) if age < FRESH => Use::Fresh,
+            (0, 0, 0, false) if is_fresh => Use::Fresh,
             (0, 0, 0, false) => Use::Silent,
         }
     }
@@ -256,20 +263,20 @@ mod tests {
 
     #[test]
     fn whoever_shows_a_token_or_asks_for_a_stop_is_worth_more_than_all_who_do_not() {
-        let (it, born) = connection();
-        let used = |age: Duration| it.usefulness(born + age).0;
-        assert_eq!((used(SOON), used(FRESH)), (Use::Fresh, Use::Silent));
+        let (it, _) = connection();
+        let used_after = |age: Duration| it.usefulness(Instant::now() + age).0;
+        assert_eq!((used_after(Duration::ZERO), used_after(FRESH)), (Use::Fresh, Use::Silent));
         drop(it.begin(Kind::Ordinary));
-        assert_eq!(used(FRESH), Use::Resting);
+        assert_eq!(used_after(FRESH), Use::Resting);
         let watch = it.begin(Kind::Stream);
-        assert_eq!(used(FRESH), Use::Watching);
+        assert_eq!(used_after(FRESH), Use::Watching);
         let _ask = it.begin(Kind::Ordinary);
-        assert_eq!(used(FRESH), Use::Asking);
+        assert_eq!((used_after(Duration::ZERO), used_after(FRESH)), (Use::Fresh, Use::Asking));
         drop(watch);
         it.shown_token();
-        assert!(used(FRESH) > Use::Fresh);
+        assert!(used_after(FRESH) > Use::Fresh);
         let _stop = it.begin(Kind::Stop);
-        assert_eq!(used(FRESH), Use::Stopping);
+        assert_eq!(used_after(FRESH), Use::Stopping);
     }
 
     #[test]

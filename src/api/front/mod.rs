@@ -35,11 +35,11 @@ use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto;
 use hyper_util::service::TowerToHyperService;
 use std::io;
-use std::net::{SocketAddr, TcpListener};
+use std::net::TcpListener;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use table::Table;
+use table::{Place, Table};
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpStream;
 use tokio::runtime::{Handle, Runtime};
@@ -191,7 +191,11 @@ impl Doors {
                 () = self.closing.cancelled() => return,
             };
             match taken {
-                Ok((stream, peer)) => drop(tokio::spawn(self.clone().serve(stream, peer, door))),
+                // Taken in here, in the order in which they came: tasks begin in any.
+                Ok((stream, peer)) => {
+                    let place = self.table.admit(peer.ip(), Instant::now());
+                    drop(tokio::spawn(self.clone().serve(stream, place, door)));
+                }
                 Err(error) => self.make_room(&error, &no_descriptor).await,
             }
         }
@@ -215,10 +219,9 @@ impl Doors {
         }
     }
 
-    async fn serve(self, stream: TcpStream, peer: SocketAddr, _door: OwnedSemaphorePermit) {
+    async fn serve(self, stream: TcpStream, place: Place, _door: OwnedSemaphorePermit) {
         // Only slower without.
         let _nodelay = stream.set_nodelay(true);
-        let place = self.table.admit(peer.ip(), Instant::now());
         let connection = &place.connection;
         let wire = Wire::new(stream, connection.clone());
         let work = async {

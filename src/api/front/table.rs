@@ -139,6 +139,7 @@ mod tests {
     fn a_flood_of_silent_connections_pushes_out_silent_ones_and_nobody_who_asks() {
         let (table, start) = (Arc::new(Table::new(8)), Instant::now());
         let asking = table.admit(HERE, start);
+        asking.connection.shown_token();
         let _answer = asking.connection.begin(Kind::Ordinary);
         let known = table.admit(HERE, start);
         known.connection.shown_token();
