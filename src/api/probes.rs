@@ -98,6 +98,7 @@ fn of_the_bench(bench: &BenchStatus) -> String {
             "1 while nobody may use the bench until a person has looked.",
             bench.latch.is_some(),
         ),
+        gauge("flip_bench_held", "1 after a stop, until a person resumes.", bench.held.is_some()),
         gauge("flip_bench_moving", "1 while a weighing moves.", bench.moving.is_some()),
     ]
     .concat()
@@ -113,7 +114,10 @@ fn recorder() -> Option<&'static PrometheusHandle> {
         let handle = bounded.ok()?.install_recorder().ok()?;
         metrics::describe_counter!("flip_requests_total", "Requests answered, by method, route and status.");
         metrics::describe_histogram!("flip_request_seconds", "Seconds to the head of the answer.");
-        metrics::describe_histogram!("flip_stop_seconds", "Seconds from a stop's head until the arm was told.");
+        metrics::describe_histogram!(
+            "flip_stop_seconds",
+            "Seconds from a stop's head to its answer; the arm is told before."
+        );
         metrics::describe_counter!(
             "flip_doses_total",
             "Weighings that ended, by bench and outcome, since the service started."

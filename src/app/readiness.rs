@@ -72,9 +72,20 @@ impl App {
     }
 
     async fn bench_is_in_the_way(&self) -> Option<String> {
-        match self.store().latch_apart().await {
-            Ok(None) => None,
-            Ok(Some(latch)) => Some(format!("latched since {}: {}", latch.at, latch.reason)),
+        let standing = self.inner.jobs.as_ref().map(|jobs| jobs.bench().standing()).unwrap_or_default();
+        if let Some(it) = standing.unwritten {
+            let since = it.since;
+            return Some(format!(
+                "the end of weighing {} could not be written down since {since}: {}",
+                it.weighing, it.why
+            ));
+        }
+        let latch = match standing.latch {
+            Some(latch) => Ok(Some(latch)),
+            None => self.store().latch_apart().await,
+        };
+        match latch {
+            Ok(latch) => latch.map(|latch| format!("latched since {}: {}", latch.at, latch.reason)),
             Err(error) => Some(format!("whether it is latched is not known: {error}")),
         }
     }

@@ -13,7 +13,8 @@ use super::watch::Watch;
 use super::weigh::{request, weigh};
 use crate::api::ServeError;
 use crate::app::{
-    App, Calibration, Order, Preset, TrainingRequest, TrainingResult, Weighing, WeighingRequest, Who, acting,
+    App, Calibration, Options, Order, Preset, TrainingRequest, TrainingResult, Weighing, WeighingRequest, Who, Workers,
+    acting,
 };
 use crate::domain::powder::PUBLISHED;
 use serde::Serialize;
@@ -86,7 +87,8 @@ struct Learned {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     runtime()?.block_on(async {
         let signals = StopSignals::catch()?;
-        let app = App::open(&common.data_dir, arguments.bench.options()?).await?;
+        let options = Options { workers: Workers::GiveWay, ..arguments.bench.options()? };
+        let app = App::open(&common.data_dir, options).await?;
         // Cancelled when the service is to end, and by the service when it ends by itself.
         let stop = CancellationToken::new();
         let service = match serve(&app, arguments, &stop) {

@@ -5,7 +5,7 @@ use super::claim::{Claim, Told};
 use super::effects::{quantity, rounded};
 use super::hypothesis::Cause;
 use super::names;
-use super::report::{Experiment, Finding, Gain, ColumnLeftOut, Report, Verdict};
+use super::report::{ColumnLeftOut, Experiment, Finding, Gain, Report, Verdict};
 use super::sizes::{ANGLES, FLOW, moved, size, sizes, whom};
 
 /// The one sentence that a reader sees first.

@@ -44,6 +44,14 @@ pub async fn acting<T>(who: Who, work: impl Future<Output = T>) -> T {
     WHO.scope(who, work).await
 }
 
+/// Do this on behalf of whoever it was begun for elsewhere, if anybody.
+pub(crate) async fn acting_maybe<T>(who: Option<Who>, work: impl Future<Output = T>) -> T {
+    match who {
+        Some(who) => acting(who, work).await,
+        None => work.await,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

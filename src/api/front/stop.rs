@@ -14,7 +14,7 @@ use axum::extract::{Extension, Request};
 use axum::middleware::{Next, from_fn};
 use axum::response::{IntoResponse, Response};
 use std::sync::{Arc, LazyLock};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
 use tokio::task::spawn_blocking;
 
@@ -41,7 +41,10 @@ async fn permit(Extension(connection): Extension<Arc<Connection>>, request: Requ
         return problem.into_response();
     }
     let _stopping = connection.begin(Kind::Stop);
-    next.run(request).await
+    let started = Instant::now();
+    let response = next.run(request).await;
+    metrics::histogram!("flip_stop_seconds").record(started.elapsed().as_secs_f64());
+    response
 }
 
 /// Waits for the message that names the weighing.

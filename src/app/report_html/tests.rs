@@ -4,8 +4,8 @@ use super::words::{cause, chance, column_with_unit, duration, interval, num, per
 use crate::discover::numerics::{Dependence, Varied};
 use crate::discover::reading::{ColumnRead, FileRead, LeftOut, NamedPowder, TakenAs};
 use crate::discover::report::{
-    CauseReport, Channel, Coverage, Curve, Detectable, Evidence, Experiment, Finding, FormClass, Gain, HeldOut,
-    ColumnLeftOut, LogScore, NullCheck, Numerics, ParameterReport, PowderEffect, Row, SCHEMA_VERSION, SimulatorVersions,
+    CauseReport, Channel, ColumnLeftOut, Coverage, Curve, Detectable, Evidence, Experiment, Finding, FormClass, Gain,
+    HeldOut, LogScore, NullCheck, Numerics, ParameterReport, PowderEffect, Row, SCHEMA_VERSION, SimulatorVersions,
     Unexplained, UntestableReport, Verdict, WeighingGain,
 };
 use crate::discover::{FitSet, Report};

@@ -11,6 +11,7 @@ use crate::store::bench::Latch;
 use crate::store::holds::Held;
 use crate::store::pan::Reservation;
 use crate::store::weighings::{Waiting, Weighing};
+use crate::store::who::Who;
 use crate::store::{self, Store, now};
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -87,6 +88,8 @@ pub(super) struct Halted {
     pub weighing: Option<String>,
     /// The hold that begins with it, unless there is one already.
     pub held: Held,
+    /// Who stopped: the record is written by another task, later.
+    pub who: Option<Who>,
 }
 
 impl Known {
@@ -102,9 +105,11 @@ impl Known {
             Some(id) => format!("stop was pressed while weighing {id} moved"),
             None => "stop was pressed".to_owned(),
         };
-        let held = Held { at: now(), reason, by: by.map(str::to_owned) };
+        let who = Who::now();
+        let by = by.map(str::to_owned).or_else(|| who.as_ref().map(|who| who.name.clone()));
+        let held = Held { at: now(), reason, by };
         self.held.get_or_insert_with(|| held.clone());
-        Halted { weighing, held }
+        Halted { weighing, held, who }
     }
 }
 

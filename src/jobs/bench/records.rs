@@ -1,6 +1,7 @@
 //! Stops that are not written down yet: the arm has been told, and the record follows when the database lets it.
 
 use super::condition::Halted;
+use crate::store::who::acting_maybe;
 use crate::store::{self, Store};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -42,8 +43,8 @@ impl Records {
                 return Ok(());
             }
             let mut tx = store.write().await?;
-            for Halted { weighing, held } in &some {
-                tx.audit_person(weighing.as_deref(), "stop", held.at).await?;
+            for Halted { weighing, held, who } in &some {
+                acting_maybe(who.clone(), tx.audit_person(weighing.as_deref(), "stop", held.at)).await?;
                 tx.hold_bench(held).await?;
             }
             tx.commit().await?;
