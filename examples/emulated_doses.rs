@@ -106,8 +106,9 @@ async fn dose(app: &App, powder: &str, target_mg: f64, seed: u64) -> anyhow::Res
     }
 }
 
+/// Of the true mass.
 fn errors(doses: &[Weighing]) -> Vec<f64> {
-    doses.iter().filter_map(|dose| dose.error_mg).collect()
+    doses.iter().filter_map(|dose| Some(dose.dispensed_mg? - dose.target_mg)).collect()
 }
 
 fn absolute(doses: &[Weighing]) -> f64 {

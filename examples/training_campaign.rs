@@ -132,6 +132,7 @@ fn weigh(pour: &Pour, pouring: &Pouring, trace: bool) -> anyhow::Result<Dose> {
         eprintln!("target {} mg, dispensed {:.2} mg:{told}", pouring.order.target_mg, dispensed_mg);
     }
     let Poured { reading_mg, shakes, seconds, .. } = poured;
+    let reading_mg = reading_mg.ok_or_else(|| anyhow::anyhow!("a dose without a reading"))?;
     Ok(Dose { dispensed_mg, reading_mg, shakes, seconds })
 }
 

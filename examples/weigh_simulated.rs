@@ -41,7 +41,7 @@ fn main() -> anyhow::Result<()> {
         "{:?}: {:.2} mg in the vial, {:.1} mg read, {target_mg} mg wanted; {} shakes in {:.1} s",
         weighed.outcome,
         bench.vial_mg(),
-        weighed.reading_mg,
+        weighed.reading_mg.unwrap_or(f64::NAN),
         weighed.shakes,
         weighed.seconds
     );

@@ -86,7 +86,7 @@ fn result(weighing: &Weighing) -> String {
         (Some(measured), _) => {
             format!("{} mg ± {} mg of {powder}", digits(measured.net_mg), digits(measured.uncertainty_mg))
         }
-        (None, Some(reading_mg)) => format!("{} mg of {powder}, by the last reading", digits(reading_mg)),
+        (None, Some(reading_mg)) => format!("{} mg of {powder}, by the final reading", digits(reading_mg)),
         (None, None) => format!("no mass of {powder} was measured"),
     }
 }
@@ -107,6 +107,12 @@ fn warnings(weighing: &Weighing) -> Vec<String> {
     all.extend(weighing.outcome.and_then(told).map(str::to_owned));
     all.extend(weighing.error.clone());
     if let Some(measured) = &weighing.measured {
+        if measured.proven == Some(false) {
+            all.push(format!(
+                "Not proven: with its uncertainty of {} mg the net mass may lie on either side of a limit of the tolerance.",
+                digits(measured.uncertainty_mg)
+            ));
+        }
         match (measured.below_minimum_weight, measured.minimum_mg) {
             (Some(true), Some(minimum)) => all.push(format!(
                 "Below the minimum weight of this balance, {} mg at the accuracy asked for: not accurately weighed in the sense of USP <41>.",
@@ -143,7 +149,7 @@ fn asked(weighing: &Weighing) -> Vec<(&'static str, String)> {
 }
 
 fn measured(weighing: &Weighing) -> Vec<(&'static str, String)> {
-    let mut rows = vec![("Outcome", weighing.outcome.map(word).unwrap_or_default())];
+    let mut rows = vec![("Outcome", outcome(weighing))];
     let Some(it) = &weighing.measured else { return rows };
     let mg = |value: Option<f64>| {
         value.map_or_else(|| "not told by the balance".to_owned(), |mg| format!("{} mg", digits(mg)))
@@ -151,6 +157,7 @@ fn measured(weighing: &Weighing) -> Vec<(&'static str, String)> {
     rows.extend([
         ("Gross", mg(it.gross_mg)),
         ("Tare", mg(it.tare_mg)),
+        ("Zero after the tare", mg(it.zero_mg)),
         ("Net", format!("{} mg", digits(it.net_mg))),
         ("Expanded uncertainty (k = 2)", format!("{} mg", digits(it.uncertainty_mg))),
         (
@@ -163,6 +170,7 @@ fn measured(weighing: &Weighing) -> Vec<(&'static str, String)> {
             format!("{} / {}", yes(it.stable_by_balance), yes(it.stable_by_window)),
         ),
     ]);
+    rows.extend(weighing.error_mg.map(|mg| ("Error (net less target)", format!("{} mg", digits(mg)))));
     rows.extend(drift(it));
     rows.extend(weighing.shakes.map(|n| ("Shakes", n.to_string())));
     rows.extend(weighing.seconds.map(|s| ("Time on the bench", format!("{s:.1} s"))));
@@ -199,6 +207,13 @@ fn word(outcome: Outcome) -> String {
         .unwrap_or_default()
 }
 
+/// The outcome, and whether it is proven.
+fn outcome(weighing: &Weighing) -> String {
+    let outcome = weighing.outcome.map(word).unwrap_or_default();
+    let is_proven = weighing.measured.as_ref().and_then(|measured| measured.proven);
+    if is_proven == Some(false) { format!("{outcome}, not proven") } else { outcome }
+}
+
 fn yes(is: bool) -> &'static str {
     if is { "yes" } else { "no" }
 }
@@ -212,4 +227,51 @@ fn digits(value: f64) -> String {
 
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::{Value, json};
+
+    fn page(weighing: Value) -> String {
+        let mut all = json!({
+            "id": "w", "powder": "salt", "target_mg": 10.0, "tolerance_lower_mg": 1.0, "tolerance_upper_mg": 1.0, "policy": "p",
+            "parameter_set": "ps", "seed": 1, "state": "done", "outcome": "within", "dispensed_mg": 8.2, "reading_mg": 9.3, "error_mg": -0.7,
+            "shakes": 3, "seconds": 40.0, "error": null, "created_at": "2026-11-26T01:00:00.000Z", "started_at": null, "finished_at": null,
+        });
+        let (Value::Object(all_fields), Value::Object(fields)) = (&mut all, weighing) else { panic!("objects") };
+        all_fields.extend(fields);
+        let weighing = serde_json::from_value(all).unwrap();
+        html(&WeighingDetail { weighing, ticks: Vec::new() }, 0, None)
+    }
+
+    fn measured(proven: bool) -> Value {
+        let of = json!({ "tare_mg": 12000.0, "gross_mg": 12009.3, "net_mg": 9.3, "uncertainty_mg": 0.9, "proven": proven,
+            "stable_by_balance": true, "stable_by_window": true });
+        json!({ "measured": of })
+    }
+
+    #[test]
+    fn a_certificate_says_what_is_not_proven_and_its_error_is_that_of_the_reading() {
+        let (open, proven) = (page(measured(false)), page(measured(true)));
+        assert!(
+            open.contains("within, not proven") && open.contains("Not proven: with its uncertainty of 0.9 mg"),
+            "{open}"
+        );
+        assert!(open.contains("9.3 mg ± 0.9 mg") && open.contains("-0.7 mg") && !open.contains("8.2"), "{open}");
+        assert!(!proven.to_lowercase().contains("not proven"), "{proven}");
+    }
+
+    #[test]
+    fn an_aborted_dose_has_no_mass_on_its_certificate() {
+        let cause = "the arm stopped; the balance last showed 4 mg, which does not say what lies in the vial";
+        let gone =
+            json!({ "state": "aborted", "outcome": "aborted", "reading_mg": null, "error_mg": null, "error": cause });
+        let page = page(gone);
+        assert!(
+            page.contains("no mass of salt was measured") && page.contains(cause) && !page.contains("0 mg of salt"),
+            "{page}"
+        );
+    }
 }

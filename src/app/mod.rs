@@ -19,6 +19,7 @@ mod measurement_csv;
 mod measurements;
 mod policies;
 mod powders;
+mod provable;
 pub mod report_html;
 mod repose;
 mod simulators;

@@ -64,7 +64,7 @@ pub struct WeighingRequest {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Target {
-    /// How much, above 0 and within what the spoon holds.
+    /// How much: at least one step of the balance's display, and within what the spoon holds.
     pub value: f64,
     /// `mg` or `g`.
     #[schema(examples("mg"))]
@@ -75,9 +75,9 @@ pub struct Target {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Tolerance {
-    /// Accepted shortfall, >= 0.
+    /// Accepted shortfall, >= 0 and less than the target.
     pub lower: f64,
-    /// Accepted excess, >= 0.
+    /// Accepted excess, >= 0; together they are more than 0 and at least one step of the balance's display.
     pub upper: f64,
     /// `mg`, `g`, or `%` of the target.
     #[schema(examples("mg"))]
@@ -117,6 +117,7 @@ impl App {
     /// Check a request and make every choice that it leaves open.
     async fn plan(&self, request: WeighingRequest) -> Result<(WeighRequest, String)> {
         let (target_mg, tolerance) = masses(&request)?;
+        super::provable::check(target_mg, tolerance, self.jobs_or_refuse()?.bench().readability_mg())?;
         check_asked(&request.asked)?;
         if request.asked.on_overdose != OnOverdose::Stop && !self.jobs_or_refuse()?.bench().kind().exchanges_vials() {
             let advice = "must be `stop`: this bench cannot exchange vials by itself";

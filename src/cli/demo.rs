@@ -206,13 +206,15 @@ fn row(calibration: &Calibration, weighing: Weighing, with_trained: &Weighing) -
         let why = of.error.as_deref().unwrap_or("it did not end");
         value.ok_or_else(|| anyhow::anyhow!("weighing {} has no {what}: {why}", of.id))
     };
+    // Of the true mass: the simulator knows it.
+    let error_mg = |of: &Weighing| known("dispensed mass", of.dispensed_mg, of).map(|mg| mg - of.target_mg);
     Ok(Row {
         aor_measured_deg: calibration.target.repose_deg,
         aor_simulated_deg: sets.iter().map(|set| set.repose_deg).sum::<f64>() / sets.len() as f64,
         target_mg: weighing.target_mg,
         dispensed_mg: known("dispensed mass", weighing.dispensed_mg, &weighing)?,
-        error_mg: known("error", weighing.error_mg, &weighing)?,
-        trained_error_mg: known("error", with_trained.error_mg, with_trained)?,
+        error_mg: error_mg(&weighing)?,
+        trained_error_mg: error_mg(with_trained)?,
         shakes: weighing.shakes.unwrap_or_default(),
         seconds: weighing.seconds.unwrap_or_default(),
         policy: weighing.policy,

@@ -57,8 +57,9 @@ struct Document {
     target_mg: f64,
     /// What fell into the vial, which only a simulation knows.
     dispensed_mg: Option<f64>,
-    /// What the balance showed.
+    /// What the balance showed when all stood still: the outcome and the error are those of this number.
     reading_mg: Option<f64>,
+    /// Reading less target.
     error_mg: Option<f64>,
     /// Gross, tare, uncertainty, drift, stability, devices: where a balance weighed.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -204,14 +205,18 @@ fn in_flags(error: Error) -> Failure {
 fn text(document: &Document) -> String {
     let mg = |value: Option<f64>| value.map_or_else(|| "unknown".into(), |value| format!("{value:.2} mg"));
     let outcome = serde_json::to_value(document.outcome).ok();
+    let measured = document.measured.as_ref();
+    let is_unproven = measured.is_some_and(|measured| measured.proven == Some(false));
     format!(
-        "outcome    {}\ntarget     {:.2} mg\ndispensed  {}\nreading    {}\nerror      {}\nshakes     {}\nseconds    {:.1}\n\
+        "outcome    {}{}\ntarget     {:.2} mg\nreading    {}{}\nerror      {}\ndispensed  {}\nshakes     {}\nseconds    {:.1}\n\
          policy     {}{}",
         outcome.as_ref().and_then(|value| value.as_str()).unwrap_or("unknown"),
+        if is_unproven { ", not proven" } else { "" },
         document.target_mg,
-        mg(document.dispensed_mg),
         mg(document.reading_mg),
+        measured.map_or_else(String::new, |measured| format!(" +- {:.2} mg (k = 2)", measured.uncertainty_mg)),
         mg(document.error_mg),
+        document.dispensed_mg.map_or_else(|| "unknown".into(), |mg| format!("{mg:.2} mg, true mass")),
         document.shakes.unwrap_or_default(),
         document.seconds.unwrap_or_default(),
         document.policy,

@@ -1,5 +1,6 @@
 //! What passes between a bench and everything else: actions out, readings back.
 
+use super::rest::Rest;
 use serde::{Deserialize, Serialize};
 
 /// What a bench is made of.
@@ -109,8 +110,17 @@ pub struct Tare {
     pub tare_mg: Option<f64>,
 }
 
+/// What a balance showed at some time, with nothing moving.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Moment {
+    /// Bench time, s.
+    pub t_s: f64,
+    /// What it showed, mg.
+    pub mass_mg: f64,
+}
+
 /// A balance that was watched while nothing moved.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Standing {
     /// The last reading.
     pub reading: Reading,
@@ -122,4 +132,6 @@ pub struct Standing {
     pub scatter_mg: f64,
     /// For how long it was watched, s.
     pub seconds: f64,
+    /// All that the readings say of where the display stood.
+    pub rest: Rest,
 }

@@ -9,6 +9,7 @@ pub mod observable;
 pub mod parameters;
 pub mod pile;
 pub mod powder;
+pub mod rest;
 pub mod seed;
 pub mod timestamp;
 pub mod vial;

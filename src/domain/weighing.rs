@@ -81,17 +81,24 @@ impl Asked {
     }
 }
 
-/// What a weighing measured beside its last reading.
+/// What a weighing measured beside its final reading.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct MeasuredMass {
     /// The vial, mg; absent where the balance does not say.
     pub tare_mg: Option<f64>,
     /// Vial and powder, mg.
     pub gross_mg: Option<f64>,
-    /// Powder, mg: what the balance showed when everything stood still.
+    /// What the display showed in the mean after the tare, mg: the net mass counts from there; absent where nobody watched.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub zero_mg: Option<f64>,
+    /// Powder, mg: what the balance showed in the mean when everything stood still, less the zero.
     pub net_mg: f64,
-    /// Expanded uncertainty of the net mass (k = 2), mg: readability, repeatability, drift.
+    /// Expanded uncertainty of the net mass (k = 2), mg: readability, wander or repeatability, drift.
     pub uncertainty_mg: f64,
+    /// The outcome holds over all of the net mass and its uncertainty; false of a dose that is within, not proven. Absent where the outcome says nothing of
+    /// the tolerance.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub proven: Option<bool>,
     /// Smallest net mass that this balance may weigh at the accuracy asked for, mg; absent without a repeatability check.
     pub minimum_mg: Option<f64>,
     /// The net mass is smaller than that.
@@ -100,7 +107,7 @@ pub struct MeasuredMass {
     pub stable_by_balance: bool,
     /// Our own criterion at the last reading.
     pub stable_by_window: bool,
-    /// Slope of the readings before the dose, mg/min.
+    /// Slope of the readings before the dose, mg/min; 0 where they prove none.
     pub drift_before_mg_min: Option<f64>,
     /// And after it.
     pub drift_after_mg_min: Option<f64>,
@@ -118,11 +125,11 @@ pub struct MeasuredMass {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// Within tolerance.
+    /// Within tolerance by the reading. Where nothing was poured it is not.
     Within,
-    /// Short of the target beyond tolerance; every step is spent.
+    /// Short of the target beyond tolerance by the reading.
     Under,
-    /// Above the target beyond tolerance. Powder cannot be taken back.
+    /// By the reading above the target beyond tolerance. Powder cannot be taken back.
     Over,
     /// The balance did not come to rest: what it showed is no mass.
     NotStable,

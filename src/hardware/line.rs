@@ -110,17 +110,17 @@ impl Line {
         }
     }
 
-    /// Forget what has come and was not asked for; returns how many bytes that was.
+    /// Forget what has come and was not asked for; returns what it was.
     ///
     /// # Errors
     /// [`DeviceError::Lost`]
-    pub fn discard_input(&mut self) -> Result<usize, DeviceError> {
+    pub fn discard_input(&mut self) -> Result<Vec<u8>, DeviceError> {
         let mut seen = self.look();
         while matches!(seen, Ok(1..)) && self.partial.len() <= 64 * LINE_BYTES_MAX {
             seen = self.look();
         }
         // What came before the connection broke is on record too.
-        let forgotten = self.forget().len();
+        let forgotten = self.forget();
         seen.map(|_| forgotten)
     }
 

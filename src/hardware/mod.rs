@@ -21,7 +21,7 @@ mod error;
 
 pub use error::DeviceError;
 
-use crate::domain::bench::{Action, Reading, Standing, Tare};
+use crate::domain::bench::{Action, Moment, Reading, Standing, Tare};
 
 /// A balance under a spoon on an arm. Every call returns when the motion or the reading is complete.
 pub trait Bench {
@@ -48,6 +48,18 @@ pub trait Bench {
     /// # Errors
     /// A device failed.
     fn stand(&mut self, seconds: f64) -> Result<Standing, DeviceError>;
+
+    /// What the display shows from now on for this long, s, with nothing moving; at least one reading.
+    ///
+    /// # Errors
+    /// A device failed.
+    fn readings(&mut self, seconds: f64) -> Result<Vec<Moment>, DeviceError>;
+
+    /// The balance is the one that was tared, and has weighed without a break since.
+    ///
+    /// # Errors
+    /// It is not, or does not say: what it shows is no net mass.
+    fn is_the_same(&mut self) -> Result<(), DeviceError>;
 
     /// When the display last showed another number than just before, bench time, s: it lived then. Infinity: it always lives.
     fn lived_s(&self) -> f64;

@@ -19,7 +19,8 @@
 //!
 //! `examples/settling.rs` tries it on the published step responses.
 
-use crate::domain::bench::{Reading, Standing};
+use crate::domain::bench::{Moment, Reading, Standing};
+use crate::domain::rest::Rest;
 
 /// Fewest readings that say anything.
 const READINGS_MIN: usize = 3;
@@ -85,19 +86,21 @@ pub fn settled(settling: &Settling, shown: &[Shown]) -> Option<Settled> {
 
 /// A balance that was watched for a while with nothing moving; `None` if there are too few readings.
 ///
-/// `still` asks the same as [`settled`], of the last window alone: a slow drift does not make it restless, its slope says that there is one.
+/// `rest` is on the readings' own clock. `still` asks the same as [`settled`], of the last window alone: a slow drift does not make it restless, its slope says that there is one.
 pub fn standing(settling: &Settling, shown: &[Shown]) -> Option<Standing> {
     let (first, last) = (shown.first()?, shown.last()?);
     let (slope_mg_s, scatter_mg) = line(shown)?;
     // Less than half a step over the whole time is rounding, not drift.
     let is_rounding = slope_mg_s.abs() * (last.t_s - first.t_s) <= settling.step_mg / 2.0;
     let slope_mg_s = if is_rounding { 0.0 } else { slope_mg_s };
+    let seen: Vec<Moment> = shown.iter().map(|one| Moment { t_s: one.t_s, mass_mg: one.mass_mg }).collect();
     Some(Standing {
         reading: Reading { mass_mg: last.mass_mg, stable: last.flag },
         still: settled(&Settling { lag_s: f64::NEG_INFINITY, ..*settling }, shown).is_some(),
         drift_mg_min: 60.0 * slope_mg_s,
         scatter_mg,
         seconds: last.t_s - first.t_s,
+        rest: Rest::of(&seen)?,
     })
 }
 

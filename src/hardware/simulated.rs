@@ -1,8 +1,9 @@
 //! The digital bench: the simulator's spoon over the simulated balance.
 
 use super::{Bench, DeviceError};
-use crate::domain::bench::{Action, Reading, Standing, Tare};
+use crate::domain::bench::{Action, Moment, Reading, Standing, Tare};
 use crate::domain::parameters::ParameterSet;
+use crate::domain::rest::Rest;
 use crate::domain::seed::derive;
 use crate::sim::balance;
 use crate::sim::dispense::{self, Dispenser, Poured};
@@ -76,7 +77,23 @@ impl Bench for SimulatedBench {
     fn stand(&mut self, seconds: f64) -> Result<Standing, DeviceError> {
         let reading = self.read()?;
         let still = reading.stable;
-        Ok(Standing { reading, still, drift_mg_min: 0.0, scatter_mg: self.balance.noise_mg, seconds })
+        let seen = [Moment { t_s: self.elapsed_s, mass_mg: reading.mass_mg }];
+        let rest = Rest::of(&seen).ok_or(DeviceError::Silent { device: "the simulated balance" })?;
+        Ok(Standing { reading, still, drift_mg_min: 0.0, scatter_mg: self.balance.noise_mg, seconds, rest })
+    }
+
+    fn readings(&mut self, seconds: f64) -> Result<Vec<Moment>, DeviceError> {
+        let until_s = self.elapsed_s + seconds;
+        let mut seen = Vec::new();
+        while seen.is_empty() || self.elapsed_s < until_s {
+            let mass_mg = self.read()?.mass_mg;
+            seen.push(Moment { t_s: self.elapsed_s, mass_mg });
+        }
+        Ok(seen)
+    }
+
+    fn is_the_same(&mut self) -> Result<(), DeviceError> {
+        Ok(())
     }
 
     fn lived_s(&self) -> f64 {

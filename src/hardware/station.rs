@@ -8,12 +8,14 @@ use super::gripper::{Gripper, fault_words};
 use super::settle::{Settling, Shown, settled, standing};
 use super::wire::Tap;
 use super::{Bench, DeviceError};
-use crate::domain::bench::{Action, Reading, Standing, Tare};
+use crate::domain::bench::{Action, Moment, Reading, Standing, Tare};
 use crate::domain::bench_check::ShakeCalibration;
 use std::collections::BTreeMap;
 
 /// Bench time between two questions to the balance, s: its frames are a tenth or two apart.
 const ASK_EVERY_S: f64 = 0.05;
+/// The same while its mean is taken over many seconds: what it shows is remembered for longer.
+const WATCH_EVERY_S: f64 = 0.5;
 /// A pitch this near is where the spoon is, degrees.
 const PITCH_DEG_MIN: f64 = 1e-6;
 /// A vial may weigh this much less than the one that was tared before, mg.
@@ -217,7 +219,26 @@ impl Bench for Station {
         // The slope is that of the time that was asked for: before it the load may still have been felt.
         let from_s = shown.last().map_or(0.0, |last| last.t_s - seconds.max(1.0));
         let recent: Vec<Shown> = shown.iter().copied().filter(|one| one.t_s >= from_s).collect();
-        standing(&settling, &recent).ok_or(DeviceError::Silent { device: "the balance" })
+        let mut found = standing(&settling, &recent).ok_or(DeviceError::Silent { device: "the balance" })?;
+        found.rest.at_s += self.moved_at_s - self.began_s;
+        Ok(found)
+    }
+
+    fn readings(&mut self, seconds: f64) -> Result<Vec<Moment>, DeviceError> {
+        let until_s = self.clock.now_s() + seconds;
+        let mut seen = Vec::new();
+        loop {
+            let Sample { t_s, mass_mg, .. } = self.look()?;
+            seen.push(Moment { t_s: t_s - self.began_s, mass_mg });
+            self.clock.wait_s(WATCH_EVERY_S);
+            if self.clock.now_s() >= until_s {
+                return Ok(seen);
+            }
+        }
+    }
+
+    fn is_the_same(&mut self) -> Result<(), DeviceError> {
+        self.balance.is_the_same()
     }
 
     fn lived_s(&self) -> f64 {

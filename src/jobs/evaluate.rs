@@ -66,18 +66,12 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
             };
             let poured =
                 (context.functions.pour)(&pouring, &mut |_| ControlFlow::Continue(()), &AtomicBool::new(false));
-            match (poured.dispensed_mg, poured.outcome) {
-                (None, _) | (_, Outcome::Aborted | Outcome::NotStable) => {
-                    let cause = poured.error.unwrap_or_default();
-                    Err(JobError::Fail(format!("a weighing of {target_mg} mg was aborted: {cause}")))
-                }
-                (Some(dispensed_mg), _) => Ok(Dose {
-                    dispensed_mg,
-                    reading_mg: poured.reading_mg,
-                    shakes: poured.shakes,
-                    seconds: poured.seconds,
-                }),
-            }
+            let weighed = poured.dispensed_mg.zip(poured.reading_mg).filter(|_| poured.outcome != Outcome::NotStable);
+            let Some((dispensed_mg, reading_mg)) = weighed else {
+                let cause = poured.error.unwrap_or_default();
+                return Err(JobError::Fail(format!("a weighing of {target_mg} mg was aborted: {cause}")));
+            };
+            Ok(Dose { dispensed_mg, reading_mg, shakes: poured.shakes, seconds: poured.seconds })
         })
     };
     let found = evaluate(&plan, weigh_once)?;

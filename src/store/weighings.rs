@@ -51,11 +51,11 @@ pub struct Weighing {
     pub state: WeighingState,
     /// How it ended.
     pub outcome: Option<Outcome>,
-    /// True mass in the vial, mg (known in simulation only).
+    /// True mass in the vial, mg: known in simulation only, and not what the outcome is judged by.
     pub dispensed_mg: Option<f64>,
-    /// Last reading of the balance, mg.
+    /// Final reading of the balance, mg; null where there is none, as of an aborted dose.
     pub reading_mg: Option<f64>,
-    /// Dispensed minus target, mg.
+    /// Reading minus target, mg, on every bench; null where the dose did not run its course.
     pub error_mg: Option<f64>,
     /// Shakes made.
     pub shakes: Option<u32>,

@@ -195,6 +195,22 @@ pub enum Halt {
         /// By how much, mg.
         fell_mg: f64,
     },
+    /// The display shows the vial again.
+    #[error(
+        "the balance shows {rose_mg} mg more, as if the vial had not been tared: it restarted or lost its tare; weigh the vial"
+    )]
+    TareLost {
+        /// By how much it rose, mg.
+        rose_mg: f64,
+    },
+    /// The display went back to nothing.
+    #[error(
+        "the reading fell by {fell_mg} mg to nothing: the balance restarted, or somebody pressed its tare key; weigh the vial"
+    )]
+    Zeroed {
+        /// By how much, mg.
+        fell_mg: f64,
+    },
     /// The reading rose and nothing was shaken.
     #[error("the reading rose by {rose_mg} mg without a shake: a draught, a leaking spoon or a hand on the balance")]
     Rose {

@@ -1,13 +1,13 @@
 //! The closed loop: read, observe, propose, guard, act, record. It cannot tell a digital bench from a real one.
 //!
 //! ```text
-//!  [ARMED]  stand, approach, tare          drift before, spoon filled and level over the vial, zero
+//!  [ARMED]  stand, approach, tare, rest    drift before, spoon filled and level over the vial, zero: the mean of the tared display
 //!     |
 //!  [DOSING] --> read, propose, guard, record, act: one step --+
-//!     |   ^---------------------------------------------------+
+//!     |   ^---------------------------------------------------+     what would end it is looked at closer first
 //!     |  on target, target reached, no room, steps or time spent, blocked, halted, stopped, device failed, panic
 //!     v
-//!  [SETTLING]  level, retract, stand       final reading, drift after      --> within, under, over, not_stable, blocked,
+//!  [SETTLING]  level, retract, stand, rest final reading, drift after      --> within, under, over, not_stable, blocked,
 //!     |                                                                         stopped, aborted
 //!     +--> discard                         where the dose ran its course
 //! ```
@@ -16,14 +16,17 @@
 //! taken away: it would pour on its way. Whoever listens hears of each phase and each decision before the motion that follows, and may forbid it: what cannot
 //! be recorded must not move.
 
+mod closer;
+mod ending;
 mod event;
 pub mod forecast;
 pub mod guard;
 mod result;
 pub mod silence;
+mod uncertainty;
 
 pub use event::{Decision, Event, Phase};
-pub use result::{Accuracy, Weighed, minimum_weight_mg, repeatability_mg, uncertainty_mg};
+pub use result::{Accuracy, Weighed, minimum_weight_mg, repeatability_mg};
 
 use crate::domain::bench::{Action, Reading, Standing, Tare, Tick};
 use crate::domain::vial::PanCheck;
@@ -35,6 +38,7 @@ use guard::{Halt, Limits, Situation, guard};
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
+use uncertainty::Watched;
 
 /// What to weigh.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,6 +58,11 @@ pub struct Order {
 pub struct Settings {
     /// For how long the balance is watched before the first motion and for the final reading, s; 0: not at all, the last reading of the dose counts.
     pub stand_s: f64,
+    /// For how long at least the display is watched where its mean counts (after the tare, before the dose ends, when all is over), s; 0: not at all, the
+    /// tare is the zero and one reading the result.
+    pub rest_s: f64,
+    /// And at most, while its wander leaves the mean unsure, s.
+    pub rest_max_s: f64,
     /// Longest time from the tare to the last motion, s.
     pub seconds_max: f64,
     /// How long the display is watched for another number before a shake follows one that it was silent through, s; 0: not at all.
@@ -69,9 +78,11 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// On a bench: watched for three seconds, ten minutes at most, a display that moves within a minute, a powder of which nothing is known.
+    /// On a bench: watched for three seconds, ten to twenty where the mean counts, ten minutes at most, a display that moves within a minute, a powder of which nothing is known.
     pub const BENCH: Self = Self {
         stand_s: 3.0,
+        rest_s: 10.0,
+        rest_max_s: 20.0,
         seconds_max: 600.0,
         life_s: 60.0,
         strict: true,
@@ -80,8 +91,15 @@ impl Settings {
         pan: PanCheck::NONE,
     };
     /// As an episode of a training goes: nothing is watched, and nothing is forecast.
-    pub const EPISODE: Self =
-        Self { stand_s: 0.0, seconds_max: f64::INFINITY, life_s: 0.0, strict: false, forecast: None, ..Self::BENCH };
+    pub const EPISODE: Self = Self {
+        stand_s: 0.0,
+        rest_s: 0.0,
+        seconds_max: f64::INFINITY,
+        life_s: 0.0,
+        strict: false,
+        forecast: None,
+        ..Self::BENCH
+    };
 }
 
 /// From a shake until a load cell has felt what fell but for a fortieth, s: 0.05 s of falling and 3.5 time constants of 0.16 s.
@@ -136,8 +154,8 @@ struct Loop<'a, B, F> {
     stop: &'a AtomicBool,
     start_s: f64,
     tare: Option<Tare>,
-    before: Option<Standing>,
     after: Option<Standing>,
+    watched: Watched,
     ticks: Vec<Tick>,
     /// When each shake was made, bench time, s.
     shaken_s: Vec<f64>,
@@ -167,8 +185,8 @@ pub fn weigh(
         stop,
         start_s,
         tare: None,
-        before: None,
         after: None,
+        watched: Watched::default(),
         ticks: Vec::new(),
         shaken_s: Vec::new(),
         must_look: false,
@@ -178,24 +196,27 @@ pub fn weigh(
     let ended = weighing.read_finally(ended);
     let seconds = weighing.bench.elapsed_s() - weighing.start_s;
     let ended = weighing.discard(ended);
-    let reading_mg = weighing.after.map_or_else(|| result::last_reading_mg(&weighing.ticks), |it| it.reading.mass_mg);
+    let reading_mg = weighing.reading_mg(&ended);
+    let shakes = weighing.shaken_s.len();
+    let judge = |cause| (reading_mg.map_or(Outcome::Aborted, |mg| result::judge(order, mg, shakes)), cause);
     let (outcome, cause) = match ended {
-        End::Course(cause) => (result::judge(order, reading_mg), cause),
+        End::Course(cause) => judge(cause),
         // What is within its tolerance is what was asked for, however the spoon is.
-        End::Blocked(cause) => match result::judge(order, reading_mg) {
-            Outcome::Under => (Outcome::Blocked, Some(cause)),
-            judged => (judged, Some(cause)),
+        End::Blocked(cause) => match judge(Some(cause)) {
+            (Outcome::Under, cause) => (Outcome::Blocked, cause),
+            judged => judged,
         },
         End::NotStable(cause) => (Outcome::NotStable, Some(cause)),
         End::Stopped => (Outcome::Stopped, None),
         End::Aborted(cause) => (Outcome::Aborted, Some(cause)),
     };
-    let Loop { tare, before, after, ticks, must_look, .. } = weighing;
+    let last_mg = result::last_reading_mg(&weighing.ticks).map(|last_mg| weighing.net_mg(last_mg));
+    let Loop { tare, after, watched, ticks, must_look, .. } = weighing;
     let tare_mg = tare.and_then(|tare| tare.tare_mg);
     result::weighed(
         order,
         &settings.accuracy,
-        result::Known { outcome, cause, tare_mg, before, after, seconds, must_look, ticks },
+        result::Known { outcome, cause, tare_mg, reading_mg, last_mg, after, watched, seconds, must_look, ticks },
     )
 }
 
@@ -236,11 +257,12 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     fn begin(&mut self) -> Result<(), Halted> {
         self.tell(&Event::Phase(Phase::Armed))?;
         self.go_on()?;
+        let mut before = None;
         if self.settings.stand_s > 0.0 {
-            let before = self.bench.stand(self.settings.stand_s)?;
-            self.before = Some(before);
+            let standing = self.bench.stand(self.settings.stand_s)?;
+            before = Some(standing.rest);
             self.go_on()?;
-            if let Some(flaw) = self.settings.pan.flaw(before.reading.mass_mg) {
+            if let Some(flaw) = self.settings.pan.flaw(standing.reading.mass_mg) {
                 self.tell(&Event::Pan(&flaw))?;
                 return Err(Halted::Guard(Halt::Vial(flaw)));
             }
@@ -250,10 +272,11 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         let tare = self.bench.tare()?;
         self.tare = Some(tare);
         // Nothing has moved near the balance since it was watched: another load now is another vial, or none.
-        let watched_mg = self.before.map(|standing| standing.reading.mass_mg);
+        let watched_mg = before.map(|rest| rest.last_mg);
+        self.watched.before = before.map(|rest| (rest, tare.tare_mg));
         match watched_mg.zip(tare.tare_mg).map(|(watched_mg, tare_mg)| watched_mg - tare_mg) {
             Some(fell_mg) if fell_mg.abs() > VIAL_MG_MAX => Err(Halted::Guard(Halt::VialMoved { fell_mg })),
-            _ => Ok(()),
+            _ => self.find_zero(),
         }
     }
 
@@ -266,20 +289,27 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         let usual = if strict { usual } else { usual.lenient() };
         let limits = Limits { seconds_max, readability_mg, forecast, ..usual };
         self.tell(&Event::Phase(Phase::Dosing))?;
-        let (mut now, mut moved_s, mut shaken) = (self.bench.read()?, tared_s, false);
-        self.record(0, tared_s, Action::default(), now)?;
+        let (first, mut moved_s, mut shaken) = (self.bench.read()?, tared_s, false);
+        self.record(0, tared_s, Action::default(), first)?;
+        let mut now = self.net(first);
         // The tare stands for the reading before the first: a vial that was lifted since shows at once.
         let mut before = Reading { mass_mg: 0.0, stable: true };
+        self.is_tared(before, now)?;
         let mut dosing = controller.begin(rules, readability_mg);
         let mut falls: Vec<Fall> = Vec::new();
         for steps in 0.. {
             self.go_on()?;
+            let mut is_sure = !self.looks_closer() || !now.stable;
+            let is_zeroed = closer::is_zeroed(before, now, readability_mg);
+            if !is_sure && (is_zeroed || self.would_end(rules, steps, now)) {
+                (now, is_sure) = (self.look_closer()?, true);
+                if is_zeroed && closer::is_zeroed(before, now, readability_mg) {
+                    self.must_look = true;
+                    return Err(Halted::Guard(Halt::Zeroed { fell_mg: before.mass_mg - now.mass_mg }));
+                }
+            }
             let read_s = self.bench.elapsed_s();
-            let seen = Observation {
-                reading_mg: now.mass_mg,
-                target_mg: self.order.target_mg,
-                pitch_deg: self.bench.pitch_deg(),
-            };
+            let seen = self.seen(now);
             let situation = Situation {
                 target_mg: self.order.target_mg,
                 tolerance_upper_mg: self.order.tolerance_upper_mg,
@@ -297,13 +327,20 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             };
             let proposed = dosing.propose(&seen);
             let mut allowed = guard(&limits, &Situation { falls: &falls, ..situation }, proposed);
-            let is_done = rules.after(steps, &seen, readability_mg) == Episode::Terminated;
+            if !is_sure && matches!(allowed, Err(Halt::NoRoom { .. } | Halt::TargetReached)) {
+                now = self.look_closer()?;
+                let (read_s, unproven, is_felt) = (self.bench.elapsed_s(), self.unproven(), self.is_felt());
+                let situation = Situation { now, read_s, unproven, is_felt, falls: &falls, ..situation };
+                allowed = guard(&limits, &situation, proposed);
+            }
+            let is_done = self.would_end(rules, steps, now);
             if is_done && allowed.as_ref().map_or_else(Halt::is_of_the_spoon, |_| true) {
                 return Ok(End::Course(None));
             }
             if matches!(allowed, Err(Halt::Unproven)) && self.shows_life()? {
                 // What the display shows now is true, and no shake is in doubt any more.
                 let shown = self.bench.read()?;
+                let shown = self.net(shown);
                 // The step since the last shake may have been an incline.
                 if let Some(last) = falls.last_mut() {
                     last.mass_mg += shown.mass_mg - now.mass_mg;
@@ -326,16 +363,30 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             self.bench.act(action)?;
             moved_s = self.bench.elapsed_s();
             before = now;
-            now = self.bench.read()?;
+            let shown = self.bench.read()?;
+            now = self.net(shown);
+            self.is_tared(before, now)?;
             shaken = action.executed_shake_mm() > 0.0;
             if shaken {
                 let mass_mg = now.mass_mg - before.mass_mg;
                 falls.push(Fall { pitch_deg: self.bench.pitch_deg(), shake_mm: action.shake_mm, mass_mg });
                 self.shaken_s.push(moved_s);
             }
-            self.record(steps + 1, tared_s, action, now)?;
+            self.record(steps + 1, tared_s, action, shown)?;
         }
         Ok(End::of(Halt::StepsSpent))
+    }
+
+    /// What the controller sees of this reading.
+    fn seen(&self, now: Reading) -> Observation {
+        let (target_mg, pitch_deg) = (self.order.target_mg, self.bench.pitch_deg());
+        Observation { reading_mg: now.mass_mg, target_mg, pitch_deg }
+    }
+
+    /// This reading would end the dose on target. The frame of a policy knows whole steps of a display.
+    fn would_end(&self, rules: &Rules, steps: u32, now: Reading) -> bool {
+        let whole = Observation { reading_mg: self.whole_mg(now.mass_mg), ..self.seen(now) };
+        rules.after(steps, &whole, self.order.readability_mg) == Episode::Terminated
     }
 
     /// Shakes since the display last showed another number; none where nobody waits for one.
@@ -371,85 +422,6 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             Tick { step, t_s: self.bench.elapsed_s() - tared_s, pitch_deg: self.bench.pitch_deg(), action, reading };
         self.ticks.push(tick);
         self.tell(&Event::Tick(&tick))
-    }
-
-    /// Level the spoon and take it away, whatever happened and whoever listens.
-    fn withdraw(&mut self, dosed: End) -> End {
-        let told = self.careful(|it| it.tell(&Event::Phase(Phase::Settling)).map(|()| End::Course(None)));
-        let ended = if matches!(dosed, End::Aborted(_)) { dosed } else { worse(dosed, told) };
-        for (what, motion) in
-            [("levelled", B::level as fn(&mut B) -> Result<(), DeviceError>), ("taken away", B::retract)]
-        {
-            let cause = match catch_unwind(AssertUnwindSafe(|| motion(self.bench))) {
-                Ok(Ok(())) => continue,
-                Ok(Err(fault)) => fault.to_string(),
-                Err(_) => "the driver failed; the log has the details".to_owned(),
-            };
-            self.must_look = true;
-            return End::Aborted(match ended {
-                End::Aborted(first) => {
-                    format!("the spoon could not be {what}, look at the bench: {cause}; before that: {first}")
-                }
-                _ => format!("the spoon could not be {what}, look at the bench: {cause}"),
-            });
-        }
-        ended
-    }
-
-    /// What the vial holds when all is still.
-    fn read_finally(&mut self, ended: End) -> End {
-        if self.settings.stand_s <= 0.0 || self.ticks.is_empty() {
-            return ended;
-        }
-        let last_mg = result::last_reading_mg(&self.ticks);
-        let ran_its_course = matches!(ended, End::Course(_) | End::Blocked(_));
-        let looked = self.careful(|it| {
-            let mut after = it.bench.stand(it.settings.stand_s)?;
-            it.after = Some(after);
-            // A weight that is told must be one that the balance feels.
-            if ran_its_course && it.unproven().is_some_and(|shakes| shakes > 0) {
-                if !it.shows_life()? {
-                    it.must_look = true;
-                    return Ok(End::of(Halt::Unproven));
-                }
-                after.reading = it.bench.read()?;
-                it.after = Some(after);
-            }
-            let fell_mg = last_mg - after.reading.mass_mg;
-            Ok(match after.reading.mass_mg {
-                mass_mg if !mass_mg.is_finite() => End::of(Halt::NotANumber),
-                _ if !after.still => End::of(Halt::NotStable),
-                _ if fell_mg > Limits::FALL_MG_MAX => End::of(Halt::VialMoved { fell_mg }),
-                _ => End::Course(None),
-            })
-        });
-        worse(ended, looked)
-    }
-
-    /// What is left goes back where the dose ran its course; after anything else a person decides.
-    fn discard(&mut self, ended: End) -> End {
-        if !matches!(ended, End::Course(_) | End::Blocked(_)) || self.go_on().is_err() {
-            return ended;
-        }
-        let discarded = self.careful(|it| it.bench.discard().map(|()| End::Course(None)).map_err(Halted::from));
-        match (ended, discarded) {
-            // The mass is known all the same.
-            (End::Course(_), End::Aborted(fault)) => {
-                self.must_look = true;
-                End::Course(Some(format!(
-                    "what is left in the spoon could not be returned, look at the bench: {fault}"
-                )))
-            }
-            (ended, _) => ended,
-        }
-    }
-}
-
-/// The first end, unless it ran its course and the second did not.
-fn worse(first: End, second: End) -> End {
-    match (&first, &second) {
-        (End::Course(_) | End::Blocked(_), End::NotStable(_) | End::Aborted(_)) => second,
-        _ => first,
     }
 }
 

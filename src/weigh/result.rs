@@ -1,6 +1,7 @@
 //! What a weighing leaves behind: a result that a chemist can use, and how sure it is.
 
 use super::Order;
+use super::uncertainty::{self, Watched};
 pub use crate::domain::bench_check::minimum_weight_mg;
 
 use crate::domain::bench::{Standing, Tick};
@@ -9,8 +10,8 @@ use crate::domain::weighing::Outcome;
 
 /// USP <41>: twice the repeatability may be this share of the smallest net weight.
 const USP_SHARE: f64 = 0.001;
-/// Coverage factor of the expanded uncertainty.
-const COVERAGE: f64 = 2.0;
+/// Part of the display's step below which a reading shows nothing: it is rounded to none.
+const NOTHING: f64 = 0.5;
 
 /// What is known of the balance beside its readings.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,10 +45,14 @@ pub struct Weighed {
     pub tare_mg: Option<f64>,
     /// Vial and powder, mg; none without a tare.
     pub gross_mg: Option<f64>,
-    /// Final reading, mg; the last number that the balance gave where there is no final one.
-    pub reading_mg: f64,
+    /// What the display showed in the mean after the tare, mg: readings count from there; none where nobody watched.
+    pub zero_mg: Option<f64>,
+    /// Final reading, mg; none where the dose was aborted or nothing was read when all stood still.
+    pub reading_mg: Option<f64>,
     /// Expanded uncertainty of it, k = 2, mg.
     pub uncertainty_mg: f64,
+    /// What the outcome says of the tolerance holds over all of the reading and its uncertainty; none where there is no such outcome.
+    pub proven: Option<bool>,
     /// The net weight is smaller than the balance may weigh by USP <41>, 0.10 %.
     pub below_minimum_weight: bool,
     /// The net weight is smaller than the balance may weigh in the user's class.
@@ -56,7 +61,7 @@ pub struct Weighed {
     pub stable_by_flag: Option<bool>,
     /// Our own window at the final reading; none without one.
     pub stable_by_window: Option<bool>,
-    /// Drift before anything moved, mg/min; none where nobody watched.
+    /// Drift before anything moved, mg/min: 0 where the readings prove none; none where nobody watched.
     pub drift_before_mg_min: Option<f64>,
     /// Drift after the spoon was away, mg/min; none where nobody watched.
     pub drift_after_mg_min: Option<f64>,
@@ -72,34 +77,26 @@ pub struct Weighed {
     pub ticks: Vec<Tick>,
 }
 
-/// By the reading, as a chemist would: the true mass is not to be had on a bench.
-pub(super) fn judge(order: &Order, reading_mg: f64) -> Outcome {
-    // Readings are multiples of the readability: a billionth keeps 15.1 - 15 from passing 0.1.
+/// By the reading, as a chemist would: the true mass is not to be had on a bench. What shows nothing is never what was asked for.
+pub(super) fn judge(order: &Order, reading_mg: f64, shakes: usize) -> Outcome {
+    let is_nothing = shakes == 0 || reading_mg < NOTHING * order.readability_mg;
+    // Readings are parts of the readability: a billionth keeps 15.1 - 15 from passing 0.1.
     match reading_mg - order.target_mg {
         excess if excess > order.tolerance_upper_mg + 1e-9 => Outcome::Over,
-        excess if -excess > order.tolerance_lower_mg + 1e-9 => Outcome::Under,
+        excess if -excess > order.tolerance_lower_mg + 1e-9 || is_nothing => Outcome::Under,
         _ => Outcome::Within,
     }
 }
 
-/// Expanded uncertainty of a net weight, mg.
-///
-/// ```text
-/// U = 2 sqrt(2 (s^2 + d^2 / 12) + (D t)^2 / 3)
-/// ```
-///
-/// | symbol | what | unit |
-/// |---|---|---|
-/// | s | repeatability; 0.41 d where it was never checked or is smaller | mg |
-/// | d | step of the display: each of the two readings, tare and final, is rounded to it (rectangular) | mg |
-/// | D | the larger of the drifts before and after: the zero may have moved by as much either way (rectangular) | mg/min |
-/// | t | from the tare to the final reading | min |
-///
-/// It says nothing of buoyancy, nor of a balance that is not adjusted.
-pub fn uncertainty_mg(repeatability_mg: f64, readability_mg: f64, drift_mg_min: f64, seconds: f64) -> f64 {
-    let readings = 2.0 * (repeatability_mg.powi(2) + readability_mg.powi(2) / 12.0);
-    let drift = (drift_mg_min * seconds / 60.0).powi(2) / 3.0;
-    COVERAGE * (readings + drift).sqrt()
+/// Whether all that the reading and its uncertainty leave possible is on the outcome's side of the tolerances.
+fn proven(order: &Order, outcome: Outcome, reading_mg: f64, uncertainty_mg: f64) -> Option<bool> {
+    let (low, high) = (reading_mg - uncertainty_mg - order.target_mg, reading_mg + uncertainty_mg - order.target_mg);
+    match outcome {
+        Outcome::Within => Some(-low <= order.tolerance_lower_mg + 1e-9 && high <= order.tolerance_upper_mg + 1e-9),
+        Outcome::Under | Outcome::Blocked => Some(-high > order.tolerance_lower_mg),
+        Outcome::Over => Some(low > order.tolerance_upper_mg),
+        _ => None,
+    }
 }
 
 /// Repeatability as USP <41> takes it, mg: at least 0.41 steps of the display, also where it was never checked.
@@ -112,8 +109,10 @@ pub(super) struct Known {
     pub(super) outcome: Outcome,
     pub(super) cause: Option<String>,
     pub(super) tare_mg: Option<f64>,
-    pub(super) before: Option<Standing>,
+    pub(super) reading_mg: Option<f64>,
+    pub(super) last_mg: Option<f64>,
     pub(super) after: Option<Standing>,
+    pub(super) watched: Watched,
     pub(super) seconds: f64,
     pub(super) must_look: bool,
     pub(super) ticks: Vec<Tick>,
@@ -121,30 +120,30 @@ pub(super) struct Known {
 
 /// The result of this order.
 pub(super) fn weighed(order: &Order, accuracy: &Accuracy, known: Known) -> Weighed {
-    let last_mg = last_reading_mg(&known.ticks);
-    let final_mg = known.after.map(|it| it.reading.mass_mg).filter(|mass_mg| mass_mg.is_finite());
-    let reading_mg = final_mg.unwrap_or(last_mg);
+    let Known { outcome, reading_mg, watched, .. } = known;
     let s = repeatability_mg(accuracy, order.readability_mg);
-    let drifts = [known.before, known.after].map(|it| it.map(|standing| standing.drift_mg_min));
-    let drift_mg_min =
-        drifts.iter().flatten().filter(|drift| drift.is_finite()).fold(0.0, |most: f64, drift| most.max(drift.abs()));
+    let uncertainty_mg = uncertainty::uncertainty_mg(&watched, accuracy.repeatability_mg, order.readability_mg);
+    let drift_mg_min = |rest| uncertainty::proven_mg_min(&rest, &watched, order.readability_mg);
+    let is_below = |least_mg: f64| reading_mg.is_some_and(|reading_mg| reading_mg < least_mg);
     Weighed {
-        outcome: known.outcome,
-        cause: known.cause,
+        outcome,
+        cause: told(outcome, known.cause, &known.ticks),
         target_mg: order.target_mg,
         tolerance_lower_mg: order.tolerance_lower_mg,
         tolerance_upper_mg: order.tolerance_upper_mg,
         tare_mg: known.tare_mg,
-        gross_mg: known.tare_mg.map(|tare_mg| tare_mg + reading_mg),
+        gross_mg: known.tare_mg.zip(reading_mg).map(|(tare_mg, reading_mg)| tare_mg + reading_mg),
+        zero_mg: watched.zero.map(|rest| rest.mean_mg),
         reading_mg,
-        uncertainty_mg: uncertainty_mg(s, order.readability_mg, drift_mg_min, known.seconds),
-        below_minimum_weight: reading_mg < minimum_weight_mg(s, USP_SHARE),
-        below_class_minimum_weight: reading_mg < minimum_weight_mg(s, accuracy.class_pct / 100.0),
+        uncertainty_mg,
+        proven: reading_mg.and_then(|reading_mg| proven(order, outcome, reading_mg, uncertainty_mg)),
+        below_minimum_weight: is_below(minimum_weight_mg(s, USP_SHARE)),
+        below_class_minimum_weight: is_below(minimum_weight_mg(s, accuracy.class_pct / 100.0)),
         stable_by_flag: known.after.map(|it| it.reading.stable),
         stable_by_window: known.after.map(|it| it.still),
-        drift_before_mg_min: drifts[0],
-        drift_after_mg_min: drifts[1],
-        in_flight_mg: final_mg.map(|final_mg| final_mg - last_mg),
+        drift_before_mg_min: watched.before.map(|(rest, _)| drift_mg_min(rest)),
+        drift_after_mg_min: watched.last.map(drift_mg_min),
+        in_flight_mg: reading_mg.zip(known.last_mg).map(|(reading_mg, last_mg)| reading_mg - last_mg),
         shakes: known.ticks.iter().filter(|tick| tick.action.executed_shake_mm() > 0.0).count() as u32,
         seconds: known.seconds,
         must_look: known.must_look,
@@ -152,9 +151,19 @@ pub(super) fn weighed(order: &Order, accuracy: &Accuracy, known: Known) -> Weigh
     }
 }
 
-/// The last reading that was a number, mg; nothing was weighed without one.
-pub(super) fn last_reading_mg(ticks: &[Tick]) -> f64 {
-    ticks.iter().rev().map(|tick| tick.reading.mass_mg).find(|mass_mg| mass_mg.is_finite()).unwrap_or(0.0)
+/// The cause; an aborted dose has no reading, so what was shown last is told as what it is.
+fn told(outcome: Outcome, cause: Option<String>, ticks: &[Tick]) -> Option<String> {
+    match (cause, last_reading_mg(ticks)) {
+        (Some(cause), Some(last_mg)) if outcome == Outcome::Aborted => {
+            Some(format!("{cause}; the balance last showed {last_mg} mg, which does not say what lies in the vial"))
+        }
+        (cause, _) => cause,
+    }
+}
+
+/// The last reading that was a number, mg; none where nothing was read.
+pub(super) fn last_reading_mg(ticks: &[Tick]) -> Option<f64> {
+    ticks.iter().rev().map(|tick| tick.reading.mass_mg).find(|mass_mg| mass_mg.is_finite())
 }
 
 #[cfg(test)]
@@ -167,17 +176,35 @@ mod tests {
         for (reading, outcome) in
             [(12.9, Outcome::Under), (13.0, Outcome::Within), (15.1, Outcome::Within), (15.2, Outcome::Over)]
         {
-            assert_eq!(judge(&order, reading), outcome, "{reading}");
+            assert_eq!(judge(&order, reading, 1), outcome, "{reading}");
         }
         let at_least = Order { tolerance_lower_mg: 0.0, tolerance_upper_mg: 1.0, ..order };
-        assert_eq!((judge(&at_least, 14.9), judge(&at_least, 15.0)), (Outcome::Under, Outcome::Within));
+        assert_eq!((judge(&at_least, 14.9, 1), judge(&at_least, 15.0, 1)), (Outcome::Under, Outcome::Within));
     }
 
     #[test]
-    fn the_uncertainty_of_two_readings_of_a_balance_of_one_milligram() {
-        // 2 sqrt(2 (0.41^2 + 1/12)) = 1.4183; a drift of 3 mg/min over 40 s adds 2 mg either way: 2 sqrt(0.50287 + 4/3).
-        assert!((uncertainty_mg(0.41, 1.0, 0.0, 40.0) - 1.4183).abs() < 1e-3);
-        assert!((uncertainty_mg(0.41, 1.0, -3.0, 40.0) - 2.7101).abs() < 1e-3);
+    fn nothing_poured_is_never_within() {
+        let order = Order { target_mg: 0.4, tolerance_lower_mg: 0.4, tolerance_upper_mg: 0.4, readability_mg: 1.0 };
+        assert_eq!((judge(&order, 0.0, 9), judge(&order, 0.49, 9)), (Outcome::Under, Outcome::Under));
+        assert_eq!((judge(&order, 0.5, 9), judge(&order, 0.5, 0)), (Outcome::Within, Outcome::Under));
+    }
+
+    #[test]
+    fn an_outcome_is_proven_where_all_that_is_possible_is_on_its_side() {
+        let order = Order { target_mg: 10.0, tolerance_lower_mg: 2.0, tolerance_upper_mg: 1.0, readability_mg: 1.0 };
+        for (reading_mg, u_mg, is) in [
+            (10.0, 1.0, Some(true)),
+            (10.0, 1.1, Some(false)),
+            (9.5, 1.5, Some(true)),
+            (8.0, 0.1, Some(false)),
+            (7.0, 0.9, Some(true)),
+            (7.0, 1.0, Some(false)),
+            (12.0, 0.9, Some(true)),
+            (12.0, 1.0, Some(false)),
+        ] {
+            assert_eq!(proven(&order, judge(&order, reading_mg, 1), reading_mg, u_mg), is, "{reading_mg} +- {u_mg}");
+        }
+        assert_eq!(proven(&order, Outcome::Stopped, 10.0, 0.1), None);
     }
 
     #[test]

@@ -80,7 +80,7 @@ impl Bench {
         Poured {
             outcome: if stopped { Outcome::Stopped } else { Outcome::Within },
             dispensed_mg: Some(reading_mg),
-            reading_mg,
+            reading_mg: Some(reading_mg),
             measured: None,
             shakes: 2,
             seconds: 1.4,

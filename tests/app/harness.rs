@@ -81,7 +81,7 @@ pub fn pour(pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Pour
     Poured {
         outcome,
         dispensed_mg: Some(reading_mg),
-        reading_mg,
+        reading_mg: Some(reading_mg),
         measured: None,
         shakes: 2,
         seconds: 2.0,

@@ -127,7 +127,7 @@ impl Fault {
     fn happens_once(self) -> bool {
         use {balance::Fault as B, gripper::Fault as G};
         match self {
-            Self::Balance(fault) => matches!(fault, B::Unplug | B::KeypadTare),
+            Self::Balance(fault) => matches!(fault, B::Unplug | B::KeypadTare | B::Restart),
             Self::Arm(fault) => fault == arm::Fault::Reflex,
             Self::Gripper(fault) => matches!(fault, G::Unplug | G::FaultCode | G::DroppedSpoon),
         }
@@ -177,6 +177,11 @@ impl Case {
             }
         }
         cases
+    }
+
+    /// The balance is switched on anew.
+    pub fn is_restart(&self) -> bool {
+        self.fault == Fault::Balance(balance::Fault::Restart)
     }
 
     /// A number that follows from what the case is, whatever its place in the list.

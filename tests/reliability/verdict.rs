@@ -1,10 +1,11 @@
 //! What every case must keep, and what an overdose came from.
 
 use crate::bench::{Dose, Ran};
-use crate::cases::{Case, Fault};
+use crate::cases::{Case, Fault, When};
 use crate::record::Entry;
 use flip::domain::weighing::Outcome;
 use flip::hardware::wire::Direction;
+use flip::weigh::Weighed;
 
 /// A display of whole milligrams says the truth if it is no further from it, mg.
 const TRUE_MG: f64 = 1.5;
@@ -79,6 +80,7 @@ pub fn faults(dose: Dose, case: &Case, ran: &Ran, twin_mg: f64) -> Vec<String> {
     wrong.extend(unnamed(ran));
     wrong.extend(untold(ran));
     wrong.extend(unheard(case, ran));
+    wrong.extend(believed(case, ran));
     wrong
 }
 
@@ -114,6 +116,23 @@ fn unheard(case: &Case, ran: &Ran) -> Option<String> {
         }
     }
     (is_piece && asked > 0 && heard == 0).then(|| "a piece of an answer is not on record".to_owned())
+}
+
+/// A reading that is none: of an aborted dose, or of a balance that was switched on anew between the tare and the final reading.
+fn believed(case: &Case, ran: &Ran) -> Option<String> {
+    use flip::emulate::balance::Fault::Restart;
+    let weighed = ran.weighed.as_ref().ok()?;
+    let Weighed { outcome, reading_mg, must_look, .. } = weighed;
+    if *outcome == Outcome::Aborted && reading_mg.is_some() {
+        return Some(format!("an aborted dose of {reading_mg:?} mg"));
+    }
+    let is_harmless = matches!(
+        case.when,
+        When::Opening | When::StandBefore | When::Scoop | When::Approach | When::Discard | When::Release
+    );
+    let is_told = *outcome == Outcome::Aborted && *must_look;
+    (case.fault == Fault::Balance(Restart) && !is_harmless && !is_told)
+        .then(|| format!("a balance that restarted is believed: {outcome:?}, {reading_mg:?} mg, must look {must_look}"))
 }
 
 /// The result is not what the record tells.

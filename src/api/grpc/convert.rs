@@ -239,7 +239,7 @@ same_fields! {
     }
     m: app::MeasuredMass => MeasuredMass {
         tare_mg gross_mg net_mg uncertainty_mg minimum_mg below_minimum_weight stable_by_balance stable_by_window
-        drift_before_mg_min drift_after_mg_min in_flight_mg discarded_mg
+        drift_before_mg_min drift_after_mg_min in_flight_mg discarded_mg zero_mg proven
     } {
         devices: m.devices.into_iter().collect(),
     }

@@ -12,6 +12,8 @@ const DRIFT_MG_PER_S: f64 = 0.05;
 const DRAUGHT_MG: f64 = 5.0;
 /// Part of the capacity within which the zero point can be set, and below which the pan counts as lifted.
 const ZERO_RANGE: f64 = 0.02;
+/// What a balance shows that was switched on with a load, mg.
+const RESTARTED_MG: f64 = 2.0;
 /// mg in an ounce (avoirdupois).
 const OUNCE_MG: f64 = 28_349.523_125;
 
@@ -161,6 +163,12 @@ impl Cell {
         }
         (self.zero_mg, self.tare_mg) = (felt_mg, 0.0);
         true
+    }
+
+    /// Switched on with a load on the pan: the zero is near it, and nothing is tared.
+    pub(super) fn restart(&mut self) {
+        self.go_astray();
+        (self.zero_mg, self.tare_mg) = (self.gross_mg() + self.zero_mg - RESTARTED_MG, 0.0);
     }
 
     /// Wander on to now; from anywhere at first.

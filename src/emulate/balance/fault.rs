@@ -42,13 +42,16 @@ pub enum Fault {
     Stuck,
     /// `NaN` stands where the number should: damaged, not a number to calculate with.
     NotANumber,
+    /// The mains fail for a moment, once: nothing is heard and said for half a second of bench time, then the balance tells its serial number unasked where its
+    /// dialect does, has forgotten the tare, and shows 2 mg for whatever lies on the pan. What was tared is lost, and a driver that hears it must say so.
+    Restart,
     /// One digit of each number is another digit. Frames carry no checksum: the driver cannot tell; whoever weighs compares readings with one another.
     WrongDigit,
 }
 
 impl Fault {
     /// Every fault.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 19] = [
         Self::Drift,
         Self::Draught,
         Self::AutoPrint,
@@ -66,6 +69,7 @@ impl Fault {
         Self::Adjusting,
         Self::Stuck,
         Self::NotANumber,
+        Self::Restart,
         Self::WrongDigit,
     ];
 
@@ -89,6 +93,7 @@ impl Fault {
             Self::Adjusting => "adjusting",
             Self::Stuck => "stuck",
             Self::NotANumber => "not-a-number",
+            Self::Restart => "restart",
             Self::WrongDigit => "wrong-digit",
         }
     }

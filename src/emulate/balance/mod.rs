@@ -38,6 +38,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use talk::Conversation;
 
+/// From the mains to the first answer, s of bench time.
+const RESTART_S: f64 = 0.5;
+
 /// What an emulated balance is like.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -125,6 +128,8 @@ struct Shared {
     pan: Pan,
     cell: Mutex<Cell>,
     faults: Mutex<Faults>,
+    /// Bench time at which a balance that was switched on has come up, s.
+    rises_s: Mutex<Option<f64>>,
     closing: AtomicBool,
 }
 
@@ -135,6 +140,15 @@ impl Shared {
 
     fn faults(&self) -> MutexGuard<'_, Faults> {
         self.faults.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn rises(&self) -> MutexGuard<'_, Option<f64>> {
+        self.rises_s.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// It is being switched on: it hears and says nothing.
+    fn is_down(&self) -> bool {
+        self.rises().is_some_and(|rises_s| self.pan.clock().now_s() < rises_s)
     }
 
     fn has(&self, fault: Fault) -> bool {
@@ -158,8 +172,14 @@ impl Balance {
     /// The pseudo-terminal or the port cannot be had.
     pub fn start(settings: Settings, pan: Pan, socket: Socket) -> std::io::Result<Self> {
         let cell = Mutex::new(Cell::new(settings.clone(), pan.clone()));
-        let shared =
-            Arc::new(Shared { settings, pan, cell, faults: Mutex::default(), closing: AtomicBool::new(false) });
+        let shared = Arc::new(Shared {
+            settings,
+            pan,
+            cell,
+            faults: Mutex::default(),
+            rises_s: Mutex::default(),
+            closing: AtomicBool::new(false),
+        });
         let port = serve(&shared, socket)?;
         Ok(Self { shared, port, socket, lifted_mg: 0.0 })
     }
@@ -213,6 +233,10 @@ impl Balance {
         match fault {
             Fault::Unplug => self.unplug(),
             Fault::KeypadTare => _ = self.shared.cell().tare(),
+            Fault::Restart => {
+                self.shared.cell().restart();
+                *self.shared.rises() = Some(self.shared.pan.clock().now_s() + RESTART_S);
+            }
             Fault::VialLifted => {
                 let load_mg = self.shared.pan.load_mg();
                 self.lifted_mg += load_mg;

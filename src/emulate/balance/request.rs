@@ -63,3 +63,11 @@ pub(super) fn say(dialect: Dialect, request: Request, outcome: &Outcome, tared: 
         Dialect::Aandd => aandd::say(request, outcome),
     }
 }
+
+/// The line that a balance says when it is switched on, without its end; none is known but of MT-SICS.
+pub(super) fn announcement(dialect: Dialect) -> Option<&'static str> {
+    match understand(dialect, "I4") {
+        Request::Words(words) if dialect == Dialect::MtSics => Some(words),
+        _ => None,
+    }
+}

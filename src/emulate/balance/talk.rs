@@ -3,7 +3,7 @@
 use super::Shared;
 use super::cell::Display;
 use super::fault::Fault;
-use super::request::{Outcome, Request, say, understand};
+use super::request::{Outcome, Request, announcement, say, understand};
 use crate::domain::seed::derive;
 use crate::emulate::port::Talker;
 use std::sync::Arc;
@@ -28,7 +28,16 @@ impl Talker for Conversation {
         self.heard.clear();
     }
 
+    fn idle(&mut self, tell: &mut dyn FnMut(&[u8])) {
+        self.come_up(tell);
+    }
+
     fn hear(&mut self, bytes: &[u8], tell: &mut dyn FnMut(&[u8])) {
+        if self.shared.is_down() {
+            self.heard.clear();
+            return;
+        }
+        self.come_up(tell);
         self.heard.extend_from_slice(bytes);
         while let Some(command) = take_command(&mut self.heard) {
             self.answer(&command, tell);
@@ -42,6 +51,17 @@ impl Talker for Conversation {
 impl Conversation {
     pub(super) fn new(shared: Arc<Shared>) -> Self {
         Self { shared, heard: Vec::new(), printed: None, answers: 0 }
+    }
+
+    /// What a balance that was switched on says by itself.
+    fn come_up(&mut self, tell: &mut dyn FnMut(&[u8])) {
+        if self.shared.is_down() || self.shared.rises().take().is_none() {
+            return;
+        }
+        self.heard.clear();
+        if let Some(words) = announcement(self.shared.settings.dialect) {
+            tell(format!("{words}\r\n").as_bytes());
+        }
     }
 
     fn answer(&mut self, command: &str, tell: &mut dyn FnMut(&[u8])) {

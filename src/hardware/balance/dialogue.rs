@@ -23,26 +23,78 @@ pub(super) struct Dialogue {
     chatty: bool,
     /// An answer may be under way that nobody waits for.
     behind: bool,
+    /// Answers to its question for the serial number that may still come.
+    owed: u32,
+    /// It told its serial number unasked, as it does when it is switched on.
+    restarted: bool,
 }
 
 impl Dialogue {
     pub(super) fn new(line: Line, dialect: Dialect, limit: Duration) -> Self {
-        Self { line, dialect, limit, chatty: true, behind: true }
+        Self { line, dialect, limit, chatty: true, behind: true, owed: 0, restarted: false }
     }
 
     /// One question and its answer, with the line that it was read from.
     pub(super) fn ask(&mut self, command: Command, limit: Duration) -> Result<(Reply, Vec<u8>), DeviceError> {
         self.prepare()?;
-        self.line.send(command.bytes)?;
+        self.send(command)?;
         let answer = self.answer(command, limit);
         self.behind = answer.is_err();
+        // Answers keep their order: what was asked for before this will not come any more.
+        self.owed = if answer.is_ok() { 0 } else { self.owed };
         answer
+    }
+
+    /// Whether it was switched on again since this was last forgotten, as far as its dialect tells.
+    pub(super) fn restarted(&self) -> bool {
+        self.restarted
+    }
+
+    /// Whatever it did before does not matter any more.
+    pub(super) fn forget_restart(&mut self) {
+        self.restarted = false;
+    }
+
+    fn send(&mut self, command: Command) -> Result<(), DeviceError> {
+        let told = announced(self.dialect);
+        self.owed += u32::from(told.is_some() && command.answer == told);
+        self.line.send(command.bytes)
+    }
+
+    /// A line came: is it one that nobody asked for and that says that the balance was switched on?
+    fn note(&mut self, reply: &Reply) {
+        let told = announced(self.dialect);
+        if told.is_none() || reply.to.as_deref() != told || !matches!(reply.said, Said::Text(_)) {
+            return;
+        }
+        match self.owed.checked_sub(1) {
+            Some(left) => self.owed = left,
+            None => self.restarted = true,
+        }
+    }
+
+    /// Throw away what came unasked, but look at it first; whether anything did.
+    fn discard(&mut self) -> Result<bool, DeviceError> {
+        let mut bytes = self.line.discard_input()?;
+        if bytes.last().is_some_and(|last| !matches!(last, b'\r' | b'\n')) {
+            match self.line.receive(GLANCE) {
+                Ok(rest) => bytes.extend(rest),
+                Err(DeviceError::Silent { .. } | DeviceError::Garbled { .. }) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        for line in bytes.split(|byte| matches!(byte, b'\r' | b'\n')) {
+            if let Ok(reply) = self.dialect.parse(line) {
+                self.note(&reply);
+            }
+        }
+        Ok(!bytes.is_empty())
     }
 
     /// Give an order that is not answered.
     pub(super) fn tell(&mut self, command: Command) -> Result<(), DeviceError> {
         self.prepare()?;
-        self.line.send(command.bytes)
+        self.send(command)
     }
 
     /// Nothing that is under way or has come may be taken for the next answer.
@@ -51,20 +103,21 @@ impl Dialogue {
             self.catch_up()?;
             self.behind = false;
         }
-        if self.line.discard_input()? > 0 {
+        if self.discard()? {
             self.chatty = true;
         }
         Ok(())
     }
 
     fn catch_up(&mut self) -> Result<(), DeviceError> {
-        self.line.discard_input()?;
+        self.discard()?;
         let Some(barrier) = self.dialect.commands().barrier else { return self.wait_for_quiet() };
-        self.line.send(barrier.bytes)?;
+        self.send(barrier)?;
         let until = Instant::now() + self.limit;
         for _ in 0..LINES_MAX {
             let line = self.line.receive(until.saturating_duration_since(Instant::now()))?;
             let Ok(reply) = self.dialect.parse(&line) else { continue };
+            self.note(&reply);
             let is_answer = match barrier.answer {
                 Some(_) => reply.to.as_deref() == barrier.answer,
                 None => matches!(reply.said, Said::Text(_)),
@@ -111,12 +164,18 @@ impl Dialogue {
         for _ in 0..LINES_MAX {
             let raw = self.line.receive(until.saturating_duration_since(Instant::now()))?;
             let reply = self.dialect.parse(&raw).map_err(|_| garbled(&raw))?;
+            self.note(&reply);
             if is_for(command, &reply) {
                 return Ok((reply, raw));
             }
         }
         Err(DeviceError::Silent { device: DEVICE })
     }
+}
+
+/// The question that a balance answers unasked when it is switched on: MT-SICS tells its serial number. Of the other dialects no such line is known.
+fn announced(dialect: Dialect) -> Option<&'static str> {
+    (dialect == Dialect::MtSics).then_some("I4")
 }
 
 /// This line may answer this question.

@@ -8,6 +8,7 @@
 //!   order. A&D has no such question that is known for sure: there the wire must have been quiet for as long as an answer may take.
 //! * Lines that come unasked (auto-print, the print key) look like answers in most dialects. When the driver has seen one, it listens on for
 //!   0.3 s after each answer and takes the last line, which is at least as new as the answer.
+//! * A balance that was switched on anew after it was tared, as far as its dialect tells, gives no number any more until it is tared again.
 //! * Frames carry no checksum. A frame of another width than the first ones is damaged. A frame in another unit or with other decimals than the last is asked
 //!   for again and believed when it comes twice. One wrong digit cannot be noticed, so use parity where the balance has it.
 //!
@@ -46,6 +47,9 @@ const PAUSE_S: f64 = 0.05;
 
 /// Bench time that a balance gets to carry out an order which it does not answer, s: a tare that came later would shift what is weighed by then.
 const SILENT_ORDER_S: f64 = 2.0;
+
+/// Why a net mass ends.
+const RESTARTED: &str = "it was switched on anew after it was tared (it told its serial number unasked): what it shows is no net mass, weigh the vial";
 
 /// One question and how its answer is known; `None`: by what it says alone.
 #[derive(Debug, Clone, Copy)]
@@ -118,6 +122,10 @@ pub struct Balance {
     form: Option<Form>,
     /// Of every frame, known from the first two that had the same form.
     width: Option<usize>,
+    /// What it weighs is less a tare that it was told to take.
+    tared: bool,
+    /// Its serial number at the tare, where it tells one.
+    serial: Option<String>,
 }
 
 /// A reading is either a mass, or the balance's reason why there is none.
@@ -142,6 +150,8 @@ impl Balance {
             clock,
             form: None,
             width: None,
+            tared: false,
+            serial: None,
         })
     }
 
@@ -184,7 +194,39 @@ impl Balance {
     /// [`DeviceError::Faulted`] if the reading is not stable, or does not come to zero within `stable_timeout_s`; else as [`Self::immediate`]. The balance may
     /// have tared, or may yet: tare again before anything is weighed.
     pub fn tare(&mut self) -> Result<Sample, DeviceError> {
-        self.bring_to_zero(self.commands.tare, "tare")
+        self.tared = false;
+        self.dialogue.forget_restart();
+        let zero = self.bring_to_zero(self.commands.tare, "tare")?;
+        self.serial = self.serial_number().unwrap_or_default();
+        self.tared = true;
+        Ok(zero)
+    }
+
+    /// It is the balance that was tared, and has not been switched on anew since, as far as it tells.
+    ///
+    /// # Errors
+    /// [`DeviceError::Faulted`] if it is not; else as [`Self::identify`].
+    pub fn is_the_same(&mut self) -> Result<(), DeviceError> {
+        if let Some(before) = self.serial.clone().filter(|_| self.tared)
+            && let Some(now) = self.serial_number()?.filter(|now| *now != before)
+        {
+            let told = format!(
+                "serial number {now} answers, and {before} was tared: what it shows is no net mass, weigh the vial"
+            );
+            return Err(faulted(told));
+        }
+        self.has_not_restarted()
+    }
+
+    fn has_not_restarted(&self) -> Result<(), DeviceError> {
+        match self.tared && self.dialogue.restarted() {
+            true => Err(faulted(RESTARTED.to_owned())),
+            false => Ok(()),
+        }
+    }
+
+    fn serial_number(&mut self) -> Result<Option<String>, DeviceError> {
+        self.commands.serial.map_or(Ok(None), |command| self.words(command))
     }
 
     /// Set the zero point, with an empty pan, and see that the display shows it; returns that reading.
@@ -206,7 +248,7 @@ impl Balance {
                 model = self.words(*command)?;
             }
         }
-        let serial = self.commands.serial.map_or(Ok(None), |command| self.words(command))?;
+        let serial = self.serial_number()?;
         let software = self.commands.software.map_or(Ok(None), |command| self.words(command))?;
         if model.is_none() && serial.is_none() && software.is_none() {
             return Err(DeviceError::Silent { device: DEVICE });
@@ -290,6 +332,7 @@ impl Balance {
 
     fn look_once(&mut self, command: Command, limit: Duration) -> Result<Seen, DeviceError> {
         let (reply, raw) = self.dialogue.ask(command, limit)?;
+        self.has_not_restarted()?;
         let weight = match reply.said {
             Said::Weight(weight) => weight,
             Said::Condition(condition) => return Ok(Seen::None(condition)),

@@ -9,6 +9,7 @@ use crate::hardware::clock::Clock;
 use crate::hardware::line::{Parity, Serial};
 use crate::hardware::wire::Tap;
 use Dialect::{Aandd, MtSics, Ohaus, Sbi};
+use std::sync::{Arc, Mutex};
 
 fn mass(dialect: Dialect, line: &str) -> (f64, bool) {
     match dialect.parse(line.as_bytes()).map(|reply| reply.said) {
@@ -231,6 +232,68 @@ fn a_moving_mass_without_a_unit_has_that_of_the_last_frame_or_none() {
         let refused = readings(Sbi, unknown, 2).unwrap_err();
         assert!(refused.to_string().contains("not ready"), "{refused}");
     }
+}
+
+/// A balance with a tare that can be switched on anew and exchanged.
+#[derive(Clone)]
+struct Switched {
+    serial: Arc<Mutex<&'static str>>,
+    /// It tells who it is before the next reading, or behind it.
+    tells: Arc<Mutex<Option<bool>>>,
+}
+
+impl Switched {
+    fn new() -> (Self, Port, Balance) {
+        let device = Self { serial: Arc::new(Mutex::new("1")), tells: Arc::default() };
+        let port = Port::pty(device.clone()).unwrap();
+        let balance = Balance::open(&Settings::new(MtSics, port.address()), Tap::none(), Clock::standing()).unwrap();
+        (device, port, balance)
+    }
+}
+
+impl Talker for Switched {
+    fn hear(&mut self, bytes: &[u8], say: &mut dyn FnMut(&[u8])) {
+        let who = format!("I4 A \"{}\"\r\n", self.serial.lock().unwrap());
+        let tells = if bytes == b"SI\r\n" { self.tells.lock().unwrap().take() } else { None };
+        let line = match bytes {
+            b"I4\r\n" => who.as_str(),
+            b"T\r\n" => "T S     12.000 g\r\n",
+            _ => "S S      0.000 g\r\n",
+        };
+        let parts = match tells {
+            None => vec![line],
+            Some(true) => vec![who.as_str(), line],
+            Some(false) => vec![line, who.as_str()],
+        };
+        say(parts.concat().as_bytes());
+    }
+}
+
+#[test]
+fn a_balance_that_was_switched_on_anew_after_the_tare_gives_no_number_until_it_is_tared_again() {
+    for before in [true, false] {
+        let (device, _port, mut balance) = Switched::new();
+        *device.tells.lock().unwrap() = Some(before);
+        assert_eq!(balance.immediate().map(|it| it.mass_mg), Ok(0.0), "nothing is tared yet");
+        balance.tare().unwrap();
+        assert_eq!((balance.is_the_same(), balance.immediate().map(|it| it.mass_mg)), (Ok(()), Ok(0.0)));
+        *device.tells.lock().unwrap() = Some(before);
+        // What it says behind an answer may be heard with that answer or before the next question.
+        let told = balance.immediate().and_then(|_| balance.immediate()).unwrap_err();
+        assert!(told.to_string().contains("switched on anew"), "{told}");
+        assert!(balance.stable(1.0).is_err() && balance.is_the_same().is_err(), "and it stays so");
+        balance.tare().unwrap();
+        assert_eq!(balance.immediate().map(|it| it.mass_mg), Ok(0.0));
+    }
+}
+
+#[test]
+fn another_balance_than_the_one_that_was_tared_is_told_by_its_serial_number() {
+    let (device, _port, mut balance) = Switched::new();
+    balance.tare().unwrap();
+    *device.serial.lock().unwrap() = "2";
+    let told = balance.is_the_same().unwrap_err().to_string();
+    assert!(told.contains("serial number 2") && told.contains("weigh the vial"), "{told}");
 }
 
 #[test]

@@ -73,8 +73,8 @@ pub struct Poured {
     pub outcome: Outcome,
     /// True mass in the vial, mg; unknown on devices.
     pub dispensed_mg: Option<f64>,
-    /// Last reading, mg.
-    pub reading_mg: f64,
+    /// Final reading, mg; none where the dose was aborted or nothing was read when all stood still.
+    pub reading_mg: Option<f64>,
     /// What was measured beside it.
     pub measured: Option<MeasuredMass>,
     /// Shakes made.
@@ -185,7 +185,7 @@ pub fn emulated(settings: lab::Settings) -> Apparatus {
         }
     });
     // Each dose has a laboratory of its own.
-    let apparatus = wires.apparatus(BenchKind::Emulated, pour, Arc::new(|_| Ok(())), readability_mg);
+    let apparatus = wires.apparatus(BenchKind::Emulated, pour, Arc::new(|_| Ok(())), Some(readability_mg));
     Apparatus { stand: Some(stand), remembers, ..apparatus }
 }
 
@@ -197,7 +197,7 @@ pub fn devices(file: BenchFile) -> Apparatus {
 /// The same by another clock: of a laboratory that is emulated, and whose time is its own.
 pub fn devices_by(file: BenchFile, clock: Clock) -> Apparatus {
     let wires = Wires::default();
-    let readability_mg = file.balance.readability_mg.unwrap_or(1.0);
+    let readability_mg = file.balance.readability_mg;
     let (opened, empty_vial) = (wires.clone(), file.vial);
     let (url, tap) = (file.arm.url.clone(), wires.tap());
     let recover: Recover =
@@ -263,7 +263,7 @@ impl Wires {
         Tap::new(move |exchange| locked(&exchanges).push(exchange))
     }
 
-    fn apparatus(self, kind: BenchKind, pour: Pour, recover: Recover, readability_mg: f64) -> Apparatus {
+    fn apparatus(self, kind: BenchKind, pour: Pour, recover: Recover, readability_mg: Option<f64>) -> Apparatus {
         let Self { exchanges, stopper, devices, halted, .. } = self;
         let halt = move || {
             halted.store(true, Ordering::SeqCst);
@@ -282,7 +282,7 @@ impl Wires {
             arm_latch: Arc::new(|| Ok(None)),
             held: Arc::default(),
             empty_vial: None,
-            readability_mg: Arc::new(move || Some(readability_mg)),
+            readability_mg: Arc::new(move || readability_mg),
             remembers: kind == BenchKind::Devices,
             stand: None,
         }
@@ -307,8 +307,9 @@ fn on_devices(
         Ok(station) => station,
         Err(error) => return refused(error, latch_cause(&file.arm.url, wires.tap())),
     };
-    let (accuracy, forecast, life_s) = (pouring.accuracy, Some(pouring.forecast), file.readings.life_s);
-    let settings = Settings { accuracy, forecast, life_s, pan: pouring.pan, ..Settings::BENCH };
+    let (accuracy, forecast, readings) = (pouring.accuracy, Some(pouring.forecast), file.readings);
+    let (life_s, rest_max_s) = (readings.life_s, readings.stand_max_s);
+    let settings = Settings { accuracy, forecast, life_s, rest_max_s, pan: pouring.pan, ..Settings::BENCH };
     let weighed = weigh(&mut station, &pouring.controller, &pouring.rules, &pouring.order, &settings, on_event, stop);
     wires.closed();
     let went_well = !weighed.must_look && !matches!(weighed.outcome, Outcome::Aborted | Outcome::Stopped);
@@ -341,7 +342,7 @@ fn not_begun(cause: String) -> Poured {
     Poured {
         outcome: Outcome::Aborted,
         dispensed_mg: None,
-        reading_mg: 0.0,
+        reading_mg: None,
         measured: None,
         shakes: 0,
         seconds: 0.0,
@@ -352,11 +353,13 @@ fn not_begun(cause: String) -> Poured {
 }
 
 fn poured(weighed: Weighed, dispensed_mg: Option<f64>) -> Poured {
-    let measured = MeasuredMass {
+    let measured = |net_mg| MeasuredMass {
         tare_mg: weighed.tare_mg,
         gross_mg: weighed.gross_mg,
-        net_mg: weighed.reading_mg,
+        zero_mg: weighed.zero_mg,
+        net_mg,
         uncertainty_mg: weighed.uncertainty_mg,
+        proven: weighed.proven,
         stable_by_balance: weighed.stable_by_flag.unwrap_or(false),
         stable_by_window: weighed.stable_by_window.unwrap_or(false),
         drift_before_mg_min: weighed.drift_before_mg_min,
@@ -369,7 +372,7 @@ fn poured(weighed: Weighed, dispensed_mg: Option<f64>) -> Poured {
         outcome: weighed.outcome,
         dispensed_mg,
         reading_mg: weighed.reading_mg,
-        measured: weighed.stable_by_flag.map(|_| measured),
+        measured: weighed.reading_mg.filter(|_| weighed.stable_by_flag.is_some()).map(measured),
         shakes: weighed.shakes,
         seconds: weighed.seconds,
         ticks: weighed.ticks,
@@ -386,7 +389,7 @@ mod tests {
     fn a_stop_is_for_whoever_has_the_floor_also_before_the_devices_are_open() {
         let wires = Wires::default();
         let pour: Pour = Arc::new(|_, _, _| not_begun("nothing pours here".into()));
-        let halt = wires.clone().apparatus(BenchKind::Devices, pour, Arc::new(|_| Ok(())), 1.0).halt;
+        let halt = wires.clone().apparatus(BenchKind::Devices, pour, Arc::new(|_| Ok(())), Some(1.0)).halt;
         let floor = wires.floor();
         halt();
         assert!(wires.was_halted());

@@ -101,8 +101,9 @@ impl LaneThread {
             devices: (self.apparatus.devices)(),
             ..measured
         });
-        // On a real bench nobody knows the true mass: the reading stands for it.
-        let error_mg = poured.dispensed_mg.unwrap_or(poured.reading_mg) - weighing.target_mg;
+        // The verdict is that of the reading, and so is the error. What was not weighed has none.
+        let is_weighed = matches!(poured.outcome, Outcome::Within | Outcome::Under | Outcome::Over | Outcome::Blocked);
+        let error_mg = poured.reading_mg.filter(|_| is_weighed).map(|reading_mg| reading_mg - weighing.target_mg);
         let error = match (refused, heard.unrecorded) {
             (Some(refused), _) => Some(refused),
             // What the loop itself says of it knows no reason.
@@ -113,8 +114,8 @@ impl LaneThread {
             state,
             outcome: poured.outcome,
             dispensed_mg: poured.dispensed_mg,
-            reading_mg: Some(poured.reading_mg),
-            error_mg: Some(error_mg),
+            reading_mg: poured.reading_mg,
+            error_mg,
             shakes: Some(poured.shakes),
             seconds: Some(poured.seconds),
             measured,
@@ -268,7 +269,11 @@ fn touched(poured: &Poured, heard: &Heard, step_mg: f64) -> Touched {
     if !heard.began || heard.flaw.is_some() {
         return Touched::Not;
     }
-    match poured.measured.as_ref().and_then(|it| it.tare_mg.map(|tare_mg| (tare_mg, it.net_mg))) {
+    match poured
+        .measured
+        .as_ref()
+        .and_then(|it| it.tare_mg.map(|tare_mg| (tare_mg, it.net_mg + it.zero_mg.unwrap_or(0.0))))
+    {
         Some((tare_mg, shown_mg)) => Touched::Known { tare_mg, shown_mg, step_mg },
         None => Touched::Unknown,
     }

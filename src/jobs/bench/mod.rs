@@ -36,6 +36,7 @@ use crate::domain::bench_check::Repeatability;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::weighing::{Outcome, WeighingState};
 use crate::hardware::DeviceError;
+use crate::sim::balance;
 use crate::store::holds::Held;
 use crate::store::pan::Reservation;
 use crate::store::weighings::{Ending, Weighing};
@@ -128,6 +129,12 @@ impl Bench {
     /// What kind of bench it is.
     pub fn kind(&self) -> BenchKind {
         self.apparatus.kind
+    }
+
+    /// Step of the balance's display, mg, where it is known beforehand.
+    pub fn readability_mg(&self) -> Option<f64> {
+        let is_simulated = self.apparatus.kind == BenchKind::Simulated;
+        (self.apparatus.readability_mg)().or(is_simulated.then(|| balance::Settings::default().readability_mg))
     }
 
     /// Where piles are made, if anywhere.

@@ -1,6 +1,7 @@
 //! Does it stop, and is the spoon level and away afterwards? A scripted bench misbehaves in every way at every call.
 
 mod scripted;
+mod truth;
 
 use super::*;
 use crate::policy::{Schedule, ScheduledStep};
@@ -44,17 +45,20 @@ fn a_dose_goes_through_its_phases_and_its_result_is_complete() {
         ControlFlow::Continue(())
     };
     let weighed = hear(&mut bench, &Rules::FLIP, &BLIND, note, &AtomicBool::new(false));
-    let steps = [Act, Read].repeat(5);
-    assert_eq!(bench.calls, [&[Stand, Approach, Tare, Read], &steps[..], &[Level, Retract, Stand, Discard]].concat());
+    let (steps, rest) = ([Act, Read].repeat(5), [Watch].repeat(11));
+    let begun = [&[Stand, Approach, Tare], &rest[..], &[Read, Read]].concat();
+    let ended = [&rest[..], &[Read, Level, Retract, Stand], &rest[..], &[Same, Discard]].concat();
+    assert_eq!(bench.calls, [begun, steps, ended].concat());
     assert_eq!(told[..4], ["Armed", "Dosing", "tick 0", "decision 1"]);
     assert_eq!(told[told.len() - 3..], ["tick 5", "decision 6", "Settling"]);
-    assert_eq!((weighed.outcome, weighed.reading_mg, weighed.shakes), (Outcome::Within, 10.0, 5));
+    assert_eq!((weighed.outcome, weighed.reading_mg, weighed.shakes), (Outcome::Within, Some(10.0), 5));
     assert_eq!((weighed.tare_mg, weighed.gross_mg), (Some(12_000.0), Some(12_010.0)));
     assert_eq!((weighed.stable_by_flag, weighed.stable_by_window), (Some(true), Some(true)));
-    assert_eq!((weighed.drift_before_mg_min, weighed.drift_after_mg_min), (Some(1.0), Some(1.0)));
+    assert_eq!((weighed.drift_before_mg_min, weighed.drift_after_mg_min), (Some(0.0), Some(0.0)));
+    assert_eq!((weighed.zero_mg, weighed.proven), (Some(0.0), Some(true)));
     assert_eq!((weighed.in_flight_mg, weighed.cause.clone(), weighed.must_look), (Some(0.0), None, false));
     assert!(weighed.below_minimum_weight && weighed.below_class_minimum_weight, "no 10 mg on a balance of 1 mg");
-    assert!((1.4..2.0).contains(&weighed.uncertainty_mg) && weighed.seconds > 10.0 && weighed.ticks.len() == 6);
+    assert!((0.8..1.0).contains(&weighed.uncertainty_mg) && weighed.seconds > 10.0 && weighed.ticks.len() == 6);
     assert!(bench.is_safe());
 }
 
@@ -62,7 +66,7 @@ fn a_dose_goes_through_its_phases_and_its_result_is_complete() {
 fn even_a_policy_that_never_ends_early_adds_nothing_once_the_target_shows() {
     let mut bench = Scripted::giving(&[2.0]);
     let weighed = weigh_on(&mut bench, &Rules::PAPER);
-    assert_eq!((weighed.reading_mg, bench.count(Call::Act)), (10.0, 5));
+    assert_eq!((weighed.reading_mg, bench.count(Call::Act)), (Some(10.0), 5));
 }
 
 #[test]
@@ -97,9 +101,11 @@ fn a_display_that_dies_hides_one_shake_and_a_person_is_called() {
         let mut bench = Scripted { display: Display::dying_at(dies_at), ..Scripted::giving(&[2.0]) };
         let weighed = weigh_on(&mut bench, &Rules::PAPER);
         assert_eq!((weighed.outcome, weighed.must_look), (Outcome::Aborted, true), "{dies_at}");
-        assert!(bench.is_safe() && weighed.cause.unwrap().contains("the same number"), "{dies_at}");
+        let cause = weighed.cause.unwrap();
+        assert!(bench.is_safe() && cause.contains("the same number"), "{dies_at}");
         // The fifth shake would have been the last: its dose is not called within because nothing showed that it is not.
-        assert_eq!((weighed.reading_mg, bench.mass_mg), (2.0 * f64::from(dies_at), 2.0 * f64::from(dies_at + 1)));
+        assert_eq!((weighed.reading_mg, bench.mass_mg), (None, 2.0 * f64::from(dies_at + 1)));
+        assert!(cause.contains(&format!("last showed {} mg", 2 * dies_at)), "{cause}");
         assert!((60..63).contains(&bench.count(Call::Life)) && bench.count(Call::Discard) == 0, "{dies_at}");
     }
 }
@@ -172,19 +178,21 @@ fn check(call: Call, at: u32, fault: Fault) -> Weighed {
     assert_eq!((bench.count(Call::Level), bench.calls.contains(&Call::Retract)), (1, call != Call::Level), "{case}");
     assert!(bench.is_safe() || weighed.must_look, "{case}");
     assert!(weighed.cause.as_deref().is_some_and(|cause| cause.len() > 10), "{case}");
-    assert!(weighed.reading_mg.is_finite() && weighed.uncertainty_mg.is_finite(), "{case}");
+    assert!(weighed.reading_mg.is_none_or(f64::is_finite) && weighed.uncertainty_mg.is_finite(), "{case}");
+    let has_none = weighed.outcome == Outcome::Aborted || weighed.ticks.is_empty();
+    assert_eq!(weighed.reading_mg.is_none(), has_none, "{case}: {:?}", weighed.reading_mg);
     weighed
 }
 
 #[test]
 fn a_device_that_fails_at_any_call_aborts_and_a_person_is_called() {
-    for call in
-        [Call::Stand, Call::Approach, Call::Tare, Call::Read, Call::Act, Call::Level, Call::Retract, Call::Discard]
-    {
+    use Call::*;
+    for call in [Stand, Approach, Tare, Watch, Read, Act, Level, Retract, Same, Discard] {
         let times = match call {
             Call::Act => 5,
-            Call::Read => 6,
+            Call::Read => 8,
             Call::Stand => 2,
+            Call::Watch => 33,
             _ => 1,
         };
         for at in 0..times {
@@ -216,8 +224,38 @@ fn a_reading_that_cannot_be_trusted_ends_the_dose_by_its_name() {
 }
 
 #[test]
+fn a_balance_that_began_anew_in_the_dose_is_not_believed() {
+    // The vial on the display again, at the first reading and after any shake; and a balance that says at the end that it is another.
+    for at in 1..7 {
+        let weighed = check(Call::Read, at, Fault::Untared);
+        assert_eq!((weighed.outcome, weighed.must_look, weighed.reading_mg), (Outcome::Aborted, true, None), "{at}");
+        assert!(weighed.cause.unwrap().contains("restarted"), "{at}");
+    }
+    let weighed = check(Call::Same, 0, Fault::Untared);
+    assert_eq!((weighed.outcome, weighed.must_look, weighed.reading_mg), (Outcome::Aborted, true, None));
+}
+
+#[test]
+fn a_display_that_went_back_to_nothing_is_told_from_one_that_wanders() {
+    let shown = |mass_mg: f64| Reading { mass_mg, stable: true };
+    for (before_mg, now_mg, step_mg, is) in [
+        (2.0, 0.0, 1.0, true),
+        (1.5, 0.0, 0.1, true),
+        (2.0, 1.0, 1.0, false),
+        (1.0, 0.0, 1.0, false),
+        (0.5, -0.2, 0.01, false),
+        (3.0, -1.0, 1.0, false),
+        (20.0, 5.0, 5.0, false),
+        (10.0, 0.0, 5.0, true),
+    ] {
+        let found = closer::is_zeroed(shown(before_mg), shown(now_mg), step_mg);
+        assert_eq!(found, is, "{before_mg} to {now_mg} mg in steps of {step_mg} mg");
+    }
+}
+
+#[test]
 fn mass_that_comes_without_a_shake_aborts() {
-    let mut bench = Scripted::with(Call::Read, 1, Fault::Draught);
+    let mut bench = Scripted::with(Call::Read, 2, Fault::Draught);
     let go = AtomicBool::new(false);
     // Two inclines before the first shake.
     let weighed =
@@ -240,7 +278,7 @@ fn a_balance_that_is_restless_before_the_dose_does_not_hold_it_up() {
 fn what_falls_while_the_spoon_is_levelled_is_told_and_judged() {
     let mut bench = Scripted { late_mg: 4.0, ..Scripted::giving(&[2.0]) };
     let weighed = weigh_on(&mut bench, &Rules::FLIP);
-    assert_eq!((weighed.outcome, weighed.reading_mg, weighed.in_flight_mg), (Outcome::Over, 14.0, Some(4.0)));
+    assert_eq!((weighed.outcome, weighed.reading_mg, weighed.in_flight_mg), (Outcome::Over, Some(14.0), Some(4.0)));
 }
 
 #[test]

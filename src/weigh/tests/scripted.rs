@@ -1,9 +1,25 @@
 //! A bench that does what it was told to beforehand, and notes what it is asked for.
 
-use crate::domain::bench::{Action, Reading, Standing, Tare};
+use crate::domain::bench::{Action, Moment, Reading, Standing, Tare};
+use crate::domain::rest::Rest;
 use crate::hardware::{Bench, DeviceError};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+/// No reading at all.
+const NOTHING: Rest = Rest {
+    readings: 1,
+    at_s: 0.0,
+    seconds: 0.0,
+    mean_mg: 0.0,
+    last_mg: 0.0,
+    slope_mg_s: 0.0,
+    squares_mg2: 0.0,
+    times_s2: 0.0,
+    steps: [0.0; 3],
+    level: 1.0,
+    tilt: 0.0,
+    forgotten: 0.0,
+};
 /// The vial.
 const VIAL_MG: f64 = 12_000.0;
 
@@ -11,6 +27,8 @@ const VIAL_MG: f64 = 12_000.0;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Call {
     Stand,
+    /// A second in which the display is watched for its mean.
+    Watch,
     Approach,
     Tare,
     Read,
@@ -19,6 +37,8 @@ pub(super) enum Call {
     Level,
     Retract,
     Discard,
+    /// Is it the balance that was tared?
+    Same,
 }
 
 /// How it goes wrong.
@@ -31,6 +51,8 @@ pub(super) enum Fault {
     VialLifted,
     /// The reading jumps up.
     Draught,
+    /// The balance began anew and has forgotten the tare.
+    Untared,
 }
 
 /// A display that shows another number only when the mass is another, or when it is watched.
@@ -116,6 +138,7 @@ impl Scripted {
             Some(Fault::NotANumber) => f64::NAN,
             Some(Fault::VialLifted) => -20_000.0,
             Some(Fault::Draught) => self.mass_mg + 5.0,
+            Some(Fault::Untared) => self.mass_mg + VIAL_MG,
             _ => self.display.map_or(mass_mg, |display| display.shown_mg),
         };
         Reading { mass_mg, stable: fault != Some(Fault::Unstable) }
@@ -145,7 +168,20 @@ impl Bench for Scripted {
         if self.count(Call::Tare) == 0 {
             reading.mass_mg += VIAL_MG;
         }
-        Ok(Standing { reading, still, drift_mg_min: 1.0, scatter_mg: 0.1, seconds })
+        let seen = [Moment { t_s: self.elapsed_s(), mass_mg: reading.mass_mg }];
+        let rest = Rest::of(&seen).unwrap_or(Rest { mean_mg: f64::NAN, last_mg: f64::NAN, ..NOTHING });
+        Ok(Standing { reading, still, drift_mg_min: 1.0, scatter_mg: 0.1, seconds, rest })
+    }
+    fn readings(&mut self, _seconds: f64) -> Result<Vec<Moment>, DeviceError> {
+        let fault = self.called(Call::Watch)?;
+        let mass_mg = self.shown(fault).mass_mg;
+        Ok(vec![Moment { t_s: self.elapsed_s(), mass_mg }])
+    }
+    fn is_the_same(&mut self) -> Result<(), DeviceError> {
+        match self.called(Call::Same)? {
+            Some(_) => Err(DeviceError::Faulted { device: "the balance", cause: "it was switched on anew".into() }),
+            None => Ok(()),
+        }
     }
     fn lived_s(&self) -> f64 {
         self.display.map_or(f64::INFINITY, |display| display.lived_s)

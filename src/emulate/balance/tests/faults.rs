@@ -93,6 +93,26 @@ fn silence_ends_in_time_and_a_pulled_plug_is_a_lost_connection() {
 }
 
 #[test]
+fn a_restart_is_told_where_the_dialect_tells_it_and_shows_two_milligrams_where_it_does_not() {
+    for dialect in Dialect::ALL {
+        let mut lab = lab(dialect, Socket::Pty);
+        lab.driver.tare().unwrap();
+        lab.balance.pan().add_mg(50.0);
+        lab.wait_s(3.0);
+        lab.balance.inject(Fault::Restart);
+        // Down: nothing is heard, and by the bench's clock nobody waits.
+        assert!(lab.driver.immediate().is_err(), "{dialect:?}");
+        lab.wait_s(1.0);
+        match (dialect, lab.driver.immediate()) {
+            (Dialect::MtSics, told) => assert!(words(&told.unwrap_err()).contains("switched on anew")),
+            (_, shown) => assert!(is_near(shown.unwrap().mass_mg, 2.0), "{dialect:?}"),
+        }
+        lab.driver.tare().unwrap();
+        assert!(is_near(lab.driver.stable(5.0).unwrap().mass_mg, 0.0), "{dialect:?}");
+    }
+}
+
+#[test]
 fn an_answer_that_comes_too_late_is_never_taken_for_a_later_one() {
     for dialect in Dialect::ALL {
         let settings = Settings { dialect, slow_reply_ms: 450, ..calm() };
