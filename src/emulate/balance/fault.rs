@@ -42,7 +42,7 @@ pub enum Fault {
     Stuck,
     /// `NaN` stands where the number should: damaged, not a number to calculate with.
     NotANumber,
-    /// The mains fail for a moment, once: nothing is heard and said for half a second of bench time, then the balance tells its serial number unasked where its
+    /// The mains fail for a moment, once: nothing is heard and said for a tenth of a second of bench time, then the balance tells its serial number unasked where its
     /// dialect does, has forgotten the tare, and shows 2 mg for whatever lies on the pan. What was tared is lost, and a driver that hears it must say so.
     Restart,
     /// One digit of each number is another digit. Frames carry no checksum: the driver cannot tell; whoever weighs compares readings with one another.

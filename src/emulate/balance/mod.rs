@@ -38,8 +38,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use talk::Conversation;
 
-/// From the mains to the first answer, s of bench time.
-const RESTART_S: f64 = 0.5;
+/// From the mains to the first answer, s of bench time: less than most motions, so that no question need be lost.
+const RESTART_S: f64 = 0.1;
 
 /// What an emulated balance is like.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
