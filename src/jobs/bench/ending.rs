@@ -269,7 +269,11 @@ fn touched(poured: &Poured, heard: &Heard, step_mg: f64) -> Touched {
     if !heard.began || heard.flaw.is_some() {
         return Touched::Not;
     }
-    match poured.measured.as_ref().and_then(|it| it.tare_mg.map(|tare_mg| (tare_mg, it.net_mg))) {
+    match poured
+        .measured
+        .as_ref()
+        .and_then(|it| it.tare_mg.map(|tare_mg| (tare_mg, it.net_mg + it.zero_mg.unwrap_or(0.0))))
+    {
         Some((tare_mg, shown_mg)) => Touched::Known { tare_mg, shown_mg, step_mg },
         None => Touched::Unknown,
     }
