@@ -117,7 +117,7 @@ fn sources() -> Vec<Source> {
     let read = |path: PathBuf| {
         let text = fs::read_to_string(&path).unwrap();
         // Unit tests may cross the map, in their file or in one of their own.
-        let product = match path.ends_with("tests.rs") {
+        let product = match path.to_string_lossy().ends_with("tests.rs") {
             true => "",
             false => text.split("\n#[cfg(test)]\nmod ").next().unwrap_or_default(),
         };

@@ -23,7 +23,7 @@ use std::time::Duration;
 use tempfile::TempDir;
 
 /// Longest that a test waits for anything.
-pub const PATIENCE: Duration = Duration::from_secs(20);
+pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A heap whose angle grows with friction and cohesion, with a little noise by seed.
 pub fn heap(set: &ParameterSet, settings: &repose::Settings, seed: u64) -> Result<Repose, Refusal> {

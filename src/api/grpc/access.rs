@@ -11,6 +11,8 @@ use std::sync::LazyLock;
 
 /// Names of methods that only read begin with one of these.
 const READING: [&str; 6] = ["Get", "List", "Watch", "Compare", "Verify", "Download"];
+/// The service that is an admin's alone.
+const TOKENS: &str = "Tokens";
 
 /// Who may call a method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,14 +34,15 @@ static METHODS: LazyLock<HashMap<String, Role>> = LazyLock::new(|| {
         let name = service.name().to_owned();
         service.method.into_iter().map(move |method| {
             let path = format!("/{package}.{name}/{}", method.name());
-            (path, least(method.name()))
+            (path, least(&name, method.name()))
         })
     });
     methods.collect()
 });
 
-fn least(method: &str) -> Role {
+fn least(service: &str, method: &str) -> Role {
     match READING.iter().any(|word| method.starts_with(word)) {
+        _ if service == TOKENS => Role::Admin,
         true => Role::Viewer,
         false => Role::Operator,
     }

@@ -251,7 +251,7 @@ fn a_part_without_anything_to_say_is_not_there() {
     for empty in ["<table", "<svg", "<ul", "<h3", "></p>", "<figure"] {
         assert!(!page.contains(empty), "{empty}");
     }
-    assert_eq!(html(&full(Verdict::Cause, "salt")).matches("<section").count(), 10);
+    assert_eq!(html(&full(Verdict::Cause, "salt")).matches("<section").count(), 11);
 }
 
 #[test]

@@ -120,13 +120,15 @@ fn what_is_read_off_the_heap_is_no_condition_however_well_it_is_read() {
 #[test]
 fn a_column_whose_name_says_nothing_is_told_by_what_it_holds() {
     for error in [0.0, 0.02, 0.05] {
-        for seed in 0..10 {
-            // By the powders, of which two are enough.
-            for powders in [2, 5] {
-                let mut laboratory = Laboratory::new(seed, powders, 20, 1.0);
+        // By the powders: five, or two, whose means may lie off the line by chance; of ten at 95 % three or more are missed with a chance of 0.01.
+        for (powders, missed_max) in [(5, 0), (2, 2)] {
+            let is_missed = |seed: &u64| {
+                let mut laboratory = Laboratory::new(*seed, powders, 20, 1.0);
                 laboratory.read_off("k17", error, 2, height);
-                assert_eq!(laboratory.left_out(), ["k17"], "{powders} powders, error {error}, seed {seed}");
-            }
+                laboratory.left_out() != ["k17"]
+            };
+            let missed: Vec<u64> = (0..10).filter(is_missed).collect();
+            assert!(missed.len() <= missed_max, "{powders} powders, error {error}: {missed:?}");
         }
     }
     for seed in 0..10 {

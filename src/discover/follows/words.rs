@@ -172,13 +172,13 @@ pub(super) fn is_of_heaps_alone(name: &str) -> bool {
     words(name).iter().any(|word| OF_HEAPS.contains(&word.as_str()))
 }
 
-/// Words of a name: `PileHeight_mm` is pile, height, mm.
+/// Words of a name: `PileHeight2_mm` is pile, height, 2, mm.
 fn words(name: &str) -> Vec<String> {
     let mut words = vec![String::new()];
-    let mut was_small = false;
+    let (mut was_small, mut was_digit) = (false, false);
     for c in name.chars() {
-        let begins = c.is_uppercase() && was_small;
-        was_small = c.is_lowercase();
+        let begins = (c.is_uppercase() && was_small) || (c.is_ascii_digit() != was_digit);
+        (was_small, was_digit) = (c.is_lowercase(), c.is_ascii_digit());
         if !c.is_alphanumeric() || begins {
             words.push(String::new());
         }

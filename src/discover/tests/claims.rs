@@ -100,7 +100,8 @@ fn is_claimed(finding: &Finding) -> bool {
 /// Every powder that is named has its own effect beside its name.
 fn check_names(report: &Report, case: &str) -> usize {
     let mut named = 0;
-    for finding in &report.findings {
+    // Of angles: how repeats scatter is told without a size.
+    for finding in report.findings.iter().filter(|it| it.unit == "deg") {
         for it in &finding.by_powder {
             let name = it.powder.replace('_', " ");
             if headline(report).contains(&name) {

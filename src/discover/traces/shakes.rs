@@ -8,6 +8,7 @@
 //! A calibrated simulation has all of these from the powder, so whatever they span is not looked at. Without amplitudes there is no response: who shakes
 //! ever less makes what looks like any cause of the spoon. A pitch that was not recorded may have grown from shake to shake: a trend stands for it.
 
+use super::catalogue::{TraceMechanism, is_fill_known};
 use super::design::Design;
 use super::level::Verdict;
 use super::noise::{Masses, ShakeNoise};
@@ -64,11 +65,14 @@ pub(super) fn response(design: &Design) -> Option<Masses> {
 /// shakes follow no law of amplitude and pitch only the simulator could say what they should have let fall.
 /// `scatter`: of log mass around the response, as [`scatter`] has it.
 pub(super) fn unlike(design: &Design, scatter: f64, judged: &Verdict) -> Option<Unjudged> {
-    let left = judged.estimates.iter().map(|it| it.left).fold(1.0, f64::min);
+    // A spoon empties and packs by itself. Where its fill was not recorded nothing says by how much, so that neither can be what the law lacks.
+    let is_of_any_spoon = |cause| matches!(cause, TraceMechanism::FillLevel | TraceMechanism::Densification);
+    let counts = |cause| is_fill_known(design) || !is_of_any_spoon(cause);
+    let counted = || judged.causes.iter().zip(&judged.estimates).filter(|(it, _)| counts(it.0));
+    let left = counted().map(|(_, of)| of.left).fold(1.0, f64::min);
     let scatter = scatter * left.sqrt();
     let wander = judged.wander[0];
-    let is_caused =
-        judged.causes.iter().zip(&judged.estimates).any(|(it, of)| it.1[0] > wander && of.explained >= EXPLAINED_MIN);
+    let is_caused = counted().any(|(it, of)| it.1[0] > wander && of.explained >= EXPLAINED_MIN);
     let doses = (SETS * design.logs.iter().filter(|log| log.kind == Kind::Dose).count()) as u32;
     let how = if scatter > SCATTER_MAX {
         format!("scatter by a factor of {:.1}", scatter.exp())
