@@ -21,7 +21,7 @@ const RESTART: Duration = Duration::from_millis(500);
 const RESTART_MAX: Duration = Duration::from_secs(30);
 
 /// How long a computation may go on after it was told to stop: one heap on a busy machine takes longer than those who shut a service down wait.
-const GRACE: Duration = Duration::from_secs(5);
+const GRACE: Duration = Duration::from_secs(8);
 
 /// How often, and with what pause, the end of an attempt is written when the database refuses.
 const SETTLE_TRIES: u32 = 30;

@@ -21,7 +21,7 @@ const KIB: usize = 64 * 1024;
 
 /// Bytes of a body that is too long which are still taken, and for how long: a client that is still sending would see its connection reset in place of the
 /// answer.
-const DISCARDED: (usize, Duration) = (8 * 1024 * 1024, Duration::from_secs(2));
+const DISCARDED: (usize, Duration) = (32 * 1024 * 1024, Duration::from_secs(2));
 
 /// Who sends bodies at present.
 #[derive(Debug)]
