@@ -4,7 +4,6 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::collections::BTreeMap;
 
-mod claims;
 
 const POWDERS: [&str; 5] = ["sand", "sugar", "salt", "semolina", "sodium_bicarbonate"];
 /// Published means and SDs of five repeats, degrees.
