@@ -4,7 +4,6 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::collections::BTreeMap;
 
-
 const POWDERS: [&str; 5] = ["sand", "sugar", "salt", "semolina", "sodium_bicarbonate"];
 /// Published means and SDs of five repeats, degrees.
 const PUBLISHED_DEG: [(f64, f64); 5] = [(28.55, 1.94), (31.41, 1.42), (36.03, 2.29), (42.76, 1.97), (42.38, 2.48)];
