@@ -1,6 +1,6 @@
 //! Doses through the true protocols of an emulated laboratory, beside the same doses with the published robot's wait of 4 s and others that are forecast
 //! from earlier ones:
-//! `cargo run --release --example emulated_doses [repeats] [seed] [first table]`.
+//! `cargo run --release --example emulated_doses [repeats] [seed] [first table] [longest watch, s] [tables]`.
 //!
 //! Five published powders, 15 and 20 mg, a balance that reads 1 mg, the policy that ships. A dose is a weighing like any other: intent, guard, audit trail.
 //! What is printed depends on the code and the seed alone.
@@ -24,7 +24,9 @@ async fn main() -> anyhow::Result<()> {
     let numbers: Vec<u64> = std::env::args().skip(1).filter_map(|text| text.parse().ok()).collect();
     let (repeats, seed) = (numbers.first().copied().unwrap_or(5), numbers.get(1).copied().unwrap_or(1));
     let first = numbers.get(2).copied().unwrap_or(1) as usize;
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/emulated-doses");
+    let stand_max_s = numbers.get(3).map_or(Readings::default().stand_max_s, |seconds| *seconds as f64);
+    let tables = numbers.get(4).copied().unwrap_or(3) as usize;
+    let folder = Path::new("target").join(format!("emulated-doses-{first}-{stand_max_s}"));
     for (name, fixed_wait_s, remembers) in [
         ("settling filter", None, false),
         ("fixed wait of 4 s", Some(4.0), false),
@@ -32,8 +34,9 @@ async fn main() -> anyhow::Result<()> {
     ]
     .into_iter()
     .skip(first.saturating_sub(1))
+    .take(tables)
     {
-        let readings = Readings { fixed_wait_s, ..Readings::default() };
+        let readings = Readings { fixed_wait_s, stand_max_s, ..Readings::default() };
         let laboratory = LaboratorySettings { readings, remembers, ..LaboratorySettings::default() };
         let functions = Functions { bench: Some(emulated_bench(laboratory)), ..Functions::default() };
         let app = App::open(&folder, Options { functions, ..Options::default() }).await?;
