@@ -9,8 +9,9 @@ use crate::domain::job::JobKind;
 use crate::domain::powder::PUBLISHED;
 use crate::domain::spoon::Spoon;
 use crate::domain::{FieldError, bounded};
-use crate::jobs::evaluate::{CONTROLLERS, EvaluationResult, rival, tuned_schedule};
+use crate::jobs::evaluate::{CONTROLLERS, EvaluationResult, POLICY, rival, tuned_schedule};
 use crate::jobs::{Conditions, EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR};
+use crate::policy::shipped;
 use crate::store::jobs::{Job, JobRow};
 use crate::store::page::{Page, PageQuery};
 use crate::store::parameter_sets::CalibratedSet;
@@ -106,7 +107,12 @@ impl App {
         }
         let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
         let simulator = extended.as_ref().map(|(under, _)| under.simulator.as_str());
-        let policy = self.policy_to_evaluate(request.policy.as_deref()).await?;
+        let mut controllers = request.controllers.unwrap_or_else(|| CONTROLLERS.map(str::to_owned).to_vec());
+        if request.policy.is_some() && !controllers.iter().any(|name| name == POLICY) {
+            controllers.insert(0, POLICY.to_owned());
+        }
+        let weighs = controllers.iter().any(|name| name == POLICY);
+        let policy = self.policy_to_evaluate(request.policy.as_deref(), weighs).await?;
         let targets_mg = request.targets_mg.unwrap_or_else(|| TARGETS_MG.to_vec());
         let powders = match request.powders {
             Some(powders) => powders,
@@ -117,14 +123,10 @@ impl App {
             let id = self.powder_of(&format!("powders[{k}]"), id).await?.id;
             let day = extended.as_ref().map(|(under, extended)| extended.at(Some(&id), &under.conditions));
             let patch = day.transpose().map_err(Error::Invalid)?.unwrap_or_default();
-            let sets = self.sets_to_weigh(&id, &policy, simulator).await?;
+            let sets = self.sets_to_weigh(&id, weighs.then_some(&policy), simulator).await?;
             within_the_spoon(&id, &targets_mg, &sets, &conditions)?;
             let sets = sets.into_iter().map(|set| set.id).collect();
             subjects.push(EvaluationPowder { powder: id, sets, patch });
-        }
-        let mut controllers = request.controllers.unwrap_or_else(|| CONTROLLERS.map(str::to_owned).to_vec());
-        if request.policy.is_some() && !controllers.iter().any(|name| name == "policy") {
-            controllers.insert(0, "policy".to_owned());
         }
         let spec = EvaluationSpec {
             policy: policy.id,
@@ -144,7 +146,9 @@ impl App {
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Evaluation(spec)).await?)
     }
 
-    async fn policy_to_evaluate(&self, named: Option<&str>) -> Result<Policy> {
+    /// The policy that is named, or the newest; where none weighs the one that ships, so that no other can change what is found.
+    async fn policy_to_evaluate(&self, named: Option<&str>, weighs: bool) -> Result<Policy> {
+        let named = named.or_else(|| (!weighs).then_some(shipped().id.as_str()));
         if let Some(id) = named {
             return self.store().policy(id).await?.ok_or_else(|| {
                 FieldError::new("policy", format!("there is no policy `{id}`: GET /v1/policies lists them")).into()
@@ -154,11 +158,12 @@ impl App {
         newest.into_iter().next().ok_or_else(|| Error::not_found("policy", "shipped"))
     }
 
-    /// The sets that stand for a powder: those of its newest calibration that the policy has not met, if there are any.
+    /// The sets that stand for a powder: those of its newest calibration, without the ones that a policy which weighs has met in its training, if others are
+    /// left.
     async fn sets_to_weigh(
         &self,
         powder: &str,
-        policy: &Policy,
+        weighs: Option<&Policy>,
         simulator: Option<&str>,
     ) -> Result<Vec<CalibratedSet>> {
         let sets = self.calibrated_sets(Some(powder), 0.0, simulator).await?.ok_or_else(|| {
@@ -168,7 +173,10 @@ impl App {
             );
             Error::conflict("calibration_missing", advice)
         })?;
-        Ok(unmet(sets, policy))
+        Ok(match weighs {
+            Some(policy) => unmet(sets, policy),
+            None => sets,
+        })
     }
 
     /// One evaluation.

@@ -8,6 +8,11 @@ pub fn derive(seed: u64, path: &[u64]) -> u64 {
     path.iter().fold(mix(seed), |state, &index| mix(state ^ mix(index.wrapping_add(0x9E37_79B9_7F4A_7C15))))
 }
 
+/// An index made of a name, for [`derive`]: what is named draws the same numbers wherever it stands in a list.
+pub fn index_of(name: &str) -> u64 {
+    name.bytes().fold(mix(name.len() as u64), |state, byte| mix(state ^ u64::from(byte)))
+}
+
 fn mix(value: u64) -> u64 {
     let mut z = value.wrapping_add(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -27,5 +32,14 @@ mod tests {
         seen.dedup();
         assert_eq!(seen.len(), 10_000);
         assert_ne!(derive(7, &[1, 2]), derive(7, &[2, 1]));
+    }
+
+    #[test]
+    fn names_have_indices_of_their_own() {
+        let names = ["", "a", "b", "ab", "ba", "sand", "salt", "sodium_bicarbonate"];
+        let mut seen = names.map(index_of);
+        seen.sort_unstable();
+        assert!(seen.windows(2).all(|pair| pair[0] != pair[1]));
+        assert_eq!(index_of("sand"), index_of(&["sa", "nd"].concat()));
     }
 }

@@ -1,7 +1,7 @@
 //! How well controllers weigh: powders x targets x repeats, the same doses for each.
 
 use crate::domain::parameters::ParameterSet;
-use crate::domain::seed::derive;
+use crate::domain::seed::{derive, index_of};
 use crate::policy::{Controller, ON_TARGET_MG};
 use crate::stats::summary::{bootstrap_mean_interval, mean, sd};
 use rayon::prelude::*;
@@ -151,10 +151,11 @@ pub fn evaluate<E: Send>(
 ) -> Result<Evaluation, E> {
     let mut doses = Vec::new();
     for contender in &plan.contenders {
-        for (p, subject) in plan.subjects.iter().enumerate() {
-            for (t, &target_mg) in plan.targets_mg.iter().enumerate() {
+        for subject in &plan.subjects {
+            for &target_mg in &plan.targets_mg {
                 for repeat in 0..plan.repeats {
-                    let seed = derive(plan.seed, &[p as u64, t as u64, repeat.into()]);
+                    // By what the dose is, not by its place in the plan: a longer list changes no dose of a shorter one.
+                    let seed = derive(plan.seed, &[index_of(&subject.powder), target_mg.to_bits(), repeat.into()]);
                     doses.push((contender, subject, target_mg, repeat, seed));
                 }
             }
@@ -298,6 +299,22 @@ mod tests {
         let one = run(1);
         assert_eq!(one, run(2));
         assert!(one.trials[..16].iter().zip(&one.trials[16..]).all(|(a, b)| a.dose == b.dose));
+    }
+
+    #[test]
+    fn a_dose_meets_the_same_spoon_wherever_its_powder_and_target_stand_in_the_lists() {
+        let trials = |plan: Plan| {
+            let weigh = |_: &_, _: &_, set: &_, target, seed: u64| Ok::<_, ()>(weigh(set, target, (seed >> 11) as f64));
+            evaluate(&plan, weigh).unwrap().trials
+        };
+        let all = trials(plan());
+        let salt = plan().subjects.remove(1);
+        let few = trials(Plan { subjects: vec![salt], targets_mg: vec![20.0], ..plan() });
+        assert_eq!(few.len(), 8);
+        assert!(few.iter().all(|trial| all.contains(trial)));
+        let masses: std::collections::BTreeSet<u64> =
+            all.iter().map(|trial| trial.dose.dispensed_mg.to_bits()).collect();
+        assert_eq!(masses.len(), 16, "each dose has a spoon of its own, met by both contenders");
     }
 
     #[test]

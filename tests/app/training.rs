@@ -210,6 +210,25 @@ async fn a_policy_that_is_asked_for_weighs_beside_its_rivals() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_simple_controllers_come_to_does_not_depend_on_a_policy_that_does_not_weigh() {
+    let (_folder, app) = open(functions()).await;
+    calibrated(&app, "sand").await;
+    let request = EvaluationRequest {
+        powders: Some(vec!["sand".into()]),
+        controllers: Some(vec!["paced".into(), "pid".into()]),
+        repeats: Some(1),
+        ..Default::default()
+    };
+    let (before, _) = app.start_evaluation(request.clone()).await.unwrap();
+    assert_eq!(ended(&app, &before.id).await.state, JobState::Succeeded);
+    // A policy that has met sets of sand, and is the newest from now on.
+    trained(&app, "sand").await;
+    let (after, created) = app.start_evaluation(request).await.unwrap();
+    assert!(!created && after.id == before.id, "the same evaluation is asked for");
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn missing_prerequisites_are_conflicts_that_name_the_command() {
     let (_folder, app) = open(functions()).await;
     let conflict = |result: Result<_, Error>| match result {
