@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-const COMMANDS: [&str; 18] = [
+const COMMANDS: [&str; 22] = [
     "serve",
     "demo",
     "repose",
@@ -25,6 +25,10 @@ const COMMANDS: [&str; 18] = [
     "token",
     "backup",
     "restore",
+    "doctor",
+    "config",
+    "completions",
+    "man",
 ];
 
 fn flip(data_dir: &Path, arguments: &[&str]) -> Output {
@@ -65,6 +69,73 @@ fn help_lists_every_command_and_every_command_has_help() {
         for flag in ["--data-dir", "--seed", "--json"] {
             assert!(text.contains(flag), "{name} --help does not name {flag}");
         }
+    }
+}
+
+#[test]
+fn a_doctor_looks_and_changes_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    let looked = flip(&data, &["doctor", "--listen", "127.0.0.1:0", "--json"]);
+    expect_status(&looked, 0);
+    let found = document(&looked);
+    let names: Vec<&str> = found.as_array().unwrap().iter().map(|it| it["what"].as_str().unwrap()).collect();
+    assert_eq!(names, ["processor", "memory", "clock", "descriptors", "disk", "data folder", "port"]);
+    assert!(!data.exists());
+    expect_status(&flip(&data, &["jobs"]), 0);
+    std::fs::write(folder.path().join("bench.toml"), "[balance]\n").unwrap();
+    let bench = folder.path().join("bench.toml");
+    let looked = flip(&data, &["doctor", "--listen", "127.0.0.1:0", "--bench", bench.to_str().unwrap(), "--json"]);
+    expect_status(&looked, 1);
+    let found = document(&looked);
+    let of = |what: &str| found.as_array().unwrap().iter().find(|it| it["what"] == what).unwrap()["verdict"].clone();
+    assert_eq!((of("database"), of("bench file")), (json!("ok"), json!("failed")));
+}
+
+#[test]
+fn a_settings_file_stands_behind_the_command_line_and_a_mistake_in_it_begins_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let (data, file) = (folder.path().join("data"), folder.path().join("flip.toml"));
+    let file_name = file.to_str().unwrap();
+    let run = |text: &str, words: &[&str]| {
+        std::fs::write(&file, text).unwrap();
+        Command::new(env!("CARGO_BIN_EXE_flip")).args(words).env("FLIP_CONFIG", &file).output().unwrap()
+    };
+    let settings =
+        format!("data_dir = {:?}\njson = true\n[repose]\nfriction = 0.3\ncohesion = 0\n", data.to_str().unwrap());
+    let by_file = run(&settings, &["repose"]);
+    expect_status(&by_file, 0);
+    let typed = flip(&data, &["repose", "--friction", "0.3", "--cohesion", "0", "--json"]);
+    assert_eq!(document(&by_file), document(&typed));
+    let over = run(&settings, &["repose", "--friction", "0.5"]);
+    assert_ne!(document(&over)["parameters"], document(&typed)["parameters"]);
+    let wrong = run("[repose]\nfricton = 0.3\n", &["repose", "--json"]);
+    expect_status(&wrong, 2);
+    assert!(document(&wrong).to_string().contains("did you mean `friction`"), "{}", document(&wrong));
+    let checked = run("[serve]\nlisten = \"127.0.0.1:9\"\n", &["config", "check", file_name]);
+    assert_eq!(String::from_utf8(checked.stdout).unwrap().trim(), "flip serve --listen 127.0.0.1:9");
+    let half = run(
+        "[serve]\nlisten = \"127.0.0.1:0\"\ntls_cert = \"c.pem\"\n",
+        &["serve", "--data-dir", data.to_str().unwrap()],
+    );
+    expect_status(&half, 2);
+    assert!(stderr(&half).contains("tls_cert"), "{}", stderr(&half));
+}
+
+#[test]
+fn shells_and_man_know_every_command() {
+    let folder = tempfile::tempdir().unwrap();
+    for shell in ["bash", "zsh", "fish"] {
+        let script = flip(folder.path(), &["completions", shell]);
+        expect_status(&script, 0);
+        let script = String::from_utf8(script.stdout).unwrap();
+        assert!(COMMANDS.iter().all(|name| script.contains(name)), "{shell}");
+    }
+    let pages = folder.path().join("man1");
+    expect_status(&flip(folder.path(), &["man", pages.to_str().unwrap()]), 0);
+    for name in COMMANDS {
+        let page = std::fs::read_to_string(pages.join(format!("flip-{name}.1"))).unwrap();
+        assert!(page.contains("\\-\\-data\\-dir") || page.contains("data"), "{name}");
     }
 }
 

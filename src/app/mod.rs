@@ -183,6 +183,15 @@ impl App {
         Self::of(Store::open_to_read(data_dir).await.map_err(failed)?, None).await.map_err(failed)
     }
 
+    /// Open a data folder to read and change nothing, not even a schema that is older.
+    ///
+    /// # Errors
+    /// [`OpenError::Failed`]
+    pub async fn look_into(data_dir: &Path) -> std::result::Result<Self, OpenError> {
+        let failed = |error| OpenError::of(data_dir, error);
+        Self::of(Store::open_to_read(data_dir).await.map_err(failed)?, None).await.map_err(failed)
+    }
+
     /// Open a data folder to change what no bench and no job depends on, such as tokens, also while `flip serve` holds it: its records and ours are
     /// one chain, because each is written in a transaction that waits for the other.
     ///

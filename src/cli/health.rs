@@ -35,6 +35,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     }
 }
 
+/// Whether a service answers there.
+pub(super) fn is_alive(address: SocketAddr) -> bool {
+    ask(address).is_ok_and(|status| status.split(' ').nth(1) == Some("200"))
+}
+
 /// The status line of the answer to `GET /healthz`.
 fn ask(address: SocketAddr) -> std::io::Result<String> {
     let mut connection = TcpStream::connect_timeout(&address, PATIENCE)?;

@@ -11,13 +11,16 @@ mod bench;
 mod benches;
 mod calibrate;
 mod compare;
+mod config;
 mod demo;
 mod discover;
+mod doctor;
 mod emulate;
 mod evaluate;
 mod failure;
 mod health;
 mod jobs;
+mod manual;
 mod measure;
 mod measurements;
 mod observe;
@@ -37,9 +40,10 @@ mod weigh;
 
 use crate::app::{LIST_LIMIT_MAX, PageQuery};
 use crate::telemetry;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, FromArgMatches, Parser, Subcommand};
 use failure::Failure;
 use serde::Serialize;
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -65,6 +69,9 @@ struct Common {
     /// Print one JSON document on stdout and nothing else there.
     #[arg(long, global = true)]
     json: bool,
+    /// Settings for what is not given here, by command; `flip config check` says what a file sets.
+    #[arg(long, global = true, value_name = "FILE", env = config::VARIABLE)]
+    config: Option<PathBuf>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -113,6 +120,14 @@ enum Command {
     Token(token::Arguments),
     /// Ask a service whether it is alive; a container's health check.
     Health(health::Arguments),
+    /// Look whether FLIP can do its work on this machine, and say what to mend.
+    Doctor(doctor::Arguments),
+    /// Check a settings file, as `--config` takes one.
+    Config(config::Arguments),
+    /// Print what a shell needs to complete commands and options.
+    Completions(manual::Completions),
+    /// Write manual pages, one for each command.
+    Man(manual::Man),
 }
 
 /// As much of a list as one page holds.
@@ -120,7 +135,13 @@ const FIRST_PAGE: PageQuery = PageQuery { limit: Some(LIST_LIMIT_MAX), after: No
 
 /// Parse the arguments, run the command, and say how it ended by the exit status.
 pub fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
+    let arguments: Vec<OsString> = std::env::args_os().collect();
+    let command = match config::with_defaults(&arguments) {
+        Ok(command) => command,
+        Err(failure) => return failure.report(arguments.iter().any(|it| it == "--json")),
+    };
+    let parsed = command.try_get_matches_from(&arguments).and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = match parsed {
         Ok(cli) => cli,
         Err(error) => return failure::of_arguments(&error),
     };
@@ -160,6 +181,10 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Jobs(arguments) => jobs::run(common, arguments),
         Command::Token(arguments) => token::run(common, arguments),
         Command::Health(arguments) => health::run(common, arguments),
+        Command::Doctor(arguments) => doctor::run(common, arguments),
+        Command::Config(arguments) => config::run(common, arguments),
+        Command::Completions(arguments) => manual::completions(arguments),
+        Command::Man(arguments) => manual::man(common, arguments),
     }
 }
 

@@ -80,6 +80,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 
 /// Bind the address, before any long work: a port that is taken should be known at once.
 pub(super) fn bind(app: &App, address: &Address) -> Result<Server, Failure> {
+    // A settings file may name one of the two, which clap does not look at.
+    if address.tls_cert.is_some() != address.tls_key.is_some() {
+        let message = "certificate and key go together: name both files, or neither to speak without TLS";
+        return Err(FieldError::new("tls_cert", message).into());
+    }
     let tls = address.tls_cert.clone().zip(address.tls_key.clone());
     let config = ServeConfig {
         listen: address.listen,

@@ -1,0 +1,300 @@
+//! A settings file beside the flags, and `flip config check`.
+//!
+//! ```toml
+//! data_dir = "/var/lib/flip"      # every command's
+//! [serve]                         # that of `flip serve`
+//! listen = "127.0.0.1:8080"
+//! bench = "/etc/flip/bench.toml"
+//! ```
+//!
+//! A table is a command, a key one of its long options, dashes or underscores. The command line goes before the environment, the environment before the
+//! file, the file before what `--help` gives as default. A file with one mistake sets nothing.
+
+use super::failure::Failure;
+use super::{Cli, Common};
+use crate::domain::FieldError;
+use clap::{Arg, ArgAction, Command, CommandFactory};
+use serde::Serialize;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+/// Environment variable that names the file where `--config` does not.
+pub(super) const VARIABLE: &str = "FLIP_CONFIG";
+/// Names at least this similar (Jaro-Winkler) are offered for one that is not known.
+const SIMILAR: f64 = 0.8;
+
+/// Arguments of `flip config`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum What {
+    /// Read a settings file and say what it sets, or name every mistake in it.
+    Check {
+        /// The file.
+        #[arg(value_name = "FILE")]
+        file: PathBuf,
+    },
+}
+
+/// What a file sets.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+struct Setting {
+    /// Command, in words; empty: every command.
+    command: String,
+    /// Long option, without dashes.
+    option: String,
+    /// Values as on the command line; one, but of options that may be repeated.
+    values: Vec<String>,
+}
+
+/// Check a file.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    let What::Check { file } = &arguments.what;
+    let settings = read(file)?;
+    common.print(&settings, || text(&settings))
+}
+
+fn text(settings: &[Setting]) -> String {
+    let line = |it: &Setting| format!("flip {} --{} {}", it.command, it.option, it.values.join(" "));
+    let lines: Vec<String> = settings.iter().map(|it| line(it).replace("  ", " ")).collect();
+    if lines.is_empty() { "nothing is set".to_owned() } else { lines.join("\n") }
+}
+
+/// The command line, with what the named file sets as its defaults.
+///
+/// # Errors
+/// A file that cannot be read or has a mistake.
+pub(super) fn with_defaults(arguments: &[OsString]) -> Result<Command, Failure> {
+    let Some(file) = named(arguments) else { return Ok(Cli::command()) };
+    Ok(read(&file)?.into_iter().fold(Cli::command(), set))
+}
+
+/// The file that the arguments or the environment name.
+fn named(arguments: &[OsString]) -> Option<PathBuf> {
+    let mut arguments = arguments.iter().take_while(|it| *it != "--");
+    while let Some(argument) = arguments.next() {
+        if argument == "--config" {
+            return arguments.next().map(PathBuf::from);
+        }
+        if let Some(file) = argument.to_str().and_then(|it| it.strip_prefix("--config=")) {
+            return Some(file.into());
+        }
+    }
+    std::env::var_os(VARIABLE).filter(|it| !it.is_empty()).map(PathBuf::from)
+}
+
+/// What a file sets, in its order.
+fn read(file: &Path) -> Result<Vec<Setting>, Failure> {
+    let refuse = |message: String| Failure::from(FieldError::new("config", message));
+    let text = std::fs::read_to_string(file).map_err(|e| refuse(format!("{}: {e}", file.display())))?;
+    let table: toml::Table = toml::from_str(&text).map_err(|e| refuse(format!("{}: {e}", file.display())))?;
+    let mut command = Cli::command();
+    command.build();
+    let mut found = Found::default();
+    found.table(&command, &[], &table);
+    if found.mistakes.is_empty() { Ok(found.settings) } else { Err(Failure::BadInput(found.mistakes)) }
+}
+
+#[derive(Debug, Default)]
+struct Found {
+    settings: Vec<Setting>,
+    mistakes: Vec<FieldError>,
+}
+
+impl Found {
+    /// `path`: the words of the command.
+    fn table(&mut self, command: &Command, path: &[&str], table: &toml::Table) {
+        for (key, value) in table {
+            let name = key.replace('_', "-");
+            let field = [path, &[key.as_str()]].concat().join(".");
+            match (value, command.find_subcommand(&name), option(command, &name)) {
+                (toml::Value::Table(inner), Some(sub), _) => {
+                    self.table(sub, &[path, &[sub.get_name()]].concat(), inner)
+                }
+                (toml::Value::Table(_), None, _) => {
+                    let commands = command.get_subcommands().map(Command::get_name);
+                    self.refuse(field, format!("there is no command `{name}`{}", nearest(&name, commands)));
+                }
+                (_, _, Some(option)) => self.option(field, path, option, value),
+                (..) => {
+                    let options = command.get_arguments().filter_map(Arg::get_long);
+                    self.refuse(field, format!("there is no option `--{name}`{}", nearest(&name, options)));
+                }
+            }
+        }
+    }
+
+    fn option(&mut self, field: String, path: &[&str], option: &Arg, value: &toml::Value) {
+        let values = match value {
+            toml::Value::Array(values) => values.iter().map(plain).collect(),
+            // A switch that is off is how it is anyway.
+            toml::Value::Boolean(false) if matches!(option.get_action(), ArgAction::SetTrue) => return,
+            value => vec![plain(value)],
+        };
+        match accepts(option, &values) {
+            Ok(()) => self.settings.push(Setting {
+                command: path.join(" "),
+                option: option.get_long().unwrap_or_default().to_owned(),
+                values,
+            }),
+            Err(why) => self.refuse(field, why),
+        }
+    }
+
+    fn refuse(&mut self, field: String, why: String) {
+        self.mistakes.push(FieldError::new(field, why));
+    }
+}
+
+/// An option that a file may set.
+fn option<'a>(command: &'a Command, name: &str) -> Option<&'a Arg> {
+    let unusual = ["config", "help", "version"];
+    command.get_arguments().find(|it| it.get_long() == Some(name) && !unusual.contains(&name))
+}
+
+/// A value as one would type it.
+fn plain(value: &toml::Value) -> String {
+    match value {
+        toml::Value::String(text) => text.clone(),
+        other => other.to_string(),
+    }
+}
+
+/// Whether the option takes these values, by its own parser.
+fn accepts(option: &Arg, values: &[String]) -> Result<(), String> {
+    let name = option.get_long().unwrap_or_default();
+    if matches!(option.get_action(), ArgAction::SetTrue) {
+        return if values == ["true"] { Ok(()) } else { Err("is a switch: write true or false".to_owned()) };
+    }
+    let is_repeated = matches!(option.get_action(), ArgAction::Append);
+    let one = Arg::new("it").long(name.to_owned()).value_parser(option.get_value_parser().clone());
+    let one = one.action(option.get_action().clone()).allow_negative_numbers(true);
+    let one = one.value_delimiter(option.get_value_delimiter());
+    if values.len() != 1 && !is_repeated && option.get_value_delimiter().is_none() {
+        return Err(format!("takes one value, and {} are given", values.len()));
+    }
+    let typed = values.iter().map(|value| format!("--{name}={value}"));
+    let typed: Vec<String> = if is_repeated { typed.collect() } else { vec![format!("--{name}={}", values.join(","))] };
+    let words = std::iter::once("flip".to_owned()).chain(typed);
+    let parsed = Command::new("flip").arg(one).try_get_matches_from(words);
+    parsed.map(drop).map_err(|error| {
+        let told = error.render().to_string();
+        told.lines().next().unwrap_or_default().trim_start_matches("error: ").to_owned()
+    })
+}
+
+/// `, did you mean …`, or all that there are.
+fn nearest<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> String {
+    let known: Vec<&str> = known.collect();
+    let like = |it: &&&str| strsim::jaro_winkler(name, it);
+    match known.iter().max_by(|a, b| like(a).total_cmp(&like(b))).filter(|it| like(it) >= SIMILAR) {
+        Some(best) => format!(", did you mean `{best}`?"),
+        None => format!(": there are {}", known.join(", ")),
+    }
+}
+
+/// The setting as the option's default: what is typed and the environment go before it.
+fn set(command: Command, setting: Setting) -> Command {
+    let path: Vec<String> = setting.command.split_whitespace().map(str::to_owned).collect();
+    within(command, &path, &setting)
+}
+
+fn within(command: Command, path: &[String], setting: &Setting) -> Command {
+    if let Some((first, rest)) = path.split_first() {
+        return command.mut_subcommand(first, |sub| within(sub, rest, setting));
+    }
+    command.mut_args(|arg| {
+        let is_it = arg.get_long() == Some(&setting.option);
+        if is_it { arg.required(false).default_values(setting.values.clone()) } else { arg }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::FromArgMatches;
+
+    fn settings(text: &str) -> Result<Vec<Setting>, Vec<String>> {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("flip.toml");
+        std::fs::write(&file, text).unwrap();
+        read(&file).map_err(|failure| match failure {
+            Failure::BadInput(errors) => errors.iter().map(ToString::to_string).collect(),
+            other => panic!("{other:?}"),
+        })
+    }
+
+    fn parsed(text: &str, words: &[&str]) -> Cli {
+        let command = settings(text).unwrap().into_iter().fold(Cli::command(), set);
+        Cli::from_arg_matches(&command.try_get_matches_from(words).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn a_file_sets_what_the_command_line_leaves_out() {
+        let file = "data_dir = \"/tmp/one\"\nseed = 7\n[serve]\nlisten = \"127.0.0.1:1\"\ninsecure-lan = true\n";
+        let cli = parsed(file, &["flip", "serve"]);
+        assert_eq!((cli.common.data_dir.to_str(), cli.common.seed), (Some("/tmp/one"), 7));
+        let told = format!("{:?}", cli.command);
+        assert!(told.contains("127.0.0.1:1") && told.contains("insecure_lan: true"), "{told}");
+        let cli = parsed(file, &["flip", "--seed", "8", "serve", "--listen", "127.0.0.1:2"]);
+        assert_eq!(cli.common.seed, 8);
+        assert!(format!("{:?}", cli.command).contains("127.0.0.1:2"));
+        // Another command has nothing of it but what is everybody's.
+        assert_eq!(parsed(file, &["flip", "jobs"]).common.seed, 7);
+    }
+
+    #[test]
+    fn every_mistake_is_named_with_its_place_and_nothing_is_set() {
+        let errors = settings(
+            "sede = 3\n[serv]\nlisten = \"x\"\n[serve]\nlisten = \"everywhere\"\ninsecure_lan = 3\n[weigh]\nhelp = true\n",
+        );
+        let errors = errors.unwrap_err();
+        for part in [
+            "sede",
+            "did you mean `seed`",
+            "serv:",
+            "did you mean `serve`",
+            "serve.listen",
+            "everywhere",
+            "serve.insecure_lan",
+            "true or false",
+            "weigh.help",
+        ] {
+            assert!(errors.iter().any(|it| it.contains(part)), "{part} is not in {errors:?}");
+        }
+        assert_eq!(errors.len(), 5, "{errors:?}");
+    }
+
+    #[test]
+    fn the_file_is_named_by_the_option_in_either_form() {
+        let words = |words: &[&str]| named(&words.iter().map(OsString::from).collect::<Vec<_>>());
+        assert_eq!(words(&["flip", "serve", "--config", "a"]), Some("a".into()));
+        assert_eq!(words(&["flip", "--config=b", "serve"]), Some("b".into()));
+        assert_eq!(words(&["flip", "weigh", "--", "--config=b"]), None);
+    }
+
+    #[test]
+    fn every_option_with_a_default_can_stand_in_a_file() {
+        let mut command = Cli::command();
+        command.build();
+        let mut options = 0;
+        for sub in command.get_subcommands() {
+            for arg in sub.get_arguments() {
+                let Some(option) = arg.get_long().and_then(|name| option(sub, name)) else { continue };
+                let values: Vec<String> =
+                    option.get_default_values().iter().map(|it| it.to_string_lossy().into_owned()).collect();
+                let is_switch = matches!(option.get_action(), ArgAction::SetTrue);
+                if values.is_empty() || is_switch {
+                    continue;
+                }
+                assert_eq!(accepts(option, &values), Ok(()), "{} --{:?}", sub.get_name(), option.get_long());
+                options += 1;
+            }
+        }
+        assert!(options > 20, "{options}");
+    }
+}

@@ -1,0 +1,254 @@
+//! `flip doctor`: can FLIP do its work on this machine? What is in the way, and the one thing that mends it.
+
+use super::Common;
+use super::failure::Failure;
+use super::health;
+use super::session::runtime;
+use super::table::table;
+use crate::app::{App, OpenError, Timestamp};
+use serde::Serialize;
+use std::net::{SocketAddr, TcpListener};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+
+/// Fewer descriptors than this are too few for a service: two for each of its connections, and what it has open itself.
+const DESCRIPTORS_MIN: u64 = 4096;
+/// Memory that a calibration on all cores may take, bytes.
+const MEMORY_MIN: u64 = 1 << 30;
+/// Room for a data folder to grow in, bytes: some six thousand doses.
+const ROOM_MIN: u64 = 1 << 30;
+/// A clock before 2026 is not set: this many seconds after 1970.
+const CLOCK_MIN: u64 = 1_767_225_600;
+
+/// Arguments of `flip doctor`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    /// Where the service listens, or is to listen.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
+    listen: SocketAddr,
+    /// Bench file to read; what its devices say is `flip bench check`'s.
+    #[arg(long, value_name = "FILE")]
+    bench: Option<PathBuf>,
+}
+
+/// How one thing stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Verdict {
+    Ok,
+    /// It works, and something about it may not be meant.
+    Warning,
+    Failed,
+}
+
+/// One thing that was looked at.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+struct Finding {
+    what: &'static str,
+    verdict: Verdict,
+    /// What was found and, where it is not as it should be, what to do.
+    found: String,
+}
+
+fn ok(what: &'static str, found: impl Into<String>) -> Finding {
+    Finding { what, verdict: Verdict::Ok, found: found.into() }
+}
+
+fn warning(what: &'static str, found: impl Into<String>) -> Finding {
+    Finding { what, verdict: Verdict::Warning, found: found.into() }
+}
+
+fn failed(what: &'static str, found: impl Into<String>) -> Finding {
+    Finding { what, verdict: Verdict::Failed, found: found.into() }
+}
+
+/// Look at everything; exit status 1 where something fails.
+pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    let mut findings = vec![processor(), memory(), clock(), descriptors()];
+    findings.extend(data_folder(&common.data_dir)?);
+    findings.push(port(arguments.listen));
+    findings.extend(arguments.bench.as_deref().map(bench));
+    common.print(&findings, || text(&findings))?;
+    let failures = findings.iter().filter(|it| it.verdict == Verdict::Failed).count();
+    if failures > 0 { Err(Failure::Found(format!("{failures} of {} failed", findings.len()))) } else { Ok(()) }
+}
+
+fn text(findings: &[Finding]) -> String {
+    let word = |verdict| match verdict {
+        Verdict::Ok => "ok",
+        Verdict::Warning => "warning",
+        Verdict::Failed => "FAILED",
+    };
+    let rows = findings.iter().map(|it| vec![it.what.to_owned(), word(it.verdict).to_owned(), it.found.clone()]);
+    table(&["what", "is", "found"], &rows.collect::<Vec<_>>())
+}
+
+fn processor() -> Finding {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let vectors = vectors();
+    let found = format!("{cores} cores, {vectors}");
+    if cores < 2 {
+        return warning("processor", format!("{found}: calibrations and trainings take hours on one core"));
+    }
+    ok("processor", found)
+}
+
+/// The widest numbers that the simulator computes with here.
+fn vectors() -> &'static str {
+    #[cfg(target_arch = "x86_64")]
+    {
+        if std::is_x86_feature_detected!("avx512f") {
+            return "AVX-512";
+        }
+        if std::is_x86_feature_detected!("avx2") {
+            return "AVX2: the simulator takes some 1.6 times as long as with AVX-512";
+        }
+    }
+    "neither AVX-512 nor AVX2: the simulator takes several times as long"
+}
+
+fn memory() -> Finding {
+    let told = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let line = told.lines().find_map(|line| line.strip_prefix("MemAvailable:"));
+    let kib = line.and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
+    match kib.map(|kib| kib << 10) {
+        None => warning("memory", "how much is free is not known"),
+        Some(bytes) if bytes < MEMORY_MIN => {
+            warning("memory", format!("{} free, and a calibration may take {}", mib(bytes), mib(MEMORY_MIN)))
+        }
+        Some(bytes) => ok("memory", format!("{} free", mib(bytes))),
+    }
+}
+
+fn clock() -> Finding {
+    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    if now < Duration::from_secs(CLOCK_MIN) {
+        return failed("clock", "before 2026, and every record carries its time: set it, or start a time service");
+    }
+    ok("clock", Timestamp::from_unix_ms(now.as_millis() as i64).to_string())
+}
+
+fn descriptors() -> Finding {
+    let most = rustix::process::getrlimit(rustix::process::Resource::Nofile).maximum;
+    match most {
+        Some(most) if most < DESCRIPTORS_MIN => warning(
+            "descriptors",
+            format!(
+                "at most {most}, so fewer clients are served: LimitNOFILE=65536 in a unit, `ulimit -Hn` in a shell"
+            ),
+        ),
+        most => ok("descriptors", most.map_or("no limit".to_owned(), |most| format!("up to {most}"))),
+    }
+}
+
+/// The folder, its disk, and what is in it.
+fn data_folder(folder: &Path) -> Result<Vec<Finding>, Failure> {
+    let there = folder.is_dir();
+    let on = folder.ancestors().find(|it| it.is_dir()).map_or(Path::new("."), |it| it);
+    let mut findings = vec![room(on), writable(folder, on)];
+    if there && folder.join("flip.db").exists() {
+        findings.push(runtime()?.block_on(database(folder)));
+    }
+    Ok(findings)
+}
+
+fn room(on: &Path) -> Finding {
+    match rustix::fs::statvfs(on) {
+        Err(error) => failed("disk", format!("{}: {error}", on.display())),
+        Ok(disk) => {
+            let free = disk.f_bavail * disk.f_frsize;
+            let found = format!("{} free at {}", mib(free), on.display());
+            if free < ROOM_MIN {
+                warning("disk", format!("{found}: make room, or choose another --data-dir"))
+            } else {
+                ok("disk", found)
+            }
+        }
+    }
+}
+
+fn writable(folder: &Path, on: &Path) -> Finding {
+    let name = folder.display();
+    match rustix::fs::access(on, rustix::fs::Access::WRITE_OK | rustix::fs::Access::EXEC_OK) {
+        Err(error) => {
+            failed("data folder", format!("{name}: {error}; choose another with --data-dir, or give it to this user"))
+        }
+        Ok(()) if on == folder => ok("data folder", format!("{name} can be written")),
+        Ok(()) => ok("data folder", format!("{name} is not there yet and can be made")),
+    }
+}
+
+async fn database(folder: &Path) -> Finding {
+    // Only to read: a doctor changes nothing, and a server may hold it.
+    match App::look_into(folder).await {
+        Err(OpenError::Held(why)) => warning("database", why),
+        Err(error) => failed("database", error.to_string()),
+        Ok(app) => {
+            let audit = app.verify_audit(None).await;
+            let _ = app.shutdown().await;
+            match audit {
+                Ok(audit) if audit.broken.is_none() => {
+                    ok("database", format!("{} records, as they were written", audit.records))
+                }
+                Ok(_) => failed("database", "the record is not as it was written: `flip audit verify` says where"),
+                Err(error) => failed("database", error.to_string()),
+            }
+        }
+    }
+}
+
+fn port(address: SocketAddr) -> Finding {
+    match TcpListener::bind(address) {
+        Ok(_) => ok("port", format!("{address} is free")),
+        Err(_) if health::is_alive(address) => ok("port", format!("FLIP serves at {address}")),
+        Err(error) => failed("port", format!("{address}: {error}; choose another with --listen")),
+    }
+}
+
+fn bench(file: &Path) -> Finding {
+    match super::benches::read("bench", file) {
+        Ok(_) => ok("bench file", format!("{}: `flip bench check` asks its devices", file.display())),
+        Err(Failure::BadInput(errors)) => {
+            failed("bench file", errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))
+        }
+        Err(_) => failed("bench file", file.display().to_string()),
+    }
+}
+
+fn mib(bytes: u64) -> String {
+    format!("{} MiB", bytes >> 20)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_port_is_free_taken_or_flips_own() {
+        let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = taken.local_addr().unwrap();
+        std::thread::spawn(move || drop(taken.accept()));
+        let found = port(address);
+        assert_eq!(found.verdict, Verdict::Failed);
+        assert!(found.found.contains("--listen"), "{}", found.found);
+        assert_eq!(port(SocketAddr::from(([127, 0, 0, 1], 0))).verdict, Verdict::Ok);
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_made_fails_and_a_fresh_one_does_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let verdicts = |path: &Path| data_folder(path).unwrap().iter().map(|it| it.verdict).collect::<Vec<_>>();
+        assert!(!verdicts(&folder.path().join("new/deeper")).contains(&Verdict::Failed));
+        assert!(verdicts(Path::new("/proc/no/folder")).contains(&Verdict::Failed));
+    }
+
+    #[test]
+    fn a_database_that_is_none_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("flip.db"), "this is a letter").unwrap();
+        let found = data_folder(folder.path()).unwrap();
+        let database = found.iter().find(|it| it.what == "database").unwrap();
+        assert_eq!(database.verdict, Verdict::Failed, "{}", database.found);
+        assert_eq!(std::fs::read(folder.path().join("flip.db")).unwrap(), b"this is a letter");
+    }
+}
