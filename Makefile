@@ -8,12 +8,13 @@
 # make weighing-gain   a version of the simulator from hidden data, and policies adapted to it, weighing: hours on two cores, stop it and call it again (SEEDS=6)
 # make reliability   every fault of every emulated device at every state of a weighing, 300 kills, a minute of fuzzing for each parser: an hour or more, most of it kills
 # make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll, and while others do their worst (ARGS="-- 200 100 1 none messages silent readers pollers streams lock all")
+# make dist   a tarball and a Debian package that run without Rust, Python or network, each started in an empty root
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test setup web chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop lint
+.PHONY: run test setup web chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop dist lint
 
 ARGS ?=
 LOGS := target/test
@@ -54,6 +55,11 @@ chromium:
 	as_root=; [ "$$(id -u)" = 0 ] || as_root=sudo
 	$$as_root apt-get update
 	DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y --no-install-recommends chromium
+
+dist: setup
+	cargo build --release --locked --bin flip
+	.ci/dist/build.sh
+	.ci/dist/try.sh
 
 bench: setup
 	cargo bench --locked
