@@ -52,8 +52,6 @@ use wire::Wire;
 
 /// Threads that read and write; two, so that one which does a TLS handshake does not hold up a stop.
 const THREADS: usize = 2;
-/// Threads for stops that wait for an arm.
-const STOPS: usize = 64;
 /// Connections that may be open beyond the table's room: those that it has just closed.
 const CLOSING: usize = 16;
 /// How often connections are looked at.
@@ -106,7 +104,6 @@ impl Front {
         };
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(THREADS)
-            .max_blocking_threads(STOPS)
             .thread_name("front")
             .enable_all()
             .build()?;
@@ -136,7 +133,7 @@ impl Drop for Front {
 /// Everything from the head of a request to its answer; `main` answers what is no stop and no sign of life.
 pub fn router(app: App, loopback: bool, main: Router, closing: CancellationToken) -> Router {
     let gate = auth::Gate { app: app.clone(), loopback };
-    stop::router(app.clone())
+    stop::router(app.clone(), &Handle::current())
         .merge(probes::alive(app, closing))
         .fallback_service(Router::new().fallback(hall).with_state(Hall::new(Handle::current(), main)))
         .layer(from_fn(known))
