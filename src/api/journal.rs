@@ -94,8 +94,12 @@ fn dose(weighing: &Weighing) {
         };
     };
     match outcome {
-        Outcome::Within | Outcome::Under | Outcome::Blocked | Outcome::Stopped => ended!(Level::INFO, weighing, outcome),
-        Outcome::Over | Outcome::NotStable | Outcome::Aborted | Outcome::Unknown => ended!(Level::WARN, weighing, outcome),
+        Outcome::Within | Outcome::Under | Outcome::Blocked | Outcome::Stopped => {
+            ended!(Level::INFO, weighing, outcome)
+        }
+        Outcome::Over | Outcome::NotStable | Outcome::Aborted | Outcome::Unknown => {
+            ended!(Level::WARN, weighing, outcome)
+        }
     }
     measure(weighing, word(&outcome));
 }
