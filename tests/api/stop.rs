@@ -56,11 +56,17 @@ async fn stop(service: &Service, token: &str) -> (u16, Value) {
 
 /// A dose that hangs in its first pour; its id.
 async fn pouring(service: &Service) -> String {
+    let id = asked_for(service, "held").await;
+    service.until_pouring().await;
+    id
+}
+
+/// A weighing that begins when its turn comes; its id.
+async fn asked_for(service: &Service, key: &str) -> String {
     let mg = |value: f64| json!({ "value": value, "unit": "mg" });
     let tolerance = json!({ "lower": 1, "upper": 1, "unit": "mg" });
     let body = json!({ "powder": "salt", "target": mg(15.0), "tolerance": tolerance });
-    let weighing: Value = service.weigh("held", &body).await.json().await.unwrap();
-    service.until_pouring().await;
+    let weighing: Value = service.weigh(key, &body).await.json().await.unwrap();
     weighing["id"].as_str().unwrap().to_owned()
 }
 
@@ -300,6 +306,48 @@ async fn a_write_lock_that_another_process_holds_delays_no_stop() {
     assert_eq!(status, 200, "{bench}");
     lock.rollback().await.unwrap();
     assert_eq!(outcome(&service, &id).await, "stopped");
+}
+
+/// Stops of weighings that wait, each asked for again and again; statuses.
+fn stops_of_waiting(service: &Service, token: &str, ids: &[String], times: usize) -> JoinSet<u16> {
+    let mut stops = JoinSet::new();
+    for id in ids.iter().cycle().take(times) {
+        let request = service.request("POST", &format!("/v1/weighings/{id}/stop")).bearer_auth(token);
+        stops.spawn(async move { request.send().await.unwrap().status().as_u16() });
+    }
+    stops
+}
+
+#[tokio::test]
+async fn two_hundred_stops_of_waiting_weighings_behind_a_write_lock_delay_no_stop_of_what_moves() {
+    let service = Service::ready().await;
+    let _held = service.hold_bench();
+    let moving = pouring(&service).await;
+    let mut ids = Vec::new();
+    for k in 0..8 {
+        ids.push(asked_for(&service, &format!("waits-{k}")).await);
+    }
+    let token = service.token(Role::Operator).await;
+    let lock = database(&service).await.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    let mut stops = stops_of_waiting(&service, &token, &ids, 200);
+    for _ in 0..20 {
+        let held: Value = service.get("/v1/bench").await.json().await.unwrap();
+        assert!(held["held"].is_null(), "stops of weighings that wait hold nothing: {held}");
+    }
+    let request = service.request("POST", &format!("/v1/weighings/{moving}/stop")).bearer_auth(&token).timeout(SOON);
+    assert_eq!(request.send().await.expect("a stop of what moves is answered soon").status(), 202);
+    for _ in 0..20 {
+        let (status, bench) = stop(&service, &token).await;
+        assert_eq!((status, bench["held"].is_object()), (200, true), "{bench}");
+    }
+    lock.rollback().await.unwrap();
+    let mut statuses = Vec::new();
+    while let Some(status) = stops.join_next().await {
+        statuses.push(status.unwrap());
+    }
+    assert!(statuses.iter().all(|status| matches!(status, 202 | 409)), "{statuses:?}");
+    assert_eq!(statuses.iter().filter(|status| **status == 202).count(), ids.len());
+    assert_eq!(outcome(&service, &moving).await, "stopped");
 }
 
 /// A service of its own process that may open few files; killed when dropped.
