@@ -1,10 +1,11 @@
 //! The stop, while others take what it used to need: seats, readers, descriptors, the write lock.
 
-use crate::grpc::{as_operator, channel};
+use crate::grpc::{as_operator, channel, with_token};
 use crate::harness::{Service, problem};
 use flip::api::grpc::access::{Access, access, methods};
-use flip::api::grpc::proto::StopBenchRequest;
 use flip::api::grpc::proto::bench_client::BenchClient;
+use flip::api::grpc::proto::weighings_client::WeighingsClient;
+use flip::api::grpc::proto::{StopBenchRequest, StopWeighingRequest};
 use flip::app::Role;
 use futures::StreamExt;
 use futures::stream;
@@ -347,6 +348,31 @@ async fn two_hundred_stops_of_waiting_weighings_behind_a_write_lock_delay_no_sto
     }
     assert!(statuses.iter().all(|status| matches!(status, 202 | 409)), "{statuses:?}");
     assert_eq!(statuses.iter().filter(|status| **status == 202).count(), ids.len());
+    assert_eq!(outcome(&service, &moving).await, "stopped");
+}
+
+#[tokio::test]
+async fn stops_of_waiting_weighings_leave_room_for_a_stop_of_the_bench_on_the_same_connection() {
+    let service = Service::ready().await;
+    let _held = service.hold_bench();
+    let moving = pouring(&service).await;
+    let id = asked_for(&service, "waits").await;
+    let token = service.token(Role::Operator).await;
+    let lock = database(&service).await.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    let channel = channel(&service).await;
+    let mut stops = JoinSet::new();
+    for _ in 0..200 {
+        let (mut client, message) = (WeighingsClient::new(channel.clone()), StopWeighingRequest { id: id.clone() });
+        let request = with_token(&token, message);
+        stops.spawn(async move { client.stop_weighing(request).await });
+    }
+    // No stream is left before some of them are refused.
+    let refused = stops.join_next().await.unwrap().unwrap().unwrap_err();
+    assert_eq!(refused.code(), tonic::Code::Unavailable, "{refused}");
+    let request = with_token(&token, StopBenchRequest {});
+    let stopped = tokio::time::timeout(SOON, BenchClient::new(channel).stop_bench(request)).await;
+    assert!(stopped.expect("a stop is answered soon").unwrap().into_inner().held.is_some());
+    lock.rollback().await.unwrap();
     assert_eq!(outcome(&service, &moving).await, "stopped");
 }
 

@@ -1,5 +1,6 @@
 //! Tokens: made, listed, ended, also by another process; and who did what in the record.
 
+use crate::grpc::with_token;
 use crate::harness::{Service, problem};
 use flip::api::grpc::proto::tokens_client::TokensClient;
 use flip::api::grpc::proto::weighings_client::WeighingsClient;
@@ -9,7 +10,7 @@ use flip::api::grpc::proto::{
 use flip::app::{App, NewToken, Role, Who, acting};
 use serde_json::{Value, json};
 use std::time::Duration;
-use tonic::{Code, Request};
+use tonic::Code;
 
 async fn may_write(service: &Service, token: &str, powder: &str) -> u16 {
     let new = json!({ "id": powder, "name": powder });
@@ -79,7 +80,7 @@ async fn follow(service: &Service, weighing: &str, token: &str, then: impl Async
     };
     let (all, one) = (sse("/v1/events").await, sse(&format!("/v1/weighings/{weighing}/events")).await);
     let mut client = WeighingsClient::connect(service.url("")).await.unwrap();
-    let asked = with(token, WatchRequest { id: weighing.to_owned(), after_seq: 0 });
+    let asked = with_token(token, WatchRequest { id: weighing.to_owned(), after_seq: 0 });
     let mut watch = client.watch_weighing(asked).await.unwrap().into_inner();
     then().await;
     let grpc = async {
@@ -178,21 +179,16 @@ async fn grpc_makes_lists_and_ends_tokens_for_admins_alone() {
         may_clear: false,
         expires_in_s: None,
     };
-    let refused = client.create_token(with(&operator, new.clone())).await.unwrap_err();
+    let refused = client.create_token(with_token(&operator, new.clone())).await.unwrap_err();
     assert_eq!(refused.code(), Code::PermissionDenied);
-    let made = client.create_token(with(&admin, new)).await.unwrap().into_inner();
+    let made = client.create_token(with_token(&admin, new)).await.unwrap().into_inner();
     assert!(service.app.authenticate(&made.secret).is_some());
     let id = made.token.unwrap().id;
-    let list = client.list_tokens(with(&admin, ListTokensRequest::default())).await.unwrap().into_inner();
+    let list = client.list_tokens(with_token(&admin, ListTokensRequest::default())).await.unwrap().into_inner();
     assert!(list.items.iter().any(|token| token.id == id && token.revoked_at.is_none()));
-    let ended = client.revoke_token(with(&admin, RevokeTokenRequest { id: id.clone() })).await.unwrap().into_inner();
+    let ended =
+        client.revoke_token(with_token(&admin, RevokeTokenRequest { id: id.clone() })).await.unwrap().into_inner();
     assert!(ended.revoked_at.is_some() && service.app.authenticate(&made.secret).is_none());
     let unknown = CreateTokenRequest { name: "robot".into(), ..CreateTokenRequest::default() };
-    assert_eq!(client.create_token(with(&admin, unknown)).await.unwrap_err().code(), Code::InvalidArgument);
-}
-
-fn with<T>(token: &str, message: T) -> Request<T> {
-    let mut request = Request::new(message);
-    request.metadata_mut().insert("authorization", format!("Bearer {token}").parse().unwrap());
-    request
+    assert_eq!(client.create_token(with_token(&admin, unknown)).await.unwrap_err().code(), Code::InvalidArgument);
 }

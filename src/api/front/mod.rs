@@ -58,8 +58,8 @@ const THREADS: usize = 2;
 const CLOSING: usize = 16;
 /// How often connections are looked at.
 const SWEEP: Duration = Duration::from_millis(500);
-/// Requests at once on one connection of HTTP/2.
-const HTTP2_STREAMS: u32 = 64;
+/// Requests at once on one connection of HTTP/2: more than streams of events and stops that wait may take together, so that there is always one for a stop.
+const HTTP2_STREAMS: u32 = 192;
 /// Most bytes of a request's head, and of what one connection is read ahead.
 const HEAD_BYTES: usize = 32 * 1024;
 /// Bytes of a body that HTTP/2 sends ahead: of one request, and of a connection.

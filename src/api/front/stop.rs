@@ -25,6 +25,8 @@ use tracing::Instrument;
 const ANSWER: Duration = Duration::from_secs(5);
 /// Stops that may wait for the database at once: of weighings that have not begun, four times as many as may wait for the bench.
 const WAITING: usize = 256;
+/// Of these, on one connection: a client of HTTP/2 has room for a stop of the bench beside them.
+const WAITING_CONNECTION: usize = 96;
 /// Most bytes of the message of gRPC that names the weighing to stop.
 const MESSAGE_BYTES_MAX: usize = 4096;
 
@@ -79,12 +81,18 @@ async fn message(request: Request, next: Next) -> Response {
 }
 
 /// What is in memory takes force here and now; only what is still not answered goes elsewhere, where it is carried out however long it takes.
-async fn at_once(State(elsewhere): State<Elsewhere>, request: Request, next: Next) -> Response {
+async fn at_once(
+    State(elsewhere): State<Elsewhere>,
+    Extension(connection): Extension<Arc<Connection>>,
+    request: Request,
+    next: Next,
+) -> Response {
     let mut work = Box::pin(next.run(request));
     if let Some(response) = work.as_mut().now_or_never() {
         return response;
     }
-    let Ok(place) = elsewhere.places.try_acquire_owned() else {
+    let place = elsewhere.places.try_acquire_owned().ok().filter(|_| connection.stops() <= WAITING_CONNECTION);
+    let Some(place) = place else {
         return Problem::unavailable(
             "whatever moves was told to stop, but too many stops of weighings that have not begun wait for the database: try again in a moment, or stop the bench",
         )
