@@ -11,7 +11,7 @@ use futures::StreamExt;
 use futures::stream;
 use serde_json::{Value, json};
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -373,6 +373,30 @@ async fn stops_of_waiting_weighings_leave_room_for_a_stop_of_the_bench_on_the_sa
     let stopped = tokio::time::timeout(SOON, BenchClient::new(channel).stop_bench(request)).await;
     assert!(stopped.expect("a stop is answered soon").unwrap().into_inner().held.is_some());
     lock.rollback().await.unwrap();
+    assert_eq!(outcome(&service, &moving).await, "stopped");
+}
+
+/// Asks on this thread, which does nothing else meanwhile; the first line of the answer.
+fn ask_blocking(service: &Service, path: &str, token: &str) -> String {
+    let mut connection = TcpStream::connect(("127.0.0.1", service.address.port())).unwrap();
+    connection.set_read_timeout(Some(SOON)).unwrap();
+    write!(connection, "POST {path} HTTP/1.1\r\nhost: 127.0.0.1\r\nauthorization: Bearer {token}\r\n\r\n").unwrap();
+    let mut line = String::new();
+    BufReader::new(connection).read_line(&mut line).expect("a stop is answered soon");
+    line
+}
+
+#[tokio::test]
+async fn a_runtime_that_is_stuck_delays_no_stop_of_what_moves() {
+    let service = Service::ready().await;
+    let _held = service.hold_bench();
+    let moving = pouring(&service).await;
+    let token = service.token(Role::Operator).await;
+    // All but stops works on the thread of this test, which waits.
+    let stopped = ask_blocking(&service, &format!("/v1/weighings/{moving}/stop"), &token);
+    assert!(stopped.starts_with("HTTP/1.1 202"), "{stopped}");
+    let stopped = ask_blocking(&service, "/v1/bench/stop", &token);
+    assert!(stopped.starts_with("HTTP/1.1 200"), "{stopped}");
     assert_eq!(outcome(&service, &moving).await, "stopped");
 }
 
