@@ -21,6 +21,7 @@ use flip::emulate::arm::{Asked, Brake, Desk, Driver, End, Robot, Why};
 use flip::hardware::arm::PROTOCOL_VERSION;
 use flip::hardware::arm::proto::{Description, Executed, Limits, Station};
 use flip::hardware::waypoints::Stroke;
+use flip::telemetry;
 use franka::{CartesianPose, ControllerMode, MAX_CUTOFF_FREQUENCY, RealtimeConfig, RobotMode, motion_finished};
 use std::error::Error;
 use std::time::Duration;
@@ -50,9 +51,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err("the way must have two points or more, all of them numbers".into());
     }
     stands_at(robot, &way[0])?;
+    // A motion must not wait for whoever reads what is said, nor end because nobody does.
+    telemetry::start(telemetry::Format::Text, telemetry::COMMAND);
     let fr3 = Fr3 { address: robot.clone(), way, reached: 0, robot: None };
     let driver = Driver::serve(listen.parse()?, description(), Duration::from_millis(300), fr3)?;
-    println!("serving {robot} on {}", driver.address());
+    telemetry::say(format_args!("serving {robot} on {}", driver.address()));
     loop {
         std::thread::park();
     }
@@ -285,7 +288,7 @@ impl Fr3 {
 }
 
 fn failed(error: franka::FrankaError) -> End {
-    eprintln!("the robot: {error}");
+    telemetry::say(format_args!("the robot: {error}"));
     End::Reflex
 }
 

@@ -1,7 +1,6 @@
 //! A complaint that the log hears often enough to be seen and seldom enough not to fill a disk.
 
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Time between two lines about one thing.
@@ -11,8 +10,6 @@ const QUIET: Duration = Duration::from_secs(10);
 #[derive(Debug, Default)]
 pub struct Complaint {
     heard: Mutex<Heard>,
-    /// The last one is still being written.
-    saying: Arc<AtomicBool>,
 }
 
 #[derive(Debug, Default)]
@@ -23,20 +20,10 @@ struct Heard {
 }
 
 impl Complaint {
-    /// It happened `times` more: `log` is called with how often since it was last called, at most once in [`QUIET`]; on a thread of its own, because a log
-    /// that nobody reads must not hold up who complains.
-    pub fn happened(&self, times: u64, log: impl FnOnce(u64) + Send + 'static) {
-        let Some(times) = self.due(times, Instant::now()) else { return };
-        if self.saying.swap(true, Ordering::SeqCst) {
-            return;
-        }
-        let saying = self.saying.clone();
-        let thread = std::thread::Builder::new().name("log".to_owned()).spawn(move || {
+    /// It happened `times` more: `log` is called with how often since it was last called, at most once in [`QUIET`].
+    pub fn happened(&self, times: u64, log: impl FnOnce(u64)) {
+        if let Some(times) = self.due(times, Instant::now()) {
             log(times);
-            saying.store(false, Ordering::SeqCst);
-        });
-        if thread.is_err() {
-            self.saying.store(false, Ordering::SeqCst);
         }
     }
 

@@ -10,6 +10,7 @@ use metrics::{counter, histogram};
 use serde_json::Value;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
+use tracing::Level;
 
 /// Pause before the events are followed again after reading them failed.
 const AGAIN: Duration = Duration::from_secs(1);
@@ -62,6 +63,25 @@ fn bench(kind: &str, data: &Value) {
     }
 }
 
+/// A line for how a dose ended: the level of a line must be known when FLIP is compiled.
+macro_rules! ended {
+    ($level:expr, $weighing:expr, $outcome:expr) => {
+        tracing::event!(
+            $level,
+            weighing = $weighing.id,
+            powder = $weighing.powder,
+            target_mg = $weighing.target_mg,
+            reading_mg = $weighing.reading_mg,
+            error_mg = $weighing.error_mg,
+            shakes = $weighing.shakes,
+            seconds = $weighing.seconds,
+            cause = $weighing.error.as_deref(),
+            "a dose ended: {}",
+            word(&$outcome)
+        )
+    };
+}
+
 /// A line for where a dose stands; measures of one that ran.
 fn dose(weighing: &Weighing) {
     let Weighing { id, powder, target_mg, .. } = weighing;
@@ -73,38 +93,15 @@ fn dose(weighing: &Weighing) {
             _ => tracing::info!(weighing = id, powder, target_mg, vial, "a dose is {state}"),
         };
     };
-    let (reading_mg, error_mg, shakes, seconds) =
-        (weighing.reading_mg, weighing.error_mg, weighing.shakes, weighing.seconds);
-    let (cause, name) = (weighing.error.as_deref(), word(&outcome));
     match outcome {
         Outcome::Within | Outcome::Under | Outcome::Blocked | Outcome::Stopped => {
-            tracing::info!(
-                weighing = id,
-                powder,
-                target_mg,
-                reading_mg,
-                error_mg,
-                shakes,
-                seconds,
-                cause,
-                "a dose ended: {name}"
-            );
+            ended!(Level::INFO, weighing, outcome)
         }
         Outcome::Over | Outcome::NotStable | Outcome::Aborted | Outcome::Unknown => {
-            tracing::warn!(
-                weighing = id,
-                powder,
-                target_mg,
-                reading_mg,
-                error_mg,
-                shakes,
-                seconds,
-                cause,
-                "a dose ended: {name}"
-            );
+            ended!(Level::WARN, weighing, outcome)
         }
     }
-    measure(weighing, name);
+    measure(weighing, word(&outcome));
 }
 
 /// Counts every end; error, duration and shakes of those that ran their course.

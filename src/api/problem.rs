@@ -152,6 +152,7 @@ impl From<app::Error> for Problem {
             Error::Busy(_) => Self::conflict("queue-full", detail),
             Error::Unprocessable { .. } => Self::key_reused(detail),
             Error::Unavailable(_) => Self::unavailable(detail),
+            Error::TokenEnded => Self::unauthorized(detail),
             Error::Lost(_) => Self::lost(detail),
             Error::Internal(cause) => {
                 tracing::error!(cause = ?cause, "internal error");

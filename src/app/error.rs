@@ -42,6 +42,9 @@ pub enum Error {
     /// Not now and not the caller's fault: shutting down, opened to read only, the database locked by another program, the disk full.
     #[error("{0}")]
     Unavailable(String),
+    /// The token that this was asked for with has expired or was revoked meanwhile.
+    #[error("the token has expired or was revoked")]
+    TokenEnded,
     /// What was stored is gone or damaged; everything else of it is still there.
     #[error("{0}")]
     Lost(String),

@@ -1,6 +1,7 @@
 //! Live views: events as they happen, resumable by their sequence number.
 
-use super::{App, Error, Result};
+use super::keyring::Keyring;
+use super::{App, Error, Result, Who};
 use crate::store::Store;
 use crate::store::events::Event;
 use crate::store::jobs::job_topic;
@@ -8,6 +9,7 @@ use crate::store::weighings::weighing_topic;
 use futures::StreamExt;
 use futures::stream::{self, BoxStream};
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
@@ -30,7 +32,8 @@ pub enum Topic {
 
 impl App {
     /// Events of a topic after `after_seq` (0 is from the beginning), then new ones as they happen, in order and
-    /// each once. The stream of a job or weighing ends after the event that ends it; every stream ends at shutdown.
+    /// each once. The stream of a job or weighing ends after the event that ends it; every stream ends at shutdown, and with [`Error::TokenEnded`] when the
+    /// token of whoever asked for it does.
     ///
     /// An `after_seq` that no event has yet is of another data folder, or of one that was put back: it is taken for the beginning, or with
     /// [`Topic::All`] for now.
@@ -55,6 +58,8 @@ impl App {
             ready: VecDeque::new(),
             newest: self.store().watch_events(),
             closing: self.inner.jobs.as_ref().map(|jobs| jobs.closing()).unwrap_or_default(),
+            token: Who::now().and_then(|who| who.token),
+            keyring: self.inner.keyring.clone(),
             over: false,
         };
         let next = async |mut follower: Follower| follower.next().await.map(|event| (event, follower));
@@ -74,6 +79,9 @@ struct Follower {
     ready: VecDeque<Event>,
     newest: watch::Receiver<i64>,
     closing: CancellationToken,
+    /// With which it was asked for, if with one.
+    token: Option<String>,
+    keyring: Arc<Keyring>,
     /// Nothing follows an error.
     over: bool,
 }
@@ -91,6 +99,9 @@ impl Follower {
 
     async fn look_and_wait(&mut self) -> Result<Option<Event>> {
         loop {
+            if self.token.as_deref().is_some_and(|id| !self.keyring.is_good(id)) {
+                return Err(Error::TokenEnded);
+            }
             if let Some(event) = self.ready.pop_front() {
                 self.after = event.seq;
                 return Ok(Some(event));
@@ -109,7 +120,14 @@ impl Follower {
     }
 
     async fn wait(&mut self) {
+        let token_ended = async {
+            match &self.token {
+                Some(id) => self.keyring.ended(id).await,
+                None => std::future::pending().await,
+            }
+        };
         tokio::select! {
+            () = token_ended => {}
             _ = self.newest.changed() => {}
             () = tokio::time::sleep(LOOK) => {}
             () = self.closing.cancelled() => {}

@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{PoisonError, RwLock, RwLockReadGuard};
 use std::time::{Duration, Instant};
 use subtle::ConstantTimeEq;
-use tokio::sync::Mutex;
+use tokio::sync::{Mutex, watch};
 
 /// Looks that unknown secrets cause are at least this far apart.
 const LOOKS_APART: Duration = Duration::from_millis(50);
@@ -33,8 +33,11 @@ pub struct Holder {
 }
 
 /// Every token by its id.
+#[derive(Default)]
 pub(super) struct Keyring {
     known: RwLock<HashMap<String, Key>>,
+    /// Told whenever the table was asked: a token may have ended.
+    asked: watch::Sender<()>,
     /// When the table was last asked.
     looked: Mutex<Option<Instant>>,
 }
@@ -48,7 +51,7 @@ struct Key {
 impl Keyring {
     /// With what the table holds now.
     pub(super) async fn of(store: &Store) -> store::Result<Self> {
-        let keyring = Self { known: RwLock::default(), looked: Mutex::default() };
+        let keyring = Self::default();
         keyring.look(store).await?;
         Ok(keyring)
     }
@@ -88,6 +91,28 @@ impl Keyring {
         let mut known = self.known.write().unwrap_or_else(PoisonError::into_inner);
         let before = std::mem::take(&mut *known);
         *known = tokens.into_iter().map(|token| (token.entry.id.clone(), Key::new(token, &before))).collect();
+        drop(known);
+        self.asked.send_replace(());
+    }
+
+    /// Whether the token of this id is still good.
+    pub(super) fn is_good(&self, id: &str) -> bool {
+        self.known().get(id).is_some_and(|key| key.is_good(now()))
+    }
+
+    /// Completes when the token of this id is not good any more.
+    pub(super) async fn ended(&self, id: &str) {
+        let mut asked = self.asked.subscribe();
+        while self.is_good(id) {
+            let expires_at = self.known().get(id).and_then(|key| key.token.entry.expires_at);
+            let left_ms = expires_at.map_or(i64::MAX, |end| end.unix_ms() - now().unix_ms());
+            // Not longer than a look: clocks can be set.
+            let left = Duration::from_millis(u64::try_from(left_ms).unwrap_or(0)).min(LOOK_MAX);
+            tokio::select! {
+                _ = asked.changed() => {}
+                () = tokio::time::sleep(left) => {}
+            }
+        }
     }
 
     /// Who holds this secret; `None` when nobody does, or not any more.
@@ -154,7 +179,7 @@ mod tests {
             last_used_at: None,
         };
         change(&mut entry);
-        let ring = Keyring { known: RwLock::default(), looked: Mutex::default() };
+        let ring = Keyring::default();
         ring.replace(vec![HashedToken { entry, sha256: Sha256::digest(SECRET).to_vec() }]);
         ring
     }
@@ -168,6 +193,19 @@ mod tests {
         assert_eq!(ring(|it| it.expires_at = Some(past)).holder(SECRET), None);
         assert_eq!(ring(|it| it.revoked_at = Some(past)).holder(SECRET), None);
         assert_eq!(ring(|it| it.revoked_at = Some(future)).holder(SECRET), None, "revoked is revoked");
+    }
+
+    #[tokio::test]
+    async fn whoever_waits_for_the_end_of_a_token_hears_of_its_expiry_and_of_its_revocation() {
+        let soon = Timestamp::from_unix_ms(now().unix_ms() + 20);
+        ring(|it| it.expires_at = Some(soon)).ended("00").await;
+        assert!(now() >= soon);
+        let ring = ring(|_| {});
+        let mut revoked = ring.known()["00"].token.clone();
+        revoked.entry.revoked_at = Some(now());
+        let revoke = async || ring.replace(vec![revoked]);
+        tokio::join!(ring.ended("00"), revoke());
+        ring.ended("not there").await;
     }
 
     #[test]

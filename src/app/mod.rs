@@ -150,7 +150,7 @@ struct Inner {
     store: Store,
     /// `None` when opened to read only.
     jobs: Option<Jobs>,
-    keyring: Keyring,
+    keyring: Arc<Keyring>,
     /// Whether all was well when somebody asked last.
     readiness: LastLook,
 }
@@ -209,7 +209,7 @@ impl App {
     }
 
     async fn of(store: Store, jobs: Option<Jobs>) -> store::Result<Self> {
-        let keyring = Keyring::of(&store).await?;
+        let keyring = Arc::new(Keyring::of(&store).await?);
         Ok(Self { inner: Arc::new(Inner { store, jobs, keyring, readiness: LastLook::default() }) })
     }
 

@@ -255,6 +255,8 @@ impl App {
         if let Some(weighing) = self.halt_weighing(id, None)? {
             return Ok(weighing);
         }
+        // Whoever carries stops goes on to the next one: from here on the disk and the database are waited for.
+        tokio::task::yield_now().await;
         if let Some(weighing) = self.jobs_or_refuse()?.bench().stop_waiting(id).await? {
             return Ok(weighing);
         }

@@ -5,6 +5,7 @@ use crate::app::{Functions, LaboratorySettings, Options, emulated_bench, file_be
 use crate::domain::FieldError;
 use crate::domain::spoon::{FilledBy, Spoon};
 use crate::hardware::bench_file::BenchFile;
+use crate::telemetry;
 use std::path::Path;
 
 /// Which bench.
@@ -40,7 +41,7 @@ impl BenchArguments {
 /// A person is told what nobody else does.
 fn remind(file: &BenchFile) {
     if file.spoon.filled_by == FilledBy::Hand {
-        eprintln!("flip: this bench's arm does not fill its spoon: fill it by hand before each dose begins");
+        telemetry::say("flip: this bench's arm does not fill its spoon: fill it by hand before each dose begins");
     }
 }
 

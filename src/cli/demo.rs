@@ -17,6 +17,7 @@ use crate::app::{
     acting,
 };
 use crate::domain::powder::PUBLISHED;
+use crate::telemetry;
 use serde::Serialize;
 use std::time::Instant;
 use tokio::task::JoinHandle;
@@ -113,12 +114,12 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 fn serve(app: &App, arguments: &Arguments, stop: &CancellationToken) -> Result<Option<Service>, Failure> {
     let server = match serve::bind(app, &arguments.address) {
         Err(Failure::Failed(error)) if arguments.exit => {
-            eprintln!("flip: going on without the page: {error:#}");
+            telemetry::say(format_args!("flip: going on without the page: {error:#}"));
             return Ok(None);
         }
         bound => bound?,
     };
-    eprintln!("flip: watch it at {}", arguments.address.url(&server)?);
+    telemetry::say(format_args!("flip: watch it at {}", arguments.address.url(&server)?));
     let stop = stop.clone();
     Ok(Some(tokio::spawn(async move {
         let result = server.run(stop.clone().cancelled_owned()).await;
@@ -140,7 +141,7 @@ async fn attended(
     mut signals: StopSignals,
 ) -> Result<(), Failure> {
     if let Some(token) = token::first(app).await? {
-        eprintln!("flip: {}", serve::announce(&token));
+        telemetry::say(format_args!("flip: {}", serve::announce(&token)));
     }
     let document = tokio::select! {
         document = acting(Who::command_line(), demonstrate(app, common, arguments)) => document?,
@@ -149,7 +150,7 @@ async fn attended(
     };
     common.print(&document, || text(&document))?;
     if serving && !arguments.exit {
-        eprintln!("flip: serving on {} until Ctrl-C", arguments.address.listen);
+        telemetry::say(format_args!("flip: serving on {} until Ctrl-C", arguments.address.listen));
         tokio::select! {
             _ = signals.received() => {}
             () = stop.cancelled() => {}

@@ -2,6 +2,7 @@
 
 use crate::app::{Error, OpenError};
 use crate::domain::FieldError;
+use crate::telemetry;
 use serde_json::json;
 use std::io::Write;
 use std::process::ExitCode;
@@ -25,7 +26,7 @@ impl Failure {
     pub(super) fn report(&self, json: bool) -> ExitCode {
         let (status, document) = match self {
             Self::Found(message) => {
-                eprintln!("flip: {message}");
+                telemetry::say(format_args!("flip: {message}"));
                 return ExitCode::from(1);
             }
             Self::BadInput(errors) => {
@@ -37,9 +38,9 @@ impl Failure {
         };
         match self {
             Self::Found(_) => {}
-            Self::BadInput(errors) => errors.iter().for_each(|e| eprintln!("flip: {e}")),
-            Self::NotNow(message) => eprintln!("flip: {message}"),
-            Self::Failed(error) => eprintln!("flip: {error:#}"),
+            Self::BadInput(errors) => errors.iter().for_each(|e| telemetry::say(format_args!("flip: {e}"))),
+            Self::NotNow(message) => telemetry::say(format_args!("flip: {message}")),
+            Self::Failed(error) => telemetry::say(format_args!("flip: {error:#}")),
         }
         if json {
             print(&document);
@@ -76,7 +77,9 @@ impl From<Error> for Failure {
             Error::Invalid(errors) => Self::BadInput(errors),
             Error::NotFound { what, ref id } => FieldError::new(what, format!("there is no {what} `{id}`")).into(),
             Error::Conflict { .. } | Error::Unprocessable { .. } => Self::NotNow(error.to_string()),
-            Error::Busy(_) | Error::Unavailable(_) | Error::Lost(_) | Error::Internal(_) => Self::Failed(error.into()),
+            Error::Busy(_) | Error::Unavailable(_) | Error::TokenEnded | Error::Lost(_) | Error::Internal(_) => {
+                Self::Failed(error.into())
+            }
         }
     }
 }

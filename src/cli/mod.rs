@@ -146,6 +146,7 @@ pub fn main() -> ExitCode {
         Err(error) => return failure::of_arguments(&error),
     };
     let json = cli.common.json;
+    let _last = telemetry::LastLines;
     match run(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(json),

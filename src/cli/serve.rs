@@ -72,7 +72,13 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             }
         };
         let document = Document { url: arguments.address.url(&server)?, token: token::first(&app).await? };
-        common.print(&document, || text(&document))?;
+        if common.print(&document, || text(&document)).is_err() {
+            // The bench may be in use already.
+            tracing::warn!(
+                url = document.url,
+                "nobody reads stdout; `flip token create` makes a token if one is needed"
+            );
+        }
         server.run(stopped(signals)).await?;
         Ok(())
     })

@@ -7,6 +7,7 @@ use crate::domain::FieldError;
 use crate::sim;
 use crate::sim::mechanisms::Extensions;
 use crate::sim::validate::{Check, Experiment, Suite, experiments};
+use crate::telemetry;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -75,7 +76,7 @@ fn measure(chosen: &[Experiment], suite: &Suite) -> Vec<Check> {
     let run = |experiment: &Experiment| {
         let checks = experiment.run(suite);
         let done = done.fetch_add(1, Ordering::Relaxed) + 1;
-        eprintln!("[{done}/{}] {}", chosen.len(), experiment.name);
+        telemetry::say(format_args!("[{done}/{}] {}", chosen.len(), experiment.name));
         checks
     };
     // One experiment at a time: they differ in length by orders of magnitude.

@@ -4,8 +4,9 @@ use super::failure::Failure;
 use crate::app::App;
 use crate::app::Job;
 use crate::domain::job::JobState;
+use crate::telemetry;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
 /// How often a job's row is read; a read costs a fraction of a millisecond.
@@ -58,7 +59,11 @@ impl Watch {
     /// Say `text` above the bars.
     pub(super) fn say(&self, text: &str) {
         // `suspend` lets the bars be redrawn below the line; without a terminal it only prints.
-        self.bars.suspend(|| eprintln!("{text}"));
+        match self.terminal {
+            // A terminal that is gone needs no bars.
+            true => self.bars.suspend(|| drop(writeln!(std::io::stderr(), "{text}"))),
+            false => telemetry::say(text),
+        }
     }
 
     fn line(&self, label: &str) -> Line {
@@ -96,7 +101,7 @@ impl Line {
             self.said = Instant::now();
             let left = seconds_left(fraction - first, 1.0 - fraction, began.elapsed());
             let left = left.map_or(String::new(), |s| format!(", about {s:.0} s left"));
-            eprintln!("{}: {:.0} %, {message}{left}", self.label, 100.0 * fraction);
+            telemetry::say(format_args!("{}: {:.0} %, {message}{left}", self.label, 100.0 * fraction));
         }
     }
 
@@ -107,7 +112,7 @@ impl Line {
             // A job that another command finished was never seen running.
             let took =
                 self.pace.map_or(String::new(), |(began, _)| format!(" after {:.0} s", began.elapsed().as_secs_f64()));
-            eprintln!("{}: {message}{took}", self.label);
+            telemetry::say(format_args!("{}: {message}{took}", self.label));
         }
     }
 }

@@ -13,6 +13,7 @@ use crate::app::{
 };
 use crate::domain::conditions::{Conditions, Under};
 use crate::domain::weighing::{Outcome, WeighingState};
+use crate::telemetry;
 use serde::Serialize;
 use std::time::Duration;
 
@@ -110,9 +111,9 @@ async fn look(app: &App, vial_check: VialCheck) -> Result<(), Failure> {
     }
     let holds_mg = found.vial.and_then(|vial| vial.holds_mg).filter(|mg| *mg > 0.0 && vial_check == VialCheck::Skip);
     if let Some(holds_mg) = holds_mg {
-        eprintln!(
+        telemetry::say(format_args!(
             "flip: the vial on the pan holds {holds_mg:.1} mg unless it was exchanged; --vial NAME asks the balance"
-        );
+        ));
     }
     Ok(())
 }

@@ -16,9 +16,13 @@ pub async fn channel(service: &Service) -> Channel {
 }
 
 pub async fn as_operator<T>(service: &Service, message: T) -> Request<T> {
+    with_token(&service.token(Role::Operator).await, message)
+}
+
+/// By the holder of this token.
+pub fn with_token<T>(token: &str, message: T) -> Request<T> {
     let mut request = Request::new(message);
-    let token = format!("Bearer {}", service.token(Role::Operator).await);
-    request.metadata_mut().insert("authorization", token.parse().unwrap());
+    request.metadata_mut().insert("authorization", format!("Bearer {token}").parse().unwrap());
     request
 }
 

@@ -7,6 +7,7 @@ mod grpc;
 mod harness;
 mod hold;
 mod investigations;
+mod log;
 mod measurements;
 mod protocol;
 mod record;

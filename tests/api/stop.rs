@@ -1,16 +1,17 @@
 //! The stop, while others take what it used to need: seats, readers, descriptors, the write lock.
 
-use crate::grpc::{as_operator, channel};
+use crate::grpc::{as_operator, channel, with_token};
 use crate::harness::{Service, problem};
 use flip::api::grpc::access::{Access, access, methods};
-use flip::api::grpc::proto::StopBenchRequest;
 use flip::api::grpc::proto::bench_client::BenchClient;
+use flip::api::grpc::proto::weighings_client::WeighingsClient;
+use flip::api::grpc::proto::{StopBenchRequest, StopWeighingRequest};
 use flip::app::Role;
 use futures::StreamExt;
 use futures::stream;
 use serde_json::{Value, json};
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -56,11 +57,17 @@ async fn stop(service: &Service, token: &str) -> (u16, Value) {
 
 /// A dose that hangs in its first pour; its id.
 async fn pouring(service: &Service) -> String {
+    let id = asked_for(service, "held").await;
+    service.until_pouring().await;
+    id
+}
+
+/// A weighing that begins when its turn comes; its id.
+async fn asked_for(service: &Service, key: &str) -> String {
     let mg = |value: f64| json!({ "value": value, "unit": "mg" });
     let tolerance = json!({ "lower": 1, "upper": 1, "unit": "mg" });
     let body = json!({ "powder": "salt", "target": mg(15.0), "tolerance": tolerance });
-    let weighing: Value = service.weigh("held", &body).await.json().await.unwrap();
-    service.until_pouring().await;
+    let weighing: Value = service.weigh(key, &body).await.json().await.unwrap();
     weighing["id"].as_str().unwrap().to_owned()
 }
 
@@ -300,6 +307,97 @@ async fn a_write_lock_that_another_process_holds_delays_no_stop() {
     assert_eq!(status, 200, "{bench}");
     lock.rollback().await.unwrap();
     assert_eq!(outcome(&service, &id).await, "stopped");
+}
+
+/// Stops of weighings that wait, each asked for again and again; statuses.
+fn stops_of_waiting(service: &Service, token: &str, ids: &[String], times: usize) -> JoinSet<u16> {
+    let mut stops = JoinSet::new();
+    for id in ids.iter().cycle().take(times) {
+        let request = service.request("POST", &format!("/v1/weighings/{id}/stop")).bearer_auth(token);
+        stops.spawn(async move { request.send().await.unwrap().status().as_u16() });
+    }
+    stops
+}
+
+#[tokio::test]
+async fn two_hundred_stops_of_waiting_weighings_behind_a_write_lock_delay_no_stop_of_what_moves() {
+    let service = Service::ready().await;
+    let _held = service.hold_bench();
+    let moving = pouring(&service).await;
+    let mut ids = Vec::new();
+    for k in 0..8 {
+        ids.push(asked_for(&service, &format!("waits-{k}")).await);
+    }
+    let token = service.token(Role::Operator).await;
+    let lock = database(&service).await.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    let mut stops = stops_of_waiting(&service, &token, &ids, 200);
+    for _ in 0..20 {
+        let held: Value = service.get("/v1/bench").await.json().await.unwrap();
+        assert!(held["held"].is_null(), "stops of weighings that wait hold nothing: {held}");
+    }
+    let request = service.request("POST", &format!("/v1/weighings/{moving}/stop")).bearer_auth(&token).timeout(SOON);
+    assert_eq!(request.send().await.expect("a stop of what moves is answered soon").status(), 202);
+    for _ in 0..20 {
+        let (status, bench) = stop(&service, &token).await;
+        assert_eq!((status, bench["held"].is_object()), (200, true), "{bench}");
+    }
+    lock.rollback().await.unwrap();
+    let mut statuses = Vec::new();
+    while let Some(status) = stops.join_next().await {
+        statuses.push(status.unwrap());
+    }
+    assert!(statuses.iter().all(|status| matches!(status, 202 | 409)), "{statuses:?}");
+    assert_eq!(statuses.iter().filter(|status| **status == 202).count(), ids.len());
+    assert_eq!(outcome(&service, &moving).await, "stopped");
+}
+
+#[tokio::test]
+async fn stops_of_waiting_weighings_leave_room_for_a_stop_of_the_bench_on_the_same_connection() {
+    let service = Service::ready().await;
+    let _held = service.hold_bench();
+    let moving = pouring(&service).await;
+    let id = asked_for(&service, "waits").await;
+    let token = service.token(Role::Operator).await;
+    let lock = database(&service).await.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    let channel = channel(&service).await;
+    let mut stops = JoinSet::new();
+    for _ in 0..200 {
+        let (mut client, message) = (WeighingsClient::new(channel.clone()), StopWeighingRequest { id: id.clone() });
+        let request = with_token(&token, message);
+        stops.spawn(async move { client.stop_weighing(request).await });
+    }
+    // No stream is left before some of them are refused.
+    let refused = stops.join_next().await.unwrap().unwrap().unwrap_err();
+    assert_eq!(refused.code(), tonic::Code::Unavailable, "{refused}");
+    let request = with_token(&token, StopBenchRequest {});
+    let stopped = tokio::time::timeout(SOON, BenchClient::new(channel).stop_bench(request)).await;
+    assert!(stopped.expect("a stop is answered soon").unwrap().into_inner().held.is_some());
+    lock.rollback().await.unwrap();
+    assert_eq!(outcome(&service, &moving).await, "stopped");
+}
+
+/// Asks on this thread, which does nothing else meanwhile; the first line of the answer.
+fn ask_blocking(service: &Service, path: &str, token: &str) -> String {
+    let mut connection = TcpStream::connect(("127.0.0.1", service.address.port())).unwrap();
+    connection.set_read_timeout(Some(SOON)).unwrap();
+    write!(connection, "POST {path} HTTP/1.1\r\nhost: 127.0.0.1\r\nauthorization: Bearer {token}\r\n\r\n").unwrap();
+    let mut line = String::new();
+    BufReader::new(connection).read_line(&mut line).expect("a stop is answered soon");
+    line
+}
+
+#[tokio::test]
+async fn a_runtime_that_is_stuck_delays_no_stop_of_what_moves() {
+    let service = Service::ready().await;
+    let _held = service.hold_bench();
+    let moving = pouring(&service).await;
+    let token = service.token(Role::Operator).await;
+    // All but stops works on the thread of this test, which waits.
+    let stopped = ask_blocking(&service, &format!("/v1/weighings/{moving}/stop"), &token);
+    assert!(stopped.starts_with("HTTP/1.1 202"), "{stopped}");
+    let stopped = ask_blocking(&service, "/v1/bench/stop", &token);
+    assert!(stopped.starts_with("HTTP/1.1 200"), "{stopped}");
+    assert_eq!(outcome(&service, &moving).await, "stopped");
 }
 
 /// A service of its own process that may open few files; killed when dropped.

@@ -1,11 +1,16 @@
 //! Tokens: made, listed, ended, also by another process; and who did what in the record.
 
+use crate::grpc::with_token;
 use crate::harness::{Service, problem};
 use flip::api::grpc::proto::tokens_client::TokensClient;
-use flip::api::grpc::proto::{CreateTokenRequest, ListTokensRequest, RevokeTokenRequest, Role as WireRole};
-use flip::app::{App, Role, Who, acting};
+use flip::api::grpc::proto::weighings_client::WeighingsClient;
+use flip::api::grpc::proto::{
+    CreateTokenRequest, ListTokensRequest, RevokeTokenRequest, Role as WireRole, WatchRequest,
+};
+use flip::app::{App, NewToken, Role, Who, acting};
 use serde_json::{Value, json};
-use tonic::{Code, Request};
+use std::time::Duration;
+use tonic::Code;
 
 async fn may_write(service: &Service, token: &str, powder: &str) -> u16 {
     let new = json!({ "id": powder, "name": powder });
@@ -66,6 +71,61 @@ async fn tokens_are_listed_without_their_secrets_and_end_when_they_are_revoked()
     }
 }
 
+/// Follows everything, one weighing, and the same over gRPC with a token; ends when all of these end.
+async fn follow(service: &Service, weighing: &str, token: &str, then: impl AsyncFnOnce()) {
+    let sse = async |path: &str| {
+        let stream = service.request("GET", path).bearer_auth(token).send().await.unwrap();
+        assert_eq!(stream.status(), 200);
+        stream
+    };
+    let (all, one) = (sse("/v1/events").await, sse(&format!("/v1/weighings/{weighing}/events")).await);
+    let mut client = WeighingsClient::connect(service.url("")).await.unwrap();
+    let asked = with_token(token, WatchRequest { id: weighing.to_owned(), after_seq: 0 });
+    let mut watch = client.watch_weighing(asked).await.unwrap().into_inner();
+    then().await;
+    let grpc = async {
+        loop {
+            match watch.message().await {
+                Ok(event) => assert!(event.is_some(), "an end that looks like the weighing's"),
+                Err(status) => return status,
+            }
+        }
+    };
+    let ended = async { tokio::join!(all.text(), one.text(), grpc) };
+    let (all, one, grpc) = tokio::time::timeout(Duration::from_secs(10), ended).await.expect("streams end");
+    assert!(all.is_ok() && one.unwrap().contains("event:"));
+    assert_eq!(grpc.code(), Code::Unauthenticated, "{grpc}");
+}
+
+#[tokio::test]
+async fn streams_of_events_end_when_their_token_expires_or_is_revoked_here_or_elsewhere() {
+    let service = Service::ready().await;
+    let _held = service.hold_bench();
+    let (target, tolerance) = (json!({ "value": 15, "unit": "mg" }), json!({ "lower": 1, "upper": 1, "unit": "mg" }));
+    let body = json!({ "powder": "salt", "target": target, "tolerance": tolerance });
+    let weighing: Value = service.weigh("followed", &body).await.json().await.unwrap();
+    let weighing = weighing["id"].as_str().unwrap();
+    let id = |secret: &str| secret.split('_').nth(1).unwrap().to_owned();
+
+    let secret = service.token(Role::Viewer).await;
+    follow(&service, weighing, &secret, async || drop(service.app.revoke_token(&id(&secret)).await.unwrap())).await;
+    let other = App::open_beside(service.folder()).await.unwrap();
+    let secret = service.token(Role::Admin).await;
+    follow(&service, weighing, &secret, async || drop(other.revoke_token(&id(&secret)).await.unwrap())).await;
+    other.shutdown().await.unwrap();
+    let soon = NewToken { name: "soon".into(), role: Role::Operator, may_clear: false, expires_in_s: Some(1) };
+    let (_, secret) = service.app.make_token(&soon).await.unwrap();
+    follow(&service, weighing, &secret, async || {}).await;
+
+    // Those of others go on.
+    let secret = service.token(Role::Viewer).await;
+    let mut mine =
+        service.request("GET", "/v1/events").bearer_auth(service.token(Role::Viewer).await).send().await.unwrap();
+    service.app.revoke_token(&id(&secret)).await.unwrap();
+    service.request("POST", "/v1/bench/stop").bearer_auth(service.token(Role::Operator).await).send().await.unwrap();
+    assert!(mine.chunk().await.unwrap().is_some());
+}
+
 #[tokio::test]
 async fn the_record_names_who_made_and_ended_a_token_and_who_changed_the_data() {
     let service = Service::start().await;
@@ -119,21 +179,16 @@ async fn grpc_makes_lists_and_ends_tokens_for_admins_alone() {
         may_clear: false,
         expires_in_s: None,
     };
-    let refused = client.create_token(with(&operator, new.clone())).await.unwrap_err();
+    let refused = client.create_token(with_token(&operator, new.clone())).await.unwrap_err();
     assert_eq!(refused.code(), Code::PermissionDenied);
-    let made = client.create_token(with(&admin, new)).await.unwrap().into_inner();
+    let made = client.create_token(with_token(&admin, new)).await.unwrap().into_inner();
     assert!(service.app.authenticate(&made.secret).is_some());
     let id = made.token.unwrap().id;
-    let list = client.list_tokens(with(&admin, ListTokensRequest::default())).await.unwrap().into_inner();
+    let list = client.list_tokens(with_token(&admin, ListTokensRequest::default())).await.unwrap().into_inner();
     assert!(list.items.iter().any(|token| token.id == id && token.revoked_at.is_none()));
-    let ended = client.revoke_token(with(&admin, RevokeTokenRequest { id: id.clone() })).await.unwrap().into_inner();
+    let ended =
+        client.revoke_token(with_token(&admin, RevokeTokenRequest { id: id.clone() })).await.unwrap().into_inner();
     assert!(ended.revoked_at.is_some() && service.app.authenticate(&made.secret).is_none());
     let unknown = CreateTokenRequest { name: "robot".into(), ..CreateTokenRequest::default() };
-    assert_eq!(client.create_token(with(&admin, unknown)).await.unwrap_err().code(), Code::InvalidArgument);
-}
-
-fn with<T>(token: &str, message: T) -> Request<T> {
-    let mut request = Request::new(message);
-    request.metadata_mut().insert("authorization", format!("Bearer {token}").parse().unwrap());
-    request
+    assert_eq!(client.create_token(with_token(&admin, unknown)).await.unwrap_err().code(), Code::InvalidArgument);
 }

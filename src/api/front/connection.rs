@@ -135,6 +135,11 @@ impl Connection {
         self.state().under_way[Kind::Stream as usize]
     }
 
+    /// Stops under way.
+    pub fn stops(&self) -> usize {
+        self.state().under_way[Kind::Stop as usize]
+    }
+
     /// Whether it earns its descriptor; remembers that it was asked to leave.
     pub fn verdict(&self, now: Instant) -> Verdict {
         let mut state = self.state();

@@ -1,7 +1,7 @@
 //! The front of the service: threads of its own that take connections, read heads of requests, and carry stops through.
 //!
 //! ```text
-//!  socket ─► table ─► TLS, HTTP ─► edge, origin, token ─┬─► stop ────────────────────────► bench
+//!  socket ─► table ─► TLS ─► HTTP ─► edge, origin, token ─┬─► stop ────────────────────────► bench
 //!            (room for one more)                        ├─► /healthz, /readyz
 //!                                                       └─► hall: role, body, seat ─► main runtime: every other route
 //! ```
@@ -14,6 +14,7 @@ mod arrival;
 mod connection;
 mod descriptors;
 mod hall;
+mod handshake;
 mod stop;
 mod table;
 mod wire;
@@ -31,6 +32,7 @@ use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::Response;
 use connection::{HEAD, Kind};
 use hall::{Hall, hall, is_stream};
+use handshake::Handshakes;
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto;
 use hyper_util::service::TowerToHyperService;
@@ -50,16 +52,14 @@ use tower::Layer;
 use tower_http::catch_panic::CatchPanicLayer;
 use wire::Wire;
 
-/// Threads that read and write; two, so that one which does a TLS handshake does not hold up a stop.
+/// Threads that read and write; two, so that one which has much to decrypt does not hold up a stop.
 const THREADS: usize = 2;
-/// Threads for stops that wait for an arm.
-const STOPS: usize = 64;
 /// Connections that may be open beyond the table's room: those that it has just closed.
 const CLOSING: usize = 16;
 /// How often connections are looked at.
 const SWEEP: Duration = Duration::from_millis(500);
-/// Requests at once on one connection of HTTP/2.
-const HTTP2_STREAMS: u32 = 64;
+/// Requests at once on one connection of HTTP/2: more than streams of events and stops that wait may take together, so that there is always one for a stop.
+const HTTP2_STREAMS: u32 = 192;
 /// Most bytes of a request's head, and of what one connection is read ahead.
 const HEAD_BYTES: usize = 32 * 1024;
 /// Bytes of a body that HTTP/2 sends ahead: of one request, and of a connection.
@@ -67,8 +67,8 @@ const HTTP2_AHEAD: [u32; 2] = [128 * 1024, 512 * 1024];
 
 /// The front, at work until it is dropped.
 pub struct Front {
-    /// `Some` until it is dropped.
-    runtime: Option<Runtime>,
+    /// Its own, and with TLS that of handshakes; until it is dropped.
+    runtimes: Vec<Runtime>,
     doors: Doors,
 }
 
@@ -78,7 +78,7 @@ struct Doors {
     table: Arc<Table>,
     /// Bounds the descriptors, whatever the table believes.
     free: Arc<Semaphore>,
-    tls: Option<TlsAcceptor>,
+    handshakes: Option<Handshakes>,
     http: Arc<auto::Builder<TokioExecutor>>,
     router: Router,
     closing: CancellationToken,
@@ -96,23 +96,23 @@ impl Front {
         closing: CancellationToken,
     ) -> io::Result<Self> {
         let room = descriptors::room();
+        let (handshakes, shaking) = tls.map(Handshakes::with).transpose()?.unzip();
         let doors = Doors {
             table: Arc::new(Table::new(room)),
             free: Arc::new(Semaphore::new(room + CLOSING)),
-            tls,
+            handshakes,
             http: Arc::new(http()),
             router,
             closing,
         };
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(THREADS)
-            .max_blocking_threads(STOPS)
             .thread_name("front")
             .enable_all()
             .build()?;
         runtime.spawn(doors.clone().take_all(listener));
         runtime.spawn(doors.clone().sweep());
-        Ok(Self { runtime: Some(runtime), doors })
+        Ok(Self { runtimes: shaking.into_iter().chain([runtime]).collect(), doors })
     }
 
     /// Lets what is under way end, for at most `limit`; then closes every connection.
@@ -127,16 +127,14 @@ impl Front {
 
 impl Drop for Front {
     fn drop(&mut self) {
-        if let Some(runtime) = self.runtime.take() {
-            runtime.shutdown_background();
-        }
+        self.runtimes.drain(..).for_each(Runtime::shutdown_background);
     }
 }
 
 /// Everything from the head of a request to its answer; `main` answers what is no stop and no sign of life.
 pub fn router(app: App, loopback: bool, main: Router, closing: CancellationToken) -> Router {
     let gate = auth::Gate { app: app.clone(), loopback };
-    stop::router(app.clone())
+    stop::router(app.clone(), &Handle::current())
         .merge(probes::alive(app, closing))
         .fallback_service(Router::new().fallback(hall).with_state(Hall::new(Handle::current(), main)))
         .layer(from_fn(known))
@@ -194,7 +192,7 @@ impl Doors {
                 // Taken in here, in the order in which they came: tasks begin in any.
                 Ok((stream, peer)) => {
                     let place = self.table.admit(peer.ip(), Instant::now());
-                    drop(tokio::spawn(self.clone().serve(stream, place, door)));
+                    self.clone().begin(stream, place, door);
                 }
                 Err(error) => self.make_room(&error, &no_descriptor).await,
             }
@@ -219,25 +217,32 @@ impl Doors {
         }
     }
 
-    async fn serve(self, stream: TcpStream, place: Place, _door: OwnedSemaphorePermit) {
+    /// Serves a connection; with TLS once it is established.
+    fn begin(self, stream: TcpStream, place: Place, door: OwnedSemaphorePermit) {
         // Only slower without.
         let _nodelay = stream.set_nodelay(true);
-        let connection = &place.connection;
+        let connection = place.connection.clone();
         let wire = Wire::new(stream, connection.clone());
-        let work = async {
-            match &self.tls {
-                None => self.speak(wire, connection).await,
-                Some(tls) => {
-                    if let Ok(stream) = tls.accept(wire).await {
-                        self.speak(stream, connection).await;
-                    }
-                }
-            }
+        let Some(handshakes) = self.handshakes.clone() else {
+            return drop(tokio::spawn(self.serve(wire, place, door)));
         };
-        tokio::select! {
-            () = work => {}
-            () = connection.cut.cancelled() => {}
-        }
+        let (front, thread) = (Handle::current(), handshakes.thread.clone());
+        thread.spawn(async move {
+            let shaken = handshakes.shake(wire, connection.peer);
+            if let Some(Some(stream)) = connection.cut.run_until_cancelled(shaken).await {
+                front.spawn(self.serve(stream, place, door));
+            }
+        });
+    }
+
+    async fn serve(
+        self,
+        stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+        place: Place,
+        _door: OwnedSemaphorePermit,
+    ) {
+        let connection = &place.connection;
+        connection.cut.run_until_cancelled(self.speak(stream, connection)).await;
     }
 
     /// Answers requests until either side has enough; what breaks off is the client's to notice.
@@ -251,5 +256,77 @@ impl Doors {
                 let _ended = conversation.await;
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rustls::crypto::ring::sign::any_supported_type;
+    use rustls::pki_types::PrivateKeyDer;
+    use rustls::server::{ClientHello, ResolvesServerCert};
+    use rustls::sign::CertifiedKey;
+    use rustls::{ClientConfig, RootCertStore, ServerConfig};
+    use std::net::SocketAddr;
+    use std::sync::mpsc;
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use tokio_rustls::TlsConnector;
+    use tokio_rustls::client::TlsStream;
+
+    /// Tells of each handshake, and lets it go on with the next permit.
+    #[derive(Debug)]
+    struct Slow {
+        key: Arc<CertifiedKey>,
+        begun: tokio::sync::mpsc::UnboundedSender<()>,
+        permits: std::sync::Mutex<mpsc::Receiver<()>>,
+    }
+
+    impl ResolvesServerCert for Slow {
+        fn resolve(&self, _hello: ClientHello<'_>) -> Option<Arc<CertifiedKey>> {
+            self.begun.send(()).ok()?;
+            self.permits.lock().unwrap().recv().ok()?;
+            Some(self.key.clone())
+        }
+    }
+
+    async fn connect(address: SocketAddr, roots: RootCertStore) -> io::Result<TlsStream<TcpStream>> {
+        let config = ClientConfig::builder().with_root_certificates(roots).with_no_client_auth();
+        let stream = TcpStream::connect(address).await?;
+        TlsConnector::from(Arc::new(config)).connect("localhost".try_into().unwrap(), stream).await
+    }
+
+    #[tokio::test]
+    async fn handshakes_that_compute_for_ever_hold_up_no_established_connection() {
+        let made = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
+        let mut roots = RootCertStore::empty();
+        roots.add(made.cert.der().clone()).unwrap();
+        let key = any_supported_type(&PrivateKeyDer::Pkcs8(made.signing_key.serialize_der().into())).unwrap();
+        let key = Arc::new(CertifiedKey::new(vec![made.cert.der().clone()], key));
+        let ((begun, mut begins), (permit, permits)) = (tokio::sync::mpsc::unbounded_channel(), mpsc::channel());
+        let slow = Slow { key, begun, permits: permits.into() };
+        let tls = ServerConfig::builder().with_no_client_auth().with_cert_resolver(Arc::new(slow));
+
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        listener.set_nonblocking(true).unwrap();
+        let address = listener.local_addr().unwrap();
+        let router = Router::new().route("/", axum::routing::get(async || "here"));
+        let _front = Front::open(listener, Some(Arc::new(tls).into()), router, CancellationToken::new()).unwrap();
+        permit.send(()).unwrap();
+        let mut established = connect(address, roots.clone()).await.unwrap();
+        begins.recv().await.unwrap();
+        let waiting: Vec<_> = (0..8).map(|_| tokio::spawn(connect(address, roots.clone()))).collect();
+        // One of them computes, and none of them gets any further.
+        begins.recv().await.unwrap();
+        for _ in 0..8 {
+            established.write_all(b"GET / HTTP/1.1\r\nhost: localhost\r\n\r\n").await.unwrap();
+            let mut answer = Vec::new();
+            while !answer.ends_with(b"here") {
+                let read = tokio::time::timeout(Duration::from_secs(20), established.read_buf(&mut answer)).await;
+                assert!(read.expect("an established connection is answered").unwrap() > 0);
+            }
+        }
+        assert!(waiting.iter().all(|it| !it.is_finished()));
+        // Whoever waits for a permit is told that none will come.
+        drop(permit);
     }
 }

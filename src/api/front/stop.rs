@@ -1,6 +1,7 @@
 //! The way of a stop: from the socket to the bench without a seat, a body or a database that others could hold.
 //!
-//! Its role is looked up in memory, and it is carried out on a thread of its own, so that an arm that does not answer holds nobody up.
+//! Its role is looked up in memory, and so is what moves: the flag and the hold are set on the thread that read the request, before anything is waited for. What
+//! then waits for the database, as the stop of a weighing that has not begun does, waits elsewhere.
 
 use super::arrival::Arrivals;
 use super::connection::{Connection, Kind};
@@ -10,29 +11,51 @@ use crate::api::{grpc, rest};
 use crate::app::{App, Role};
 use axum::Router;
 use axum::body::Body;
-use axum::extract::{Extension, Request};
-use axum::middleware::{Next, from_fn};
+use axum::extract::{Extension, Request, State};
+use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
+use futures::FutureExt;
 use std::sync::{Arc, LazyLock};
 use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
-use tokio::task::spawn_blocking;
+use tokio::sync::Semaphore;
+use tracing::Instrument;
 
 /// How long a stop may take to be answered; it is carried out all the same.
 const ANSWER: Duration = Duration::from_secs(5);
+/// Stops that may wait for the database at once: of weighings that have not begun, four times as many as may wait for the bench.
+const WAITING: usize = 256;
+/// Of these, on one connection: a client of HTTP/2 has room for a stop of the bench beside them.
+const WAITING_CONNECTION: usize = 96;
 /// Most bytes of the message of gRPC that names the weighing to stop.
 const MESSAGE_BYTES_MAX: usize = 4096;
 
-/// The four ways to stop.
-pub fn router(app: App) -> Router {
-    let bodyless = rest::stops(app.clone()).merge(grpc::bench_stop(app.clone()));
-    let named = grpc::weighing_stop(app).route_layer(from_fn(message));
-    let stops = bodyless
-        .merge(named)
-        .route_layer(from_fn(auth::on_behalf))
-        .route_layer(from_fn(own_thread))
-        .route_layer(from_fn(permit));
+/// Where stops that wait for the database do so; cheap to clone.
+#[derive(Clone)]
+struct Elsewhere {
+    main: Handle,
+    places: Arc<Semaphore>,
+}
+
+impl Elsewhere {
+    fn of(main: &Handle) -> Self {
+        Self { main: main.clone(), places: Arc::new(Semaphore::new(WAITING)) }
+    }
+}
+
+/// The four ways to stop; what they wait for they wait for on `main`, and those of the bench never where those of single weighings do.
+pub fn router(app: App, main: &Handle) -> Router {
+    let bench = rest::bench_stop(app.clone()).merge(grpc::bench_stop(app.clone()));
+    let (by_path, by_message) = (rest::weighing_stop(app.clone()), grpc::weighing_stop(app));
+    let of_weighings = Elsewhere::of(main);
+    let by_message = carried(by_message, of_weighings.clone()).route_layer(from_fn(message));
+    let stops = carried(bench, Elsewhere::of(main)).merge(carried(by_path, of_weighings)).merge(by_message);
+    let stops = stops.route_layer(from_fn(permit));
     stops.method_not_allowed_fallback(async || Problem::method_not_allowed())
+}
+
+fn carried(stops: Router, elsewhere: Elsewhere) -> Router {
+    stops.route_layer(from_fn(auth::on_behalf)).route_layer(from_fn_with_state(elsewhere, at_once))
 }
 
 /// An operator's; from here on its connection is not closed for others.
@@ -57,17 +80,36 @@ async fn message(request: Request, next: Next) -> Response {
     }
 }
 
-async fn own_thread(request: Request, next: Next) -> Response {
-    let front = Handle::current();
-    let work = spawn_blocking(move || front.block_on(next.run(request)));
-    match tokio::time::timeout(ANSWER, work).await {
+/// What is in memory takes force here and now; only what is still not answered goes elsewhere, where it is carried out however long it takes.
+async fn at_once(
+    State(elsewhere): State<Elsewhere>,
+    Extension(connection): Extension<Arc<Connection>>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let mut work = Box::pin(next.run(request));
+    if let Some(response) = work.as_mut().now_or_never() {
+        return response;
+    }
+    let place = elsewhere.places.try_acquire_owned().ok().filter(|_| connection.stops() <= WAITING_CONNECTION);
+    let Some(place) = place else {
+        return Problem::unavailable(
+            "whatever moves was told to stop, but too many stops of weighings that have not begun wait for the database: try again in a moment, or stop the bench",
+        )
+        .into_response();
+    };
+    let work = async move {
+        let _place = place;
+        work.await
+    };
+    match tokio::time::timeout(ANSWER, elsewhere.main.spawn(work.in_current_span())).await {
         Ok(Ok(response)) => response,
         Ok(Err(panic)) => {
             tracing::error!(%panic, "a stop broke down");
             Problem::internal().into_response()
         }
         Err(_) => Problem::unavailable(
-            "the stop was passed on, but neither the arm nor the database has answered within 5 s: look at the bench and use the wired stop if it moves",
+            "the stop was passed on, but the database has not answered within 5 s: look at the bench and use the wired stop if it moves",
         )
         .into_response(),
     }

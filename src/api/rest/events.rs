@@ -2,13 +2,13 @@
 //!
 //! Every event has the `id:` of its sequence number; a client that reconnects sends it back as `Last-Event-ID` (browsers
 //! do so by themselves) and misses nothing. A job's or weighing's stream ends with it, and is then answered with 204,
-//! which tells browsers not to come back.
+//! which tells browsers not to come back. Every stream ends with the token of whoever follows it; who comes back then is refused.
 
 use super::extract::{Path, Query};
 use crate::api::auth::Viewer;
 use crate::api::problem::Problem;
 use crate::app::App;
-use crate::app::{Event, Topic};
+use crate::app::{Error, Event, Topic};
 use crate::domain::FieldError;
 use crate::domain::weighing::WeighingState;
 use axum::extract::State;
@@ -124,8 +124,9 @@ async fn follow(mut events: Events, ended: bool) -> Result<Response, Problem> {
     }
 }
 
-/// Server-sent events until the stream ends; an error ends it too, and the client resumes where it was.
+/// Server-sent events until the stream ends, or the token with which it was asked for; an error ends it too, and the client resumes where it was.
 fn live(events: Events) -> Response {
+    let events = events.take_while(|event| std::future::ready(!matches!(event, Err(Error::TokenEnded))));
     Sse::new(events.map(frame)).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response()
 }
 

@@ -103,12 +103,14 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(tokens::revoke_token))
 }
 
-/// The stops, for the front: the same handlers as in the document, which read no body.
-pub fn stops(app: App) -> Router {
-    Router::new()
-        .route("/v1/bench/stop", post(bench::stop_bench))
-        .route("/v1/weighings/{id}/stop", post(weighings::stop_weighing))
-        .with_state(app)
+/// The stop of the bench, for the front: the same handler as in the document, which reads no body.
+pub fn bench_stop(app: App) -> Router {
+    Router::new().route("/v1/bench/stop", post(bench::stop_bench)).with_state(app)
+}
+
+/// The stop of a weighing, for the front.
+pub fn weighing_stop(app: App) -> Router {
+    Router::new().route("/v1/weighings/{id}/stop", post(weighings::stop_weighing)).with_state(app)
 }
 
 /// Routes whose bodies are images or tables: so few at once that their bytes fit.

@@ -5,6 +5,7 @@ use super::ours::Windows;
 use super::{Failure, read_bed, settle, write_bed};
 use crate::domain::FieldError;
 use crate::sim;
+use crate::telemetry;
 use serde::{Deserialize, Serialize};
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -93,7 +94,7 @@ impl Peers {
         write_bed(&bed, centres_m)?;
         let names: &[&str] = if self.scripts.is_some() { &PEERS } else { &[] };
         let start = |name: &&str| {
-            eprintln!("flip: {name} on {} grains starts", centres_m.len());
+            telemetry::say(format_args!("flip: {name} on {} grains starts", centres_m.len()));
             self.scripts.as_deref().map_or_else(|| Err(String::new()), |scripts| Peer::start(scripts, name, &bed))
         };
         let mut peers: Vec<Result<Peer, String>> = names.iter().map(start).collect();

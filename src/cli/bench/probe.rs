@@ -7,6 +7,7 @@ use crate::hardware::balance::Dialect;
 use crate::hardware::balance::probe::{Attempt, Probe, probe, usual_settings};
 use crate::hardware::line::{Parity, Serial};
 use crate::hardware::wire::{Direction, Exchange, Tap};
+use crate::telemetry;
 use std::path::PathBuf;
 
 /// Arguments of `flip bench probe`.
@@ -63,7 +64,10 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 fn tell(port: &str, Attempt { number, of, serial }: &Attempt) {
     if *of > 1 {
         let Serial { baud, data_bits, parity } = serial;
-        eprintln!("flip: {number} of {of}: asking {port} at {baud} bits/s {data_bits}{}1", parity.letter());
+        telemetry::say(format_args!(
+            "flip: {number} of {of}: asking {port} at {baud} bits/s {data_bits}{}1",
+            parity.letter()
+        ));
     }
 }
 

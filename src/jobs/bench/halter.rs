@@ -1,31 +1,35 @@
 //! The thread that tells the arm to stand still: whoever presses stop does not wait for the arm's answer.
 
+use std::io;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 
 /// Tells the arm. Dropping it ends its thread.
 pub(super) struct Halter {
     halt: Arc<dyn Fn() + Send + Sync>,
-    say: Option<Sender<()>>,
+    say: Sender<()>,
 }
 
 impl Halter {
-    /// With a thread of its own; where the system has none left, whoever stops tells the arm himself.
-    pub fn start(halt: Arc<dyn Fn() + Send + Sync>) -> Self {
+    /// With a thread of its own.
+    ///
+    /// # Errors
+    /// The system has none left.
+    pub fn start(halt: Arc<dyn Fn() + Send + Sync>) -> io::Result<Self> {
         let (say, hear) = channel();
         let telling = halt.clone();
-        let thread = std::thread::Builder::new().name("stop".into()).spawn(move || tell(&hear, &*telling));
-        if let Err(error) = &thread {
-            tracing::warn!(%error, "there is no thread for stops");
-        }
-        Self { halt, say: thread.is_ok().then_some(say) }
+        std::thread::Builder::new().name("stop".into()).spawn(move || tell(&hear, &*telling))?;
+        Ok(Self { halt, say })
     }
 
-    /// Tell the arm now.
+    /// Tell the arm now; nothing is waited for.
     pub fn tell(&self) {
-        let told = self.say.as_ref().is_some_and(|say| say.send(()).is_ok());
-        if !told {
-            (self.halt)();
+        if self.say.send(()).is_err() {
+            // The thread broke down in an earlier stop. This one has its own.
+            let halt = self.halt.clone();
+            if let Err(error) = std::thread::Builder::new().name("stop".into()).spawn(move || halt()) {
+                tracing::error!(%error, "the arm could not be told of a stop: it hears of it before its next motion");
+            }
         }
     }
 }

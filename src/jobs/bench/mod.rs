@@ -80,7 +80,8 @@ impl Bench {
         record_interrupted(&store, &condition).await?;
         condition.load(&store).await?;
         records.keep_writing(&store);
-        let halter = Halter::start(apparatus.halt.clone());
+        let halter = Halter::start(apparatus.halt.clone())
+            .map_err(|source| store::Error::File { path: "the thread for stops".into(), source })?;
         Ok(Self { store, apparatus, condition, records, halter, closing: Arc::default(), lane: Mutex::default() })
     }
 
