@@ -67,7 +67,7 @@ pub(super) fn perform(context: &JobContext, spec: &ReposeSpec) -> Result<(), Job
             Err(error) => Err(error),
         };
         context.save(async |tx| {
-            audit_exchanges(tx, None, &exchanges).await?;
+            audit_exchanges(tx, None, &exchanges, now()).await?;
             let Ok(pile) = &pile else { return Ok(false) };
             let said = serde_json::json!({ "measurement": context.id(), "powder": spec.powder, "pile": pile });
             tx.audit(About { weighing: None, kind: "pile" }, &said, now()).await?;
