@@ -112,7 +112,8 @@ fn made(
     let taken = (stand.heap)(&piling, &mut |what| {
         let fraction = f64::from(done) / f64::from(spec.procedure.repeats);
         let progress = Progress { fraction, message: format!("pile {number}: {what}") };
-        super::calibrate::unless(context.report(&progress), &mut unsaved, context)
+        // A stop must find the gate's owner awake, whatever holds the database.
+        super::calibrate::unless(context.report_meanwhile(&progress), &mut unsaved, context)
     });
     match (unsaved, taken) {
         (Some(error), _) => Err(error.into()),

@@ -15,9 +15,9 @@ use crate::store::{self, Store, now};
 use crate::weigh::Event;
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
 
@@ -201,8 +201,7 @@ impl LaneThread {
         }
         self.journal.hear(id, (self.apparatus.exchanges)(), Some(event));
         let (journal, store, condition) = (self.journal.clone(), self.store.clone(), self.condition.clone());
-        let writing =
-            self.runtime.spawn(async move { journal.write_if_nobody_does(&store, &condition).await });
+        let writing = self.runtime.spawn(async move { journal.write_if_nobody_does(&store, &condition).await });
         if stop.is_pressed() || heard.unrecorded.is_some() {
             return ControlFlow::Break(());
         }

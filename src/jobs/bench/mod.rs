@@ -242,3 +242,6 @@ impl Drop for Bench {
         self.records.abandon();
     }
 }
+
+#[cfg(test)]
+mod locked_tests;

@@ -130,7 +130,12 @@ impl Bench {
     ///
     /// # Errors
     /// [`store::Error`]
-    pub async fn reserve(&self, id: Option<&str>, owner: &str, seconds: u32) -> store::Result<Result<Reservation, Refused>> {
+    pub async fn reserve(
+        &self,
+        id: Option<&str>,
+        owner: &str,
+        seconds: u32,
+    ) -> store::Result<Result<Reservation, Refused>> {
         let _one = self.reserving.lock().await;
         let mut tx = self.store.write().await?;
         if let Some(refused) = tx.may_reserve(id, now()).await? {
