@@ -63,7 +63,7 @@ pub struct ClearRequest {
     pub looked: bool,
     /// The vial is empty or new, and the balance will be tared. Must be true.
     pub vial_ready: bool,
-    /// Weighings that wait may begin at once; otherwise the bench is held until a person resumes.
+    /// Weighings that wait may begin at once, also after a stop; otherwise the bench is held until a person resumes.
     #[serde(default)]
     pub resume: bool,
 }

@@ -250,6 +250,8 @@ pub(super) struct Wires {
     floor: Arc<Mutex<()>>,
     /// Stop was pressed since somebody took the floor.
     halted: Arc<AtomicBool>,
+    /// The bench is held: set by a stop before anything else, and until a person resumes.
+    held: Arc<AtomicBool>,
 }
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -285,13 +287,24 @@ impl Wires {
         self.halted.load(Ordering::SeqCst)
     }
 
+    /// Whether the bench is held: a stop may have come while whoever has the floor waited for it.
+    pub(super) fn is_held(&self) -> bool {
+        self.held.load(Ordering::SeqCst)
+    }
+
     fn tap(&self) -> Tap {
         let exchanges = self.exchanges.clone();
         Tap::new(move |exchange| locked(&exchanges).push(exchange))
     }
 
-    fn apparatus(self, kind: BenchKind, pour: Pour, recover: Recover, readability_mg: Option<f64>) -> Apparatus {
-        let Self { exchanges, stopper, devices, halted, .. } = self;
+    pub(super) fn apparatus(
+        self,
+        kind: BenchKind,
+        pour: Pour,
+        recover: Recover,
+        readability_mg: Option<f64>,
+    ) -> Apparatus {
+        let Self { exchanges, stopper, devices, halted, held, .. } = self;
         let halt = move || {
             halted.store(true, Ordering::SeqCst);
             let stopper = locked(&stopper).clone();
@@ -308,7 +321,7 @@ impl Wires {
             recover,
             readability_mg: Arc::new(move || readability_mg),
             arm_latch: Arc::new(|| Ok(None)),
-            held: Arc::default(),
+            held,
             empty_vial: None,
             remembers: kind == BenchKind::Devices,
             spoon: Spoon::default(),
