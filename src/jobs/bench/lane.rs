@@ -70,7 +70,9 @@ impl LaneThread {
     async fn next(&self) -> store::Result<Option<Weighing>> {
         self.condition.refresh(&self.store).await;
         // Nothing moves here: what the database says is moving was left so by a write that failed after it had been made.
+        let alone = self.condition.alone().await;
         record_interrupted(&self.store, &self.condition).await?;
+        drop(alone);
         if !self.condition.is_free() {
             return Ok(None);
         }
