@@ -1,7 +1,7 @@
 //! Copies of a data folder, and data folders of copies.
 
 use crate::store::Error as StoreError;
-use crate::store::backup::{Copied, copy};
+use crate::store::backup::{self, Copied};
 use std::path::Path;
 
 /// Why nothing was copied.
@@ -21,15 +21,16 @@ pub enum BackupError {
 /// # Errors
 /// [`BackupError`]; nothing is left behind.
 pub async fn back_up(data_dir: &Path, to: &Path) -> Result<Copied, BackupError> {
-    copy(data_dir, to).await.map_err(BackupError::of)
+    backup::copy(data_dir, to).await.map_err(BackupError::of)
 }
 
-/// Make a data folder of a backup; the backup stays as it is. Nothing is written over.
+/// Make a data folder of a backup; the backup stays as it is. Nothing is written over. Its bench is held until a person resumes: what was poured since
+/// the backup, the database does not know.
 ///
 /// # Errors
 /// [`BackupError`]; nothing is left behind.
 pub async fn restore(backup: &Path, data_dir: &Path) -> Result<Copied, BackupError> {
-    copy(backup, data_dir).await.map_err(BackupError::of)
+    backup::restore(backup, data_dir).await.map_err(BackupError::of)
 }
 
 impl BackupError {

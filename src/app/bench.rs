@@ -8,7 +8,7 @@ use crate::domain::bench::BenchKind;
 use crate::domain::bench_check::{CheckKind, Repeatability, ShakeCalibration};
 use crate::domain::vial::Vial;
 use crate::hardware::DeviceError;
-use crate::jobs::bench::{Bench, Standing, Unwritten};
+use crate::jobs::bench::{Bench, Change, Standing, Unwritten};
 use crate::store::audit::{AuditRecord, AuditVerification};
 use crate::store::bench::Latch;
 use crate::store::holds::Held;
@@ -63,7 +63,7 @@ pub struct ClearRequest {
     pub looked: bool,
     /// The vial is empty or new, and the balance will be tared. Must be true.
     pub vial_ready: bool,
-    /// Weighings that wait may begin at once; otherwise the bench is held until a person resumes.
+    /// Weighings that wait may begin at once, also after a stop; otherwise the bench is held until a person resumes.
     #[serde(default)]
     pub resume: bool,
 }
@@ -144,11 +144,12 @@ impl App {
         self.halt(None)
     }
 
-    /// Let weighings begin again after a stop.
+    /// Let weighings begin again after a stop. One that comes after this was asked holds the bench all the same.
     ///
     /// # Errors
-    /// `Invalid`; `Conflict` (`bench_not_held`, `bench_latched`).
+    /// `Invalid`; `Conflict` (`bench_not_held`, `bench_latched`, `stopped_meanwhile`).
     pub async fn resume_bench(&self, request: ResumeRequest) -> Result<BenchStatus> {
+        let stops = self.jobs_or_refuse()?.bench().stops();
         let mut check = Check::default();
         let by = check_person(&mut check, &request.by, &request.note);
         check.done()?;
@@ -156,17 +157,23 @@ impl App {
         if let Some(latch) = bench.standing().latch {
             return Err(latched(&latch));
         }
-        if !bench.resume(by, &request.note).await? {
-            return Err(Error::conflict("bench_not_held", "the bench is not held: there is nothing to resume"));
+        match bench.resume(by, &request.note, stops).await? {
+            Change::Made => self.bench().await,
+            Change::Nothing => {
+                Err(Error::conflict("bench_not_held", "the bench is not held: there is nothing to resume"))
+            }
+            Change::Void => Err(stopped_meanwhile("look at it, and resume it again")),
         }
-        self.bench().await
     }
 
-    /// A person has looked: the bench, or its arm where that alone is latched, may be used again. Where weighings wait it is held, unless they are to begin.
+    /// A person has looked: the bench, or its arm where that alone is latched, may be used again. Where weighings wait it is held, unless they are to begin;
+    /// the hold of a stop stays as long. Of two who clear at once one does.
     ///
     /// # Errors
-    /// `Invalid`; `Conflict` (`bench_not_latched`, `bench_differs`, `arm_not_recovered`, `ending_unwritten`).
+    /// `Invalid`; `Conflict` (`bench_not_latched`, `bench_differs`, `arm_not_recovered`, `ending_unwritten`, `stopped_meanwhile`).
     pub async fn clear_bench(&self, request: ClearRequest) -> Result<BenchStatus> {
+        let bench = self.jobs_or_refuse()?.bench();
+        let stops = bench.stops();
         let mut check = Check::default();
         let by = check_person(&mut check, &request.by, &request.note);
         if !request.looked {
@@ -176,27 +183,45 @@ impl App {
             check.refuse("vial_ready", "must be true: empty or exchange the vial first".to_owned());
         }
         check.done()?;
+        let alone = bench.alone().await;
+        let cleared = self.clear_alone(by, &request, stops).await;
+        drop(alone);
+        // What could not begin meanwhile, and what waited.
+        bench.wake();
+        cleared?;
+        self.bench().await
+    }
+
+    /// While nobody else clears, and no dose begins or ends.
+    async fn clear_alone(&self, by: &str, request: &ClearRequest, stops: u64) -> Result<()> {
         let bench = self.jobs_or_refuse()?.bench();
-        let standing = bench.standing();
-        if let Some(moving) = standing.moving {
+        let Standing { moving, unwritten, .. } = bench.standing();
+        if let Some(moving) = moving {
             let advice = format!("weighing {moving} moves: stop it, and look when it has ended");
             return Err(Error::conflict("bench_not_latched", advice));
         }
-        if let Some(unwritten) = standing.unwritten {
+        if let Some(unwritten) = unwritten {
             let advice =
                 format!("the end of weighing {} is not written down yet: {}", unwritten.weighing, unwritten.why);
             return Err(Error::conflict("ending_unwritten", advice));
         }
-        if standing.latch.as_ref().and_then(|latch| latch.bench) == Some(BenchKind::Devices)
+        let latch = bench.latch().await?;
+        if latch.as_ref().and_then(|latch| latch.bench) == Some(BenchKind::Devices)
             && bench.kind() != BenchKind::Devices
         {
             let advice = "the bench that is latched is made of devices, and this process has another one: its arm would not hear of it. Name the bench's \
                           file (`flip bench clear --bench FILE`, or `flip serve --bench FILE`)";
             return Err(Error::conflict("bench_differs", advice));
         }
-        self.recover(by, standing.latch.is_some()).await?;
-        bench.clear(by, &request.note, request.resume).await?;
-        self.bench().await
+        let void = || stopped_meanwhile("look at it, and clear it again");
+        if bench.stops() != stops {
+            return Err(void());
+        }
+        self.recover(by, latch.is_some()).await?;
+        match bench.clear(by, &request.note, request.resume, stops).await? {
+            Change::Made | Change::Nothing => Ok(()),
+            Change::Void => Err(void()),
+        }
     }
 
     /// Before the latch is gone: a bench whose arm cannot move must not look free. The arm may be latched where the bench is not.
@@ -304,6 +329,11 @@ impl App {
         }
         Ok(self.store().verify_audit(hash).await?)
     }
+}
+
+/// What somebody asked before a stop is void after it.
+pub(super) fn stopped_meanwhile(advice: &str) -> Error {
+    Error::conflict("stopped_meanwhile", format!("the bench was stopped after this was asked: {advice}"))
 }
 
 /// What is known of a bench, from memory.

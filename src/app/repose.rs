@@ -3,6 +3,7 @@
 use super::check::Check;
 use super::jobs::{corrupt, stored};
 use super::trainings::without_sets;
+use super::vials::refused;
 use super::weighings::latched;
 use super::{App, Error, Result};
 use crate::domain::FieldError;
@@ -126,9 +127,10 @@ impl App {
             Some(run) => run,
             None => self.store().repose_runs(&powder).await? + 1,
         };
-        let ReposeRequest { procedure, rig, limits, .. } = request;
+        let ReposeRequest { procedure, rig, limits, reservation, .. } = request;
         let spec = ReposeSpec { powder, run, procedure, rig, limits, bench, set };
-        Ok(jobs.enqueue(&JobSpec::Repose(spec)).await?)
+        let queued = jobs.enqueue_on_bench(&JobSpec::Repose(spec), reservation.as_deref()).await?;
+        queued.map_err(refused)
     }
 
     /// What stands for a powder on an emulated bench: one of its calibrated sets, by content, so that it is the same in every data folder that has them.

@@ -1,12 +1,12 @@
 //! Whose turn it is on the bench: somebody says that a vial is in, or has the bench for himself for a while.
 
+use super::bench::stopped_meanwhile;
 use super::check::Check;
 use super::{App, Error, Result};
-use crate::domain::timestamp::Timestamp;
 use crate::domain::weighing::WeighingState;
-use crate::store::pan::Reservation;
+use crate::jobs::bench::Change;
+use crate::store::pan::{Refused, Reservation, refusal};
 use crate::store::weighings::Weighing;
-use crate::store::{new_id, now};
 use serde::{Deserialize, Serialize};
 
 /// Longest name, characters, as of what a weighing is for.
@@ -40,11 +40,12 @@ pub struct ReservationRequest {
 }
 
 impl App {
-    /// The vial of the weighing whose turn it is is in: it begins.
+    /// The vial of the weighing whose turn it is is in: it begins. Void if the bench is stopped before that is on record: whoever stops may take it away.
     ///
     /// # Errors
-    /// `Invalid`; `NotFound`; `Conflict` (`weighing_finished`, `not_its_turn`, `vial_differs`).
+    /// `Invalid`; `NotFound`; `Conflict` (`weighing_finished`, `not_its_turn`, `vial_differs`, `stopped_meanwhile`).
     pub async fn vial_ready(&self, id: &str, request: VialReadyRequest) -> Result<Weighing> {
+        let stops = self.jobs_or_refuse()?.bench().stops();
         let mut check = Check::default();
         for (field, text) in [("by", &request.by), ("vial", &request.vial)] {
             text.iter().for_each(|text| check.text(field, text, NAME_MAX));
@@ -66,8 +67,11 @@ impl App {
             return Err(Error::conflict("vial_differs", advice));
         }
         let vial = request.vial.or_else(|| weighing.asked.vial.clone());
-        bench.vial_is_in(&weighing, request.by.as_deref(), vial).await?;
-        Ok(weighing)
+        match bench.vial_is_in(&weighing, request.by.as_deref(), vial, stops).await? {
+            Change::Made => Ok(weighing),
+            Change::Nothing => Err(not_its_turn(id, self.turn()?)),
+            Change::Void => Err(stopped_meanwhile("look at the vial, and say again that it is in")),
+        }
     }
 
     /// The weighing whose turn it is: the one that moves, or the oldest that waits.
@@ -85,20 +89,9 @@ impl App {
         check.text("owner", &request.owner, NAME_MAX);
         check.count("seconds", request.seconds, 1, SECONDS_MAX);
         check.done()?;
-        let bench = self.jobs_or_refuse()?.bench();
-        let standing = bench.standing();
-        self.check_reservation(request.id.as_deref())?;
-        if request.id.is_none()
-            && let Some(other) = standing.moving.or_else(|| standing.waiting.into_iter().next().map(|it| it.id))
-        {
-            let advice = format!("weighing {other} was asked for before: reserve the bench when nothing waits");
-            return Err(Error::conflict("bench_in_use", advice));
-        }
-        let until = Timestamp::from_unix_ms(now().unix_ms() + 1000 * i64::from(request.seconds));
-        let id = request.id.unwrap_or_else(|| format!("rs-{}", new_id()));
-        let reservation = Reservation { id, owner: request.owner, until };
-        bench.reserve(&reservation).await?;
-        Ok(reservation)
+        let ReservationRequest { owner, seconds, id } = &request;
+        let reserved = self.jobs_or_refuse()?.bench().reserve(id.as_deref(), owner, *seconds).await?;
+        reserved.map_err(refused)
     }
 
     /// Give the bench back before the reservation ends.
@@ -112,24 +105,31 @@ impl App {
         }
     }
 
-    /// Nobody else has the bench, and a reservation that is named holds.
+    /// Nobody else has the bench, and a reservation that is named holds, as far as is known: what is then asked for looks again where it is written.
     ///
     /// # Errors
     /// `Conflict` (`bench_reserved`, `reservation_ended`).
     pub(super) fn check_reservation(&self, named: Option<&str>) -> Result<()> {
-        match (self.jobs_or_refuse()?.bench().standing().reservation, named) {
-            (Some(reservation), Some(id)) if reservation.id == id => Ok(()),
-            (Some(Reservation { owner, until, .. }), _) => {
-                let advice = format!(
-                    "{owner} has the bench for himself until {until}: name his reservation, or wait until it ends"
-                );
-                Err(Error::conflict("bench_reserved", advice))
-            }
-            (None, Some(id)) => {
-                let advice = format!("reservation {id} has ended or never was: others may have used the bench since");
-                Err(Error::conflict("reservation_ended", advice))
-            }
-            (None, None) => Ok(()),
+        let reserved = self.jobs_or_refuse()?.bench().standing().reservation;
+        refusal(reserved, named).map_or(Ok(()), |it| Err(refused(it)))
+    }
+}
+
+/// Why somebody may not use the bench, and what to do.
+pub(super) fn refused(why: Refused) -> Error {
+    match why {
+        Refused::Reserved(Reservation { owner, until, .. }) => {
+            let advice =
+                format!("{owner} has the bench for himself until {until}: name his reservation, or wait until it ends");
+            Error::conflict("bench_reserved", advice)
+        }
+        Refused::Ended(id) => {
+            let advice = format!("reservation {id} has ended or never was: others may have used the bench since");
+            Error::conflict("reservation_ended", advice)
+        }
+        Refused::InUse(id) => {
+            let advice = format!("weighing {id} was asked for before: reserve the bench when nothing waits");
+            Error::conflict("bench_in_use", advice)
         }
     }
 }

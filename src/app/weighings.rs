@@ -3,6 +3,7 @@
 use super::check::Check;
 use super::evaluations::unmet;
 use super::trainings::without_sets;
+use super::vials::refused;
 use super::{App, Error, Result};
 use crate::domain::bench::{BenchKind, Tick};
 use crate::domain::conditions::Conditions;
@@ -113,10 +114,11 @@ impl App {
             return replay(first, &request_sha256, idempotency_key);
         }
         self.check_reservation(request.reservation.as_deref())?;
+        let reservation = request.reservation.clone();
         let (request, parameter_set) = self.plan(request).await?;
         let key = idempotency_key.to_owned();
         let intent = Intent { id: new_id(), idempotency_key: key, request_sha256, request, parameter_set };
-        self.commit(intent).await
+        self.commit(intent, reservation.as_deref()).await
     }
 
     /// Check a request and make every choice that it leaves open.
@@ -193,12 +195,15 @@ impl App {
         })
     }
 
-    /// From here on a repeated request finds this weighing.
-    async fn commit(&self, intent: Intent) -> Result<(Weighing, bool)> {
+    /// From here on a repeated request finds this weighing. What may have changed since it was checked is looked at again within the transaction.
+    async fn commit(&self, intent: Intent, reservation: Option<&str>) -> Result<(Weighing, bool)> {
         let bench = self.jobs_or_refuse()?.bench();
         let mut tx = self.store().write().await?;
         if let Some(first) = tx.weighing_by_key(&intent.idempotency_key).await? {
             return replay(first, &intent.request_sha256, &intent.idempotency_key);
+        }
+        if let Some(why) = tx.may_use_bench(reservation, now()).await? {
+            return Err(refused(why));
         }
         if let Some(latch) = bench.standing().latch {
             return Err(latched(&latch));

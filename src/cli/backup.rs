@@ -35,7 +35,7 @@ pub(super) fn run_restore(common: &Common, arguments: &RestoreArguments) -> Resu
 }
 
 fn text(made: &Copied) -> String {
-    let Copied { folder, database_bytes, files, lost, records, last_hash, audit_broken } = made;
+    let Copied { folder, database_bytes, files, lost, records, last_hash, audit_broken, held } = made;
     let mut text = format!(
         "{} holds a whole copy: {database_bytes} bytes of database, {files} files, {records} records\nlast hash {last_hash}",
         folder.display()
@@ -45,6 +45,9 @@ fn text(made: &Copied) -> String {
     }
     if let Some(why) = audit_broken {
         text += &format!("\nits audit trail is kept as it is, and is not what was written: {why}");
+    }
+    if let Some(why) = held {
+        text += &format!("\nthe bench is held, {why} (`flip bench resume`, after a look at `flip bench status`)");
     }
     text
 }

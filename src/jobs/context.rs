@@ -11,6 +11,7 @@ use std::ops::{AsyncFnOnce, ControlFlow};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
+use tokio::task::JoinHandle;
 
 /// Progress is told at most this often.
 const REPORT: Duration = Duration::from_millis(250);
@@ -48,11 +49,13 @@ pub(super) struct JobContext {
     stop: Arc<StopFlag>,
     runtime: Handle,
     reported: Mutex<Option<Instant>>,
+    /// What is being told without anybody waiting for it.
+    reporting: Mutex<Option<JoinHandle<store::Result<()>>>>,
 }
 
 impl JobContext {
     pub fn new(store: Store, functions: Functions, lease: Lease, stop: Arc<StopFlag>, runtime: Handle) -> Self {
-        Self { store, functions, lease, stop, runtime, reported: Mutex::default() }
+        Self { store, functions, lease, stop, runtime, reported: Mutex::default(), reporting: Mutex::default() }
     }
 
     /// Job id.
@@ -72,18 +75,38 @@ impl JobContext {
 
     /// Say how far the job is; told no more than four times a second, except the last word.
     pub fn report(&self, progress: &Progress) -> store::Result<()> {
-        {
-            let mut reported = self.reported.lock().unwrap_or_else(PoisonError::into_inner);
-            if reported.is_some_and(|last| last.elapsed() < REPORT) && progress.fraction < 1.0 {
-                return Ok(());
-            }
-            *reported = Some(Instant::now());
+        match self.is_to_be_told(progress) {
+            true => self.runtime.block_on(tell(self.store.clone(), self.lease.clone(), progress.clone())),
+            false => Ok(()),
         }
-        self.runtime.block_on(async {
-            let mut tx = self.store.write().await?;
-            tx.report(&self.lease, progress).await?;
-            tx.commit().await
-        })
+    }
+
+    /// The same without waiting for it: for whoever has opened a gate and must hear of a stop. What became of the last one that is over; while one is on
+    /// its way nothing else is told.
+    ///
+    /// # Errors
+    /// [`store::Error`] of an earlier one.
+    pub fn report_meanwhile(&self, progress: &Progress) -> store::Result<()> {
+        let mut reporting = self.reporting.lock().unwrap_or_else(PoisonError::into_inner);
+        if reporting.as_ref().is_some_and(|task| !task.is_finished()) {
+            return Ok(());
+        }
+        if let Some(Ok(told)) = reporting.take().map(|task| self.runtime.block_on(task)) {
+            told?;
+        }
+        if self.is_to_be_told(progress) {
+            *reporting = Some(self.runtime.spawn(tell(self.store.clone(), self.lease.clone(), progress.clone())));
+        }
+        Ok(())
+    }
+
+    fn is_to_be_told(&self, progress: &Progress) -> bool {
+        let mut reported = self.reported.lock().unwrap_or_else(PoisonError::into_inner);
+        if reported.is_some_and(|last| last.elapsed() < REPORT) && progress.fraction < 1.0 {
+            return false;
+        }
+        *reported = Some(Instant::now());
+        true
     }
 
     /// Save something in one transaction that proves the lease first. `save` answers whether it was new: then the
@@ -131,5 +154,40 @@ impl JobContext {
     /// Tell followers something about the job, within `tx`.
     pub async fn tell(&self, tx: &mut Tx, kind: &str, data: &impl Serialize) -> store::Result<()> {
         tx.emit(&job_topic(self.id()), kind, data).await
+    }
+}
+
+async fn tell(store: Store, lease: Lease, progress: Progress) -> store::Result<()> {
+    let mut tx = store.write().await?;
+    tx.report(&lease, &progress).await?;
+    tx.commit().await
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_report_that_waits_for_another_program_holds_up_no_open_gate() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        let other = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
+        let other = sqlx::SqlitePool::connect_with(other).await.unwrap();
+        let held = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
+        sqlx::query("PRAGMA busy_timeout = 1").execute(store.writer().unwrap()).await.unwrap();
+        let lease = Lease { job: "j".into(), fence: 1 };
+        let context = JobContext::new(store, Functions::default(), lease, Arc::default(), Handle::current());
+        let told = move || {
+            let progress = Progress { fraction: 0.0, message: "the powder runs out".into() };
+            let now = context.report_meanwhile(&progress);
+            while context.reporting.lock().unwrap().as_ref().is_some_and(|task| !task.is_finished()) {
+                std::thread::yield_now();
+            }
+            (now, context.report_meanwhile(&progress))
+        };
+        let (now, later) = tokio::task::spawn_blocking(told).await.unwrap();
+        assert!(now.is_ok(), "nobody waits: {now:?}");
+        assert!(matches!(later, Err(store::Error::Locked)), "and it is not forgotten: {later:?}");
+        held.rollback().await.unwrap();
     }
 }

@@ -45,7 +45,8 @@ use crate::domain::parameters::ParameterSet;
 use crate::sim::repose::{self as heap, Refusal, Repose};
 use crate::store::jobs::Job;
 use crate::store::ledger::Lease;
-use crate::store::{self, Store, new_id, now};
+use crate::store::pan::Refused;
+use crate::store::{self, Store, Tx, new_id, now};
 use bench::Bench;
 use lanes::Lanes;
 use std::collections::HashMap;
@@ -175,8 +176,27 @@ impl Jobs {
     /// # Errors
     /// [`store::Error`]
     pub async fn enqueue(&self, spec: &JobSpec) -> store::Result<(Job, bool)> {
-        let (text, sha256) = spec.canonical();
+        self.queue(self.shared.store.write().await?, spec).await
+    }
+
+    /// The same, if the bench may be used under this reservation, or under none; else why it may not.
+    ///
+    /// # Errors
+    /// [`store::Error`]
+    pub async fn enqueue_on_bench(
+        &self,
+        spec: &JobSpec,
+        reservation: Option<&str>,
+    ) -> store::Result<Result<(Job, bool), Refused>> {
         let mut tx = self.shared.store.write().await?;
+        match tx.may_use_bench(reservation, now()).await? {
+            Some(refused) => Ok(Err(refused)),
+            None => Ok(Ok(self.queue(tx, spec).await?)),
+        }
+    }
+
+    async fn queue(&self, mut tx: Tx, spec: &JobSpec) -> store::Result<(Job, bool)> {
+        let (text, sha256) = spec.canonical();
         let (job, created) = tx.insert_job(&new_id(), spec.kind(), &text, &sha256, now()).await?;
         if created {
             queue::push(&mut tx, spec.kind(), &Lease { job: job.id.clone(), fence: 0 }).await?;

@@ -67,7 +67,7 @@ pub(super) fn perform(context: &JobContext, spec: &ReposeSpec) -> Result<(), Job
             Err(error) => Err(error),
         };
         context.save(async |tx| {
-            audit_exchanges(tx, None, &exchanges).await?;
+            audit_exchanges(tx, None, &exchanges, now()).await?;
             let Ok(pile) = &pile else { return Ok(false) };
             let said = serde_json::json!({ "measurement": context.id(), "powder": spec.powder, "pile": pile });
             tx.audit(About { weighing: None, kind: "pile" }, &said, now()).await?;
@@ -112,7 +112,8 @@ fn made(
     let taken = (stand.heap)(&piling, &mut |what| {
         let fraction = f64::from(done) / f64::from(spec.procedure.repeats);
         let progress = Progress { fraction, message: format!("pile {number}: {what}") };
-        super::calibrate::unless(context.report(&progress), &mut unsaved, context)
+        // A stop must find the gate's owner awake, whatever holds the database.
+        super::calibrate::unless(context.report_meanwhile(&progress), &mut unsaved, context)
     });
     match (unsaved, taken) {
         (Some(error), _) => Err(error.into()),

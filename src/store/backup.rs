@@ -4,12 +4,15 @@
 //! beside its place under another name, looked at, and put there in one step.
 
 use super::artifacts::{Artifacts, NAMED};
+use super::holds::Held;
 use super::open::{DATABASE, artifacts};
-use super::{Error, Result, Store, new_id, sound};
+use super::{Error, Result, Store, new_id, now, sound};
+use crate::domain::timestamp::Timestamp;
 use serde::Serialize;
 use std::fs::{self, DirBuilder, File, Permissions};
 use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
 
 /// What a copy holds, as it was read back.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -28,7 +31,13 @@ pub struct Copied {
     pub last_hash: String,
     /// Why the audit trail is not what was written, if it is not: the copy keeps it as it is.
     pub audit_broken: Option<String>,
+    /// Why the bench of a restored folder is held, which is one record more.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub held: Option<String>,
 }
+
+/// Who holds the bench of a restored folder.
+const RESTORE: &str = "flip restore";
 
 /// Copy the data folder `from`, also while another process writes there, to `to`, which must not be there or be empty.
 ///
@@ -36,6 +45,23 @@ pub struct Copied {
 /// [`Error::Occupied`], [`Error::Absent`]; [`Error::Damaged`], [`Error::Newer`] of the database; [`Error::Full`], [`Error::File`].
 /// Nothing is left behind.
 pub async fn copy(from: &Path, to: &Path) -> Result<Copied> {
+    let (beside, made) = copy_beside(from, to).await?;
+    beside.put_in_place(to)?;
+    Ok(Copied { folder: to.to_owned(), ..made })
+}
+
+/// The same of a backup, to be served: what was poured since the backup its database does not know, so its bench is held until a person has looked.
+///
+/// # Errors
+/// As [`copy`].
+pub async fn restore(backup: &Path, to: &Path) -> Result<Copied> {
+    let (beside, made) = copy_beside(backup, to).await?;
+    let held = hold(&beside.folder, written_at(&backup.join(DATABASE))?).await?;
+    beside.put_in_place(to)?;
+    Ok(Copied { folder: to.to_owned(), held: Some(held), ..made })
+}
+
+async fn copy_beside(from: &Path, to: &Path) -> Result<(Beside, Copied)> {
     if fs::read_dir(to).is_ok_and(|mut found| found.next().is_some()) || (to.exists() && !to.is_dir()) {
         return Err(Error::Occupied(to.to_owned()));
     }
@@ -44,8 +70,30 @@ pub async fn copy(from: &Path, to: &Path) -> Result<Copied> {
     }
     let beside = Beside::make(to)?;
     let made = fill(from, &beside.folder).await?;
-    beside.put_in_place(to)?;
-    Ok(Copied { folder: to.to_owned(), ..made })
+    Ok((beside, made))
+}
+
+/// When a backup's database was written, by its file.
+fn written_at(database: &Path) -> Result<Timestamp> {
+    let modified = fs::metadata(database).and_then(|it| it.modified());
+    let modified = modified.map_err(|source| Error::File { path: database.to_owned(), source })?;
+    let since_1970 = modified.duration_since(UNIX_EPOCH).unwrap_or_default();
+    Ok(Timestamp::from_unix_ms(since_1970.as_millis() as i64))
+}
+
+/// Hold the bench of this folder, in place of a hold from before; why. The folder is migrated, for one of an older FLIP knows no holds.
+async fn hold(folder: &Path, backup: Timestamp) -> Result<String> {
+    let store = Store::open(folder).await?;
+    let mut reason = format!("restored from a backup of {backup}: look before resuming");
+    if let Some(before) = store.held().await? {
+        reason = format!("{reason}. It was held before: {}", before.reason);
+    }
+    let mut tx = store.write().await?;
+    tx.resume_bench(RESTORE, "held anew", now()).await?;
+    tx.hold_bench(&Held { at: now(), reason: reason.clone(), by: Some(RESTORE.to_owned()) }).await?;
+    tx.commit().await?;
+    store.close().await;
+    Ok(reason)
 }
 
 /// Database first: every file that it names is there already.
@@ -74,6 +122,7 @@ async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
         records: found.records,
         last_hash: found.last_hash,
         audit_broken: found.broken.map(|broken| format!("record {}: {}", broken.seq, broken.why)),
+        held: None,
     })
 }
 
@@ -131,7 +180,6 @@ impl Drop for Beside {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::domain::timestamp::Timestamp;
 
     async fn with_powders(folder: &Path, n: i64) -> Store {
         let store = Store::open(folder).await.unwrap();
@@ -162,6 +210,33 @@ mod tests {
             assert_eq!(fs::metadata(path).unwrap().permissions().mode() & 0o777, 0o700);
             assert_eq!(fs::metadata(path.join(DATABASE)).unwrap().permissions().mode() & 0o777, 0o600);
         }
+    }
+
+    #[tokio::test]
+    async fn a_restored_folder_holds_its_bench_until_a_person_resumes_and_the_backup_stays_as_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let (data, kept) = (folder.path().join("data"), folder.path().join("kept"));
+        let store = with_powders(&data, 3).await;
+        copy(&data, &kept).await.unwrap();
+        let mut tx = store.write().await.unwrap();
+        tx.hold_bench(&Held { at: now(), reason: "stop was pressed".into(), by: None }).await.unwrap();
+        tx.commit().await.unwrap();
+        let (stopped, before) = (folder.path().join("stopped"), fs::read(kept.join(DATABASE)).unwrap());
+        copy(&data, &stopped).await.unwrap();
+        for (backup, also) in [(&kept, ""), (&stopped, "It was held before: stop was pressed")] {
+            let back = folder.path().join("back").join(backup.file_name().unwrap());
+            let made = restore(backup, &back).await.unwrap();
+            let restored = Store::open(&back).await.unwrap();
+            let held = restored.held().await.unwrap().expect("held");
+            let at = written_at(&backup.join(DATABASE)).unwrap().to_string();
+            assert!(held.reason.starts_with(&format!("restored from a backup of {at}: look")), "{}", held.reason);
+            assert!(held.reason.ends_with(also) && made.held == Some(held.reason), "{:?}", made.held);
+            // What was noted of the backup is in the chain, and the hold comes after it.
+            let verified = restored.verify_audit(Some(&made.last_hash)).await.unwrap();
+            assert_eq!((verified.broken, verified.holds_hash), (None, Some(true)));
+            assert!(verified.records > made.records);
+        }
+        assert_eq!(fs::read(kept.join(DATABASE)).unwrap(), before);
     }
 
     #[tokio::test]

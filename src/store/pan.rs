@@ -20,6 +20,17 @@ pub struct Reservation {
     pub until: Timestamp,
 }
 
+/// Why the bench is not somebody's to use.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Refused {
+    /// Somebody else has it for himself.
+    Reserved(Reservation),
+    /// The reservation that was named, by its id, has ended or never was.
+    Ended(String),
+    /// This weighing was asked for before.
+    InUse(String),
+}
+
 impl Store {
     /// What is known of the pan.
     pub(crate) async fn pan(&self) -> Result<Pan> {
@@ -55,6 +66,24 @@ impl Tx {
         self.audit(About { weighing: Some(weighing), kind: "person" }, &said, now).await
     }
 
+    /// Why a weighing or a measurement that names this reservation, or none, may not be asked for now; seen from inside the transaction that is to ask.
+    pub(crate) async fn may_use_bench(&mut self, named: Option<&str>, now: Timestamp) -> Result<Option<Refused>> {
+        let row = sqlx::query("SELECT * FROM bench_reservation").fetch_optional(&mut *self.inner).await?;
+        let reserved = row.as_ref().map(reservation).transpose()?;
+        Ok(refusal(reserved.filter(|it| it.until > now), named))
+    }
+
+    /// Why the bench cannot be reserved now: under this id for longer, or without one anew.
+    pub(crate) async fn may_reserve(&mut self, id: Option<&str>, now: Timestamp) -> Result<Option<Refused>> {
+        let refused = self.may_use_bench(id, now).await?;
+        if refused.is_some() || id.is_some() {
+            return Ok(refused);
+        }
+        let first = "SELECT id FROM weighing WHERE outcome IS NULL ORDER BY seq LIMIT 1";
+        let first: Option<String> = sqlx::query_scalar(first).fetch_optional(&mut *self.inner).await?;
+        Ok(first.map(Refused::InUse))
+    }
+
     /// Somebody has the bench for himself, in place of whoever had it before.
     pub(crate) async fn reserve_bench(&mut self, reserved: &Reservation, now: Timestamp) -> Result<()> {
         let sql = "INSERT INTO bench_reservation (one, id, owner, until) VALUES (1, ?1, ?2, ?3) \
@@ -77,6 +106,15 @@ impl Tx {
         self.audit(About { weighing: None, kind: "person" }, &said, now).await?;
         self.emit(BENCH_TOPIC, "released", &said).await?;
         Ok(true)
+    }
+}
+
+/// Why whoever names this reservation, or none, may not use a bench that is reserved like this.
+pub(crate) fn refusal(reserved: Option<Reservation>, named: Option<&str>) -> Option<Refused> {
+    match (reserved, named) {
+        (Some(reserved), Some(id)) if reserved.id == id => None,
+        (Some(reserved), _) => Some(Refused::Reserved(reserved)),
+        (None, named) => named.map(|id| Refused::Ended(id.to_owned())),
     }
 }
 

@@ -280,6 +280,12 @@ impl Tx {
         Ok(true)
     }
 
+    /// Whether a weighing waits for its vial, seen from inside the transaction.
+    pub(crate) async fn awaits_vial(&mut self, id: &str) -> Result<bool> {
+        let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE id = ?1 AND state = 'awaiting_vial')";
+        Ok(sqlx::query_scalar(sql).bind(id).fetch_one(&mut *self.inner).await?)
+    }
+
     /// What somebody said about vials holds until the process ends: whoever waited for one waits for his turn again.
     pub(crate) async fn forget_vials(&mut self, now: Timestamp) -> Result<()> {
         let sql = "UPDATE weighing SET state = 'planned' WHERE state = 'awaiting_vial' RETURNING *";

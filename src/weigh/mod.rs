@@ -247,11 +247,11 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         }
     }
 
-    /// Tell whoever listens; nothing may move where that fails.
+    /// Tell whoever listens; nothing may move where that fails. Whoever listens does not wait for his record once somebody has asked for a stop.
     fn tell(&mut self, event: &Event<'_>) -> Result<(), Halted> {
         match (self.on_event)(event) {
             ControlFlow::Continue(()) => Ok(()),
-            ControlFlow::Break(()) => Err(Halted::Unrecorded),
+            ControlFlow::Break(()) => Err(self.go_on().err().unwrap_or(Halted::Unrecorded)),
         }
     }
 

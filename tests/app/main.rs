@@ -1,5 +1,6 @@
 //! The application from outside, on a real database in a temporary folder, with formulas in place of the physics.
 
+mod asked;
 mod bench;
 mod calibration;
 mod endings;

@@ -17,7 +17,7 @@ fn spoon(seed: u64) -> Box<FormulaSpoon> {
 }
 
 /// A laboratory whose vial a person exchanges, and whose time is its own.
-fn laboratory(dead_man_ms: u32) -> (Laboratory, Functions) {
+pub fn laboratory(dead_man_ms: u32) -> (Laboratory, Functions) {
     let clock = Clock::standing();
     let settings =
         lab::Settings { arm: arm::Settings { dead_man_ms, ..Default::default() }, ..lab::Settings::default() };
@@ -29,18 +29,18 @@ fn laboratory(dead_man_ms: u32) -> (Laboratory, Functions) {
 /// Longer than a busy machine holds a thread up.
 const PATIENT_MS: u32 = 20_000;
 
-async fn asked(app: &App, vial: &str) -> String {
+pub async fn asked(app: &App, vial: &str) -> String {
     let mut request = mg("sand", 12.0);
     request.asked.vial = Some(vial.into());
     app.start_weighing(request, vial).await.unwrap().0.id
 }
 
-async fn until_awaiting(app: &App, id: &str) {
+pub async fn until_awaiting(app: &App, id: &str) {
     until("it is its turn", async || app.weighing(id).await.unwrap().weighing.state == WeighingState::AwaitingVial)
         .await;
 }
 
-fn said(vial: &str) -> VialReadyRequest {
+pub fn said(vial: &str) -> VialReadyRequest {
     VialReadyRequest { by: Some("Ada".into()), vial: Some(vial.into()) }
 }
 
@@ -148,8 +148,8 @@ async fn what_was_said_of_a_vial_is_void_after_a_stop_and_after_a_restart() {
     app.shutdown().await.unwrap();
 }
 
-/// A client that takes control of the arm and is heard of no more, until the arm has latched itself.
-async fn dead_client(laboratory: &Laboratory) {
+/// A client that has control of the arm and renews it no more.
+pub fn abandoned(laboratory: &Laboratory) -> Arm {
     let client = Arm::connect(
         laboratory.arm.url(),
         Tap::none(),
@@ -157,6 +157,12 @@ async fn dead_client(laboratory: &Laboratory) {
     );
     let mut client = client.unwrap();
     client.acquire().unwrap();
+    client
+}
+
+/// A client that takes control of the arm and is heard of no more, until the arm has latched itself.
+pub async fn dead_client(laboratory: &Laboratory) {
+    let _client = abandoned(laboratory);
     until("the dead-man", async || laboratory.arm.latched().is_some()).await;
 }
 

@@ -32,7 +32,7 @@ pub async fn stop_bench(_: Operator, State(app): State<App>) -> Result<Json<Benc
 /// `waiting` says which ones would: the oldest begins at once.
 #[utoipa::path(post, path = "/v1/bench/resume", tag = "bench", request_body = ResumeRequest,
     responses((status = 200, description = "The bench", body = BenchStatus),
-        (status = 409, description = "It is not held, or it is latched", body = Problem, content_type = "application/problem+json")))]
+        (status = 409, description = "It is not held, it is latched, or it was stopped after this was asked", body = Problem, content_type = "application/problem+json")))]
 pub async fn resume_bench(
     _: Operator,
     State(app): State<App>,
@@ -44,10 +44,11 @@ pub async fn resume_bench(
 /// Clear a latched bench.
 ///
 /// A person has looked at spoon, vial and balance, and says so; an arm that is latched, also where the bench is not, may move again. Nothing that was
-/// interrupted goes on by itself, and where weighings wait the bench is held afterwards unless `resume` is true.
+/// interrupted goes on by itself, and where weighings wait the bench is held afterwards unless `resume` is true, which also ends the hold of a stop. Of two
+/// who clear at once one does.
 #[utoipa::path(post, path = "/v1/bench/clear", tag = "bench", request_body = ClearRequest,
     responses((status = 200, description = "The bench, which may be used again", body = BenchStatus),
-        (status = 409, description = "Neither it nor its arm is latched, or the arm cannot be recovered", body = Problem,
+        (status = 409, description = "Neither it nor its arm is latched, the arm cannot be recovered, or the bench was stopped after this was asked", body = Problem,
             content_type = "application/problem+json")))]
 pub async fn clear_bench(
     _: Clearer,

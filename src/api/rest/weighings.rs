@@ -121,7 +121,7 @@ pub async fn get_certificate(_: Viewer, State(app): State<App>, Path(id): Path<S
 #[utoipa::path(post, path = "/v1/weighings/{id}/vial-ready", tag = "weighings", request_body = VialReadyRequest,
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 200, description = "The weighing, which is about to begin", body = Weighing),
-        (status = 409, description = "It is not its turn, another vial was named, or it has ended", body = Problem,
+        (status = 409, description = "It is not its turn, another vial was named, it has ended, or the bench was stopped after this was asked", body = Problem,
             content_type = "application/problem+json")))]
 pub async fn vial_ready(
     _: Operator,

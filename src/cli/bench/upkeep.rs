@@ -22,7 +22,7 @@ pub(in super::super) struct ClearArguments {
     /// The vial is empty or new, and the balance will be tared.
     #[arg(long)]
     vial_ready: bool,
-    /// Weighings that wait may begin at the next start; otherwise the bench is held.
+    /// Weighings that wait may begin at the next start, also after a stop; otherwise the bench is held.
     #[arg(long)]
     resume: bool,
     /// A bench of devices needs its file, so that its arm hears of it.

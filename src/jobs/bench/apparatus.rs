@@ -10,6 +10,7 @@ use crate::domain::weighing::{MeasuredMass, Outcome};
 use crate::emulate::arm::GrainsSpoon;
 use crate::emulate::lab::{self, Laboratory};
 use crate::hardware::DeviceError;
+use crate::hardware::arm::proto::Mode;
 use crate::hardware::arm::{Arm, Deadlines, Stopper};
 use crate::hardware::balance::StableBy;
 use crate::hardware::bench_file::BenchFile;
@@ -25,9 +26,14 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 /// Longest cause of a latch that is passed on, characters.
 const CAUSE_MAX: usize = 200;
+/// How long an arm under somebody's control is waited for before it is asked whether it is latched.
+const ABANDONED_MAX: Duration = Duration::from_secs(10);
+/// How often it is looked at meanwhile.
+const LOOK_AGAIN: Duration = Duration::from_millis(20);
 
 /// Everything that one weighing needs.
 #[derive(Debug, Clone)]
@@ -207,8 +213,8 @@ pub fn devices_by(file: BenchFile, clock: Clock) -> Apparatus {
     let (arm, tap) = (file.arm.clone(), wires.tap());
     let recover: Recover =
         Arc::new(move |person| Arm::connect(&arm.url, tap.clone(), arm.deadlines())?.recover(person));
-    let (url, tap) = (file.arm.url.clone(), wires.tap());
-    let arm_latch: ArmLatch = Arc::new(move || latch_cause(&url, tap.clone()));
+    let (url, asks) = (file.arm.url.clone(), wires.clone());
+    let arm_latch: ArmLatch = Arc::new(move || settled_latch(&asks, &url));
     let stand = stand::devices(file.clone(), wires.clone());
     let pour: Pour =
         Arc::new(move |pouring, on_event, stop| on_devices(&opened, &file, clock.clone(), pouring, on_event, stop));
@@ -223,6 +229,17 @@ fn latch_cause(url: &str, tap: Tap) -> Result<Option<String>, DeviceError> {
     Ok(Some(cause).filter(|cause| !cause.is_empty()))
 }
 
+/// The same where nobody of this process has control. An arm whose client is gone, as after a restart, brings its spoon back and latches itself then.
+fn settled_latch(wires: &Wires, url: &str) -> Result<Option<String>, DeviceError> {
+    let arm = Arm::connect(url, wires.tap(), Deadlines::default())?;
+    let until = Instant::now() + ABANDONED_MAX;
+    let is_controlled = || arm.state().is_ok_and(|state| !matches!(state.mode(), Mode::Idle | Mode::Latched));
+    while !wires.is_open() && is_controlled() && Instant::now() < until {
+        std::thread::sleep(LOOK_AGAIN);
+    }
+    latch_cause(url, wires.tap())
+}
+
 /// What outlives the weighing that opened the devices.
 #[derive(Clone, Default)]
 pub(super) struct Wires {
@@ -233,6 +250,8 @@ pub(super) struct Wires {
     floor: Arc<Mutex<()>>,
     /// Stop was pressed since somebody took the floor.
     halted: Arc<AtomicBool>,
+    /// The bench is held: set by a stop before anything else, and until a person resumes.
+    held: Arc<AtomicBool>,
 }
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -253,6 +272,11 @@ impl Wires {
         *locked(&self.stopper) = Some(stopper);
     }
 
+    /// Somebody of this process moves devices.
+    fn is_open(&self) -> bool {
+        locked(&self.stopper).is_some()
+    }
+
     /// Nothing moves any more.
     pub(super) fn closed(&self) {
         *locked(&self.stopper) = None;
@@ -263,13 +287,24 @@ impl Wires {
         self.halted.load(Ordering::SeqCst)
     }
 
+    /// Whether the bench is held: a stop may have come while whoever has the floor waited for it.
+    pub(super) fn is_held(&self) -> bool {
+        self.held.load(Ordering::SeqCst)
+    }
+
     fn tap(&self) -> Tap {
         let exchanges = self.exchanges.clone();
         Tap::new(move |exchange| locked(&exchanges).push(exchange))
     }
 
-    fn apparatus(self, kind: BenchKind, pour: Pour, recover: Recover, readability_mg: Option<f64>) -> Apparatus {
-        let Self { exchanges, stopper, devices, halted, .. } = self;
+    pub(super) fn apparatus(
+        self,
+        kind: BenchKind,
+        pour: Pour,
+        recover: Recover,
+        readability_mg: Option<f64>,
+    ) -> Apparatus {
+        let Self { exchanges, stopper, devices, halted, held, .. } = self;
         let halt = move || {
             halted.store(true, Ordering::SeqCst);
             let stopper = locked(&stopper).clone();
@@ -286,7 +321,7 @@ impl Wires {
             recover,
             readability_mg: Arc::new(move || readability_mg),
             arm_latch: Arc::new(|| Ok(None)),
-            held: Arc::default(),
+            held,
             empty_vial: None,
             remembers: kind == BenchKind::Devices,
             spoon: Spoon::default(),

@@ -3,6 +3,7 @@
 //! The data folder's lock makes this process the only one that changes any of it, so what is here is true, and what is stored follows: a hold and a latch
 //! count from the moment they are here.
 
+use super::sign::StopSign;
 use crate::domain::bench_check::{CheckKind, Repeatability};
 use crate::domain::timestamp::Timestamp;
 use crate::domain::vial::{Pan, Vial};
@@ -16,6 +17,7 @@ use crate::store::{self, Store, now};
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tokio::sync::OwnedMutexGuard;
 
 /// The end of a dose that could not be written down yet. Nothing begins before it is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -52,7 +54,7 @@ pub struct Standing {
 /// A weighing that moves.
 struct Moving {
     weighing: Weighing,
-    stop: Arc<AtomicBool>,
+    stop: Arc<StopSign>,
 }
 
 #[derive(Default)]
@@ -77,6 +79,8 @@ pub(super) struct Condition {
     known: Arc<Mutex<Known>>,
     /// One at a time reads which weighings wait, so that the last one read last.
     reading: Arc<tokio::sync::Mutex<()>>,
+    /// Held by whoever clears the bench, by the lane while it writes an ending down, and for a moment when it begins: one comes after the other.
+    alone: Arc<tokio::sync::Mutex<()>>,
     /// The same as `held`, for whoever moves the bench beside the lane.
     flag: Arc<AtomicBool>,
 }
@@ -98,7 +102,7 @@ impl Known {
         // Whoever stops may take the vial away.
         self.ready = None;
         let weighing = self.moving.as_ref().map(|moving| {
-            moving.stop.store(true, Ordering::SeqCst);
+            moving.stop.press();
             moving.weighing.id.clone()
         });
         let reason = match &weighing {
@@ -141,6 +145,11 @@ impl Condition {
             Ok(waiting) => self.known().waiting = waiting,
             Err(error) => tracing::warn!(%error, "which weighings wait cannot be read now"),
         }
+    }
+
+    /// Wait until nobody clears the bench and no ending is being written down; neither begins while this is held.
+    pub async fn alone(&self) -> OwnedMutexGuard<()> {
+        self.alone.clone().lock_owned().await
     }
 
     /// All of it, as others see it.
@@ -205,7 +214,7 @@ impl Condition {
     /// Stop what moves because the process ends: nobody has to resume. Whether something did.
     pub fn stop_moving(&self) -> bool {
         let known = self.known();
-        known.moving.iter().for_each(|moving| moving.stop.store(true, Ordering::SeqCst));
+        known.moving.iter().for_each(|moving| moving.stop.press());
         known.moving.is_some()
     }
 
@@ -221,18 +230,25 @@ impl Condition {
         self.known().stops
     }
 
-    /// A person lets doses begin again, and that is stored; not if a stop came since there were so many.
-    pub fn resume(&self, stops: u64) {
+    /// A person lets doses begin again, and that is stored. `false`: a stop came since there were so many, and holds.
+    pub fn resume(&self, stops: u64) -> bool {
         let mut known = self.known();
-        if known.stops == stops {
-            known.held = None;
-            self.flag.store(false, Ordering::SeqCst);
+        if known.stops != stops {
+            return false;
         }
+        known.held = None;
+        self.flag.store(false, Ordering::SeqCst);
+        true
     }
 
-    /// Somebody says that the vial of a weighing is in.
-    pub fn vial_is_in(&self, weighing: &str, vial: Option<String>) {
-        self.known().ready = Some((weighing.to_owned(), vial));
+    /// Somebody says that the vial of a weighing is in. `false`: a stop came since there were so many, and whoever stopped may have taken it away.
+    pub fn vial_is_in(&self, weighing: &str, vial: Option<String>, stops: u64) -> bool {
+        let mut known = self.known();
+        if known.stops != stops {
+            return false;
+        }
+        known.ready = Some((weighing.to_owned(), vial));
+        true
     }
 
     /// Whether somebody says so of this weighing.
@@ -247,7 +263,9 @@ impl Condition {
     }
 
     /// Begin with a weighing, unless something keeps the bench from it. From here on a stop finds it.
-    pub fn take_turn(&self, weighing: &Weighing, stop: &Arc<AtomicBool>, wants_vial: bool) -> bool {
+    pub fn take_turn(&self, weighing: &Weighing, stop: &Arc<StopSign>, wants_vial: bool) -> bool {
+        // Somebody clears the bench, and its arm may move: the lane is woken when he is done.
+        let Ok(_alone) = self.alone.try_lock() else { return false };
         let mut known = self.known();
         // A stop since the last look has made it void.
         if wants_vial && known.ready.as_ref().is_none_or(|(ready, _)| *ready != weighing.id) {

@@ -2,7 +2,7 @@
 
 use super::apparatus::{Poured, Pouring};
 use super::condition::{Condition, Unwritten};
-use super::lane::{Heard, LaneThread, audit_exchanges};
+use super::lane::{Heard, LaneThread};
 use crate::domain::bench::Tick;
 use crate::domain::vial::{Dosed, Pan, Vial, VialFlaw};
 use crate::domain::weighing::{MeasuredMass, Outcome, WeighingState};
@@ -48,6 +48,12 @@ impl Ended {
     /// Nothing moved.
     pub(super) fn not_begun(cause: String) -> Self {
         Self::bare(cause, Touched::Not)
+    }
+
+    /// Somebody stopped it before the bench was opened: nothing moved.
+    pub(super) fn stopped_before() -> Self {
+        let ending = Ending::bare(WeighingState::Aborted, Outcome::Stopped, "stopped before anything moved");
+        Self { ending, ticks: None, must_look: None, touched: Touched::Not }
     }
 
     /// Whoever poured failed in the middle of it.
@@ -170,6 +176,8 @@ impl LaneThread {
             bench: Some(self.apparatus.kind),
         });
         latch.iter().cloned().for_each(|latch| self.condition.latch(latch));
+        // Whoever clears the bench comes before this or after it, never between what is known here and what is stored.
+        let mut alone = Some(self.runtime.block_on(self.condition.alone()));
         self.condition.stands(pan.clone());
         let (mut pause, since) = (AGAIN, now());
         while let Err(error) = self.runtime.block_on(self.try_to_write(weighing, ended, latch.as_ref(), pan)) {
@@ -177,10 +185,12 @@ impl LaneThread {
             let unwritten = Unwritten { weighing: weighing.id.clone(), since, why: error.remedy() };
             self.condition.set_unwritten(Some(unwritten));
             self.latch_if_gone(weighing, &error);
+            drop(alone.take());
             if self.closes_within(pause) {
                 return self.write_at_last(weighing, ended, latch.as_ref(), pan);
             }
             pause = (2 * pause).min(AGAIN_MAX);
+            alone = Some(self.runtime.block_on(self.condition.alone()));
         }
         self.condition.set_unwritten(None);
     }
@@ -220,9 +230,9 @@ impl LaneThread {
         // Before the trace: its file would make a folder where the database is no more.
         self.store.is_in_place()?;
         let ending = self.with_trace(ended);
-        let rest = self.exchanges();
+        self.journal.hear(&weighing.id, (self.apparatus.exchanges)(), None);
+        self.journal.write_down(&self.store, &self.condition).await?;
         let mut tx = self.store.write().await?;
-        audit_exchanges(&mut tx, Some(&weighing.id), &rest).await?;
         tx.end_weighing(&weighing.id, &ending, now()).await?;
         if !self.apparatus.kind.exchanges_vials() {
             tx.set_pan(pan).await?;
@@ -230,9 +240,7 @@ impl LaneThread {
         if let Some(latch) = latch {
             tx.latch_bench(latch).await?;
         }
-        tx.commit().await?;
-        self.recorded(rest.len());
-        Ok(())
+        tx.commit().await
     }
 
     /// The ending with its ticks as a file; where there is no room for that, without.

@@ -3,20 +3,21 @@
 use super::apparatus::{Apparatus, Pouring};
 use super::condition::Condition;
 use super::ending::{Ended, record_interrupted};
+use super::journal::Journal;
+use super::sign::StopSign;
 use crate::domain::seed::derive;
 use crate::domain::vial::{Pan, VialFlaw};
 use crate::domain::weighing::{OnOverdose, Outcome, WeighingState};
-use crate::hardware::wire::{Direction, Exchange};
 use crate::jobs::worker::panic_message;
 use crate::store::audit::About;
 use crate::store::weighings::Weighing;
-use crate::store::{self, Store, Tx, now};
-use crate::weigh::{Event, Phase};
+use crate::store::{self, Store, now};
+use crate::weigh::Event;
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::runtime::Handle;
 
@@ -32,8 +33,8 @@ pub(super) struct LaneThread {
     pub condition: Condition,
     pub closing: Arc<AtomicBool>,
     pub runtime: Handle,
-    /// What passed over the wires and is not written down yet.
-    pub unrecorded: Mutex<Vec<Exchange>>,
+    /// What was heard of the dose and is not written down yet.
+    pub journal: Arc<Journal>,
 }
 
 /// What the lane heard of a pour beside its result.
@@ -69,7 +70,9 @@ impl LaneThread {
     async fn next(&self) -> store::Result<Option<Weighing>> {
         self.condition.refresh(&self.store).await;
         // Nothing moves here: what the database says is moving was left so by a write that failed after it had been made.
+        let alone = self.condition.alone().await;
         record_interrupted(&self.store, &self.condition).await?;
+        drop(alone);
         if !self.condition.is_free() {
             return Ok(None);
         }
@@ -95,7 +98,7 @@ impl LaneThread {
 
     /// Arm, pour, record. Nothing moves unless `armed` is committed. `false`: something keeps the bench from it.
     fn carry_out(&self, weighing: &Weighing) -> store::Result<bool> {
-        let stop = Arc::new(AtomicBool::new(false));
+        let stop = Arc::new(StopSign::default());
         if !self.condition.take_turn(weighing, &stop, self.is_confirmed(weighing)) {
             return Ok(false);
         }
@@ -132,7 +135,7 @@ impl LaneThread {
         })
     }
 
-    fn pour_and_record(&self, weighing: &Weighing, pan: &Pan, stop: &AtomicBool) {
+    fn pour_and_record(&self, weighing: &Weighing, pan: &Pan, stop: &StopSign) {
         let ended = match self.prepare(weighing, pan) {
             Ok(pouring) => self.pour_until_kept(pouring, weighing, pan, stop),
             Err(error) => Ended::not_begun(error.to_string()),
@@ -142,7 +145,7 @@ impl LaneThread {
     }
 
     /// Pour; while it is an overdose that may be thrown away, exchange the vial and pour again.
-    fn pour_until_kept(&self, mut pouring: Pouring, weighing: &Weighing, pan: &Pan, stop: &AtomicBool) -> Ended {
+    fn pour_until_kept(&self, mut pouring: Pouring, weighing: &Weighing, pan: &Pan, stop: &StopSign) -> Ended {
         let retries = match weighing.asked.on_overdose {
             OnOverdose::DiscardAndRetry { max } if self.apparatus.kind.exchanges_vials() => max,
             _ => 0,
@@ -151,7 +154,7 @@ impl LaneThread {
         loop {
             let mut ended = self.pour(&pouring, weighing, pan, stop);
             let again = ended.outcome() == Outcome::Over && discarded_mg.len() < retries as usize && ended.may_go_on();
-            if again && !stop.load(Ordering::SeqCst) && self.record_discarded(weighing, &ended).is_ok() {
+            if again && !stop.is_pressed() && self.record_discarded(weighing, &ended).is_ok() {
                 discarded_mg.extend(ended.reading_mg());
                 pouring.seed = derive(weighing.seed, &[RETRY, discarded_mg.len() as u64]);
                 continue;
@@ -171,10 +174,14 @@ impl LaneThread {
         })
     }
 
-    fn pour(&self, pouring: &Pouring, weighing: &Weighing, pan: &Pan, stop: &AtomicBool) -> Ended {
+    fn pour(&self, pouring: &Pouring, weighing: &Weighing, pan: &Pan, stop: &StopSign) -> Ended {
+        // Whoever stopped while it was prepared finds that nothing has moved.
+        if stop.is_pressed() {
+            return Ended::stopped_before();
+        }
         let mut heard = Heard::default();
-        let mut on_event = |event: &Event<'_>| self.hear(&mut heard, &weighing.id, event);
-        let poured = catch_unwind(AssertUnwindSafe(|| (self.apparatus.pour)(pouring, &mut on_event, stop)));
+        let mut on_event = |event: &Event<'_>| self.hear(&mut heard, &weighing.id, event, stop);
+        let poured = catch_unwind(AssertUnwindSafe(|| (self.apparatus.pour)(pouring, &mut on_event, stop.flag())));
         match poured {
             Ok(poured) => {
                 let refused = heard.flaw.map(|flaw| self.refused(weighing, pan, flaw));
@@ -187,86 +194,38 @@ impl LaneThread {
         }
     }
 
-    /// Write down what is about to happen; it may not happen where that fails.
-    fn hear(&self, heard: &mut Heard, id: &str, event: &Event<'_>) -> ControlFlow<()> {
+    /// Write down what is about to happen; it may not happen where that fails. After a stop nothing is about to happen but the way back, which waits for
+    /// no record; nor does it where the record has failed before.
+    fn hear(&self, heard: &mut Heard, id: &str, event: &Event<'_>, stop: &StopSign) -> ControlFlow<()> {
         heard.began = true;
         if let Event::Pan(flaw) = event {
             heard.flaw = Some(**flaw);
         }
-        match self.runtime.block_on(self.record(id, event)) {
-            Ok(()) => ControlFlow::Continue(()),
-            Err(error) => {
-                tracing::error!(weighing = id, %error, "what the bench does was not recorded: nothing may move");
-                heard.unrecorded.get_or_insert_with(|| unrecorded(&error));
-                ControlFlow::Break(())
-            }
+        self.journal.hear(id, (self.apparatus.exchanges)(), Some(event));
+        let (journal, store, condition) = (self.journal.clone(), self.store.clone(), self.condition.clone());
+        let writing = self.runtime.spawn(async move { journal.write_if_nobody_does(&store, &condition).await });
+        if stop.is_pressed() || heard.unrecorded.is_some() {
+            return ControlFlow::Break(());
         }
-    }
-
-    /// Commit what is about to happen, and what passed over the wires meanwhile.
-    async fn record(&self, id: &str, event: &Event<'_>) -> store::Result<()> {
-        let exchanges = self.exchanges();
-        let mut tx = self.store.write().await?;
-        audit_exchanges(&mut tx, Some(id), &exchanges).await?;
-        match event {
-            // Committed before the bench was opened.
-            Event::Phase(Phase::Armed) => {}
-            Event::Phase(Phase::Dosing) => tx.advance_weighing(id, WeighingState::Dosing, now()).await?,
-            Event::Phase(Phase::Settling) => tx.advance_weighing(id, WeighingState::Settling, now()).await?,
-            Event::Pan(flaw) => tx.audit(About { weighing: Some(id), kind: "decision" }, flaw, now()).await?,
-            Event::Decision(decision) => {
-                tx.audit(About { weighing: Some(id), kind: "decision" }, decision, now()).await?;
+        let written = self.runtime.block_on(async {
+            tokio::select! {
+                written = writing => Some(written),
+                () = stop.pressed() => None,
             }
-            Event::Tick(tick) => {
-                tx.insert_tick(id, tick).await?;
-                tx.audit(About { weighing: Some(id), kind: "reading" }, tick, now()).await?;
-            }
-        }
-        tx.commit().await?;
-        self.recorded(exchanges.len());
-        match event {
-            Event::Phase(Phase::Dosing) => self.condition.advance(WeighingState::Dosing),
-            Event::Phase(Phase::Settling) => self.condition.advance(WeighingState::Settling),
-            _ => {}
-        }
-        Ok(())
-    }
-
-    /// What passed over the wires and is not written down yet.
-    pub(super) fn exchanges(&self) -> Vec<Exchange> {
-        let mut unrecorded = self.unrecorded();
-        unrecorded.extend((self.apparatus.exchanges)());
-        unrecorded.clone()
-    }
-
-    /// The first so many are written down now.
-    pub(super) fn recorded(&self, count: usize) {
-        self.unrecorded().drain(..count);
-    }
-
-    fn unrecorded(&self) -> MutexGuard<'_, Vec<Exchange>> {
-        self.unrecorded.lock().unwrap_or_else(PoisonError::into_inner)
+        });
+        let failed = match written {
+            Some(Ok(Ok(()))) => return ControlFlow::Continue(()),
+            None => return ControlFlow::Break(()),
+            Some(Ok(Err(error))) => unrecorded(&error),
+            Some(Err(ended)) => format!("the record could not be written, so nothing may move: {ended}"),
+        };
+        tracing::error!(weighing = id, failed, "what the bench does was not recorded");
+        heard.unrecorded = Some(failed);
+        ControlFlow::Break(())
     }
 }
 
 /// Why nothing may move, and what to do about it.
 fn unrecorded(error: &store::Error) -> String {
     format!("the record could not be written, so nothing may move: {}", error.remedy())
-}
-
-/// Write down what passed over the wires.
-pub(in crate::jobs) async fn audit_exchanges(
-    tx: &mut Tx,
-    weighing: Option<&str>,
-    exchanges: &[Exchange],
-) -> store::Result<()> {
-    for exchange in exchanges {
-        let kind = match exchange.direction {
-            Direction::Sent => "sent",
-            Direction::Received => "received",
-        };
-        let said = serde_json::json!({ "device": exchange.device, "text": exchange.text });
-        tx.audit(About { weighing, kind }, &said, now()).await?;
-    }
-    Ok(())
 }

@@ -12,33 +12,34 @@
 //!
 //! A weighing waits for its vial only where the bench cannot exchange vials and nobody said that it need not.
 //!
-//! `lane.rs` is the thread and the record it keeps, `prepare.rs` what a dose needs, `ending.rs` how it ended and how that is written down whatever the
-//! database does; `condition.rs` is what is known of the bench in memory; `halter.rs` tells the arm of a stop, and `records.rs` writes stops down
-//! afterwards; `apparatus.rs` is what moves: the simulator, an emulated laboratory, or devices; `stand.rs` is where piles are made between weighings.
+//! `lane.rs` is the thread, `journal.rs` the record it keeps, `prepare.rs` what a dose needs, `ending.rs` how it ended and how that is written down
+//! whatever the database does; `condition.rs` is what is known of the bench in memory; `sign.rs` is the stop of one dose, `halter.rs` tells the arm of it,
+//! and `records.rs` writes stops down afterwards; `turns.rs` is what people ask of the bench beside doses; `apparatus.rs` is what moves: the simulator, an emulated laboratory, or devices; `stand.rs` is where piles are made between weighings.
 
 mod apparatus;
 mod condition;
 mod ending;
 mod halter;
+mod journal;
 mod lane;
 mod prepare;
 mod records;
+mod sign;
 mod stand;
+mod turns;
 
 pub use apparatus::{Apparatus, Pour, Poured, Pouring, devices, devices_by, emulated, simulated};
 pub use condition::{Standing, Unwritten};
-pub(super) use lane::audit_exchanges;
+pub(super) use journal::audit_exchanges;
 pub use stand::{Awaited, Inbox, PileStand, Piling, Unpiled};
+pub use turns::Change;
 
 use super::spoon::holds_mg;
 use crate::domain::bench::BenchKind;
 use crate::domain::bench_check::Repeatability;
 use crate::domain::parameters::ParameterSet;
 use crate::domain::weighing::{Outcome, WeighingState};
-use crate::hardware::DeviceError;
 use crate::sim::balance;
-use crate::store::holds::Held;
-use crate::store::pan::Reservation;
 use crate::store::weighings::{Ending, Weighing};
 use crate::store::{self, Store, now};
 use condition::{Condition, Halted};
@@ -63,6 +64,8 @@ pub struct Bench {
     condition: Condition,
     records: Arc<Records>,
     halter: Halter,
+    /// One at a time reserves the bench or gives it back, so that what is known follows what is stored.
+    reserving: tokio::sync::Mutex<()>,
     closing: Arc<AtomicBool>,
     lane: Mutex<Option<Lane>>,
 }
@@ -82,7 +85,8 @@ impl Bench {
         records.keep_writing(&store);
         let halter = Halter::start(apparatus.halt.clone())
             .map_err(|source| store::Error::File { path: "the thread for stops".into(), source })?;
-        Ok(Self { store, apparatus, condition, records, halter, closing: Arc::default(), lane: Mutex::default() })
+        let (reserving, closing, lane) = Default::default();
+        Ok(Self { store, apparatus, condition, records, halter, reserving, closing, lane })
     }
 
     /// What the spoon on this bench holds, whichever of these sets is the powder, mg; `None` without sets.
@@ -105,7 +109,7 @@ impl Bench {
             condition: self.condition.clone(),
             closing: self.closing.clone(),
             runtime: Handle::current(),
-            unrecorded: Mutex::default(),
+            journal: Arc::default(),
         };
         let thread = std::thread::Builder::new().name("bench".into()).spawn(move || lane.work(&woken));
         let thread = thread.map_err(|source| store::Error::File { path: "the bench's thread".into(), source })?;
@@ -174,93 +178,6 @@ impl Bench {
         self.records.push(halted);
     }
 
-    /// Let doses begin again; the record says who did. `false`: the bench was not held.
-    ///
-    /// # Errors
-    /// [`store::Error`]: it is held as before.
-    pub async fn resume(&self, by: &str, note: &str) -> store::Result<bool> {
-        let stops = self.condition.stops();
-        self.records.write_down(&self.store).await?;
-        let mut tx = self.store.write().await?;
-        if !tx.resume_bench(by, note, now()).await? {
-            return Ok(false);
-        }
-        tx.commit().await?;
-        self.condition.resume(stops);
-        self.wake();
-        Ok(true)
-    }
-
-    /// A person has looked: what was latched is free. If weighings wait, the bench is held unless they are to begin.
-    ///
-    /// # Errors
-    /// [`store::Error`]: it is latched as before.
-    pub async fn clear(&self, by: &str, note: &str, resume: bool) -> store::Result<()> {
-        let stops = self.condition.stops();
-        self.records.write_down(&self.store).await?;
-        let pan = self.condition.pan().emptied();
-        let mut tx = self.store.write().await?;
-        tx.clear_latch(by, note, now()).await?;
-        if !self.kind().exchanges_vials() {
-            tx.set_pan(&pan).await?;
-        }
-        let waits = !resume && tx.planned_weighings().await? > 0;
-        let reason = "the latch was cleared while weighings waited".to_owned();
-        let held = Held { at: now(), reason, by: Some(by.to_owned()) };
-        match waits {
-            true => tx.hold_bench(&held).await?,
-            false => drop(tx.resume_bench(by, note, now()).await?),
-        }
-        tx.commit().await?;
-        // First the hold, so that nothing begins between the two.
-        match waits {
-            true => self.condition.hold(held),
-            false => self.condition.resume(stops),
-        }
-        self.condition.cleared();
-        self.wake();
-        Ok(())
-    }
-
-    /// Somebody says that the vial of the weighing whose turn it is is in.
-    ///
-    /// # Errors
-    /// [`store::Error`]
-    pub async fn vial_is_in(&self, weighing: &Weighing, by: Option<&str>, vial: Option<String>) -> store::Result<()> {
-        let mut tx = self.store.write().await?;
-        tx.vial_is_in(&weighing.id, by, vial.as_deref(), now()).await?;
-        tx.commit().await?;
-        self.condition.vial_is_in(&weighing.id, vial);
-        self.wake();
-        Ok(())
-    }
-
-    /// Somebody has the bench for himself, or nobody any more.
-    ///
-    /// # Errors
-    /// [`store::Error`]
-    pub async fn reserve(&self, reservation: &Reservation) -> store::Result<()> {
-        let mut tx = self.store.write().await?;
-        tx.reserve_bench(reservation, now()).await?;
-        tx.commit().await?;
-        self.condition.set_reservation(Some(reservation.clone()));
-        Ok(())
-    }
-
-    /// Whoever has the bench gives it back. `false`: it is not his.
-    ///
-    /// # Errors
-    /// [`store::Error`]
-    pub async fn release(&self, id: &str) -> store::Result<bool> {
-        let mut tx = self.store.write().await?;
-        let released = tx.release_bench(id, now()).await?;
-        tx.commit().await?;
-        if released {
-            self.condition.set_reservation(None);
-        }
-        Ok(released)
-    }
-
     /// A new check of how well the balance repeats is stored.
     pub fn repeats(&self, found: Repeatability) {
         self.condition.set_repeatability(found);
@@ -272,28 +189,8 @@ impl Bench {
         self.wake();
     }
 
-    /// Why the arm is latched, if it is.
-    ///
-    /// # Errors
-    /// The arm cannot be reached.
-    pub async fn arm_latch(&self) -> Result<Option<String>, DeviceError> {
-        let arm_latch = self.apparatus.arm_latch.clone();
-        let asked = tokio::task::spawn_blocking(move || arm_latch()).await;
-        asked.unwrap_or_else(|error| Err(DeviceError::Faulted { device: "the arm", cause: error.to_string() }))
-    }
-
-    /// A person has looked: a latched arm may move again. Nothing is written down here.
-    ///
-    /// # Errors
-    /// The arm cannot be reached, or what latched it lasts.
-    pub async fn recover(&self, person: &str) -> Result<(), DeviceError> {
-        let (recover, person) = (self.apparatus.recover.clone(), person.to_owned());
-        let recovered = tokio::task::spawn_blocking(move || recover(&person)).await;
-        recovered.unwrap_or_else(|error| Err(DeviceError::Faulted { device: "the arm", cause: error.to_string() }))
-    }
-
     /// The lane has something to look at.
-    fn wake(&self) {
+    pub fn wake(&self) {
         if let Some(lane) = &*self.lane() {
             // Full means that it is about to look anyway.
             let _ = lane.wake.try_send(());
@@ -346,3 +243,6 @@ impl Drop for Bench {
         self.records.abandon();
     }
 }
+
+#[cfg(test)]
+mod locked_tests;

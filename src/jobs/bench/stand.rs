@@ -124,12 +124,13 @@ fn made(
 ) -> Result<(), Unpiled> {
     let mut stand = Stand::open(file, clock, tap)?;
     wires.opened(stand.devices(), stand.stopper()?);
-    let poured = stand.pour(piling.procedure, &mut |what| match wires.was_halted() {
+    let is_stopped = || wires.was_halted() || wires.is_held();
+    let poured = stand.pour(piling.procedure, &mut |what| match is_stopped() {
         true => ControlFlow::Break(()),
         false => go_on(what),
     });
     wires.closed();
-    match (poured, wires.was_halted()) {
+    match (poured, is_stopped()) {
         (Ok(true), _) => Ok(()),
         (_, true) => Err(Unpiled::Failed("stopped at the bench: the gate is closed".to_owned())),
         (Ok(false), false) => Err(Unpiled::Stopped),
@@ -225,7 +226,39 @@ impl Waiting {
 
 #[cfg(test)]
 mod tests {
+    use super::super::apparatus::Pour;
     use super::*;
+    use crate::domain::bench::BenchKind;
+    use std::sync::atomic::Ordering;
+
+    #[test]
+    fn a_pile_that_waited_for_its_turn_while_stop_was_pressed_is_not_made() {
+        let clock = Clock::standing();
+        let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
+        let laboratory = Laboratory::start(lab::Settings::default(), clock, spoon).unwrap();
+        let wires = Wires::default();
+        let stand = devices(laboratory.file(), wires.clone());
+        let pour: Pour = Arc::new(|_, _, _| unreachable!("nothing pours here"));
+        let bench = wires.clone().apparatus(BenchKind::Devices, pour, Arc::new(|_| Ok(())), None);
+        let floor = wires.floor();
+        let making = std::thread::spawn(move || {
+            let procedure = Procedure::default();
+            let piling = Piling { job: "m", number: 1, procedure: &procedure, cone_deg: None, seed: 1 };
+            let mut told = 0;
+            let made = (stand.heap)(&piling, &mut |_| {
+                told += 1;
+                ControlFlow::Break(())
+            });
+            (made, told)
+        });
+        // As a stop does.
+        bench.held.store(true, Ordering::SeqCst);
+        (bench.halt)();
+        drop(floor);
+        let (made, told) = making.join().unwrap();
+        assert!(matches!(&made, Err(Unpiled::Failed(why)) if why.starts_with("stopped at the bench")), "{made:?}");
+        assert_eq!((told, laboratory.slide.opening()), (0, 0.0));
+    }
 
     fn frame(k: u8) -> Upload {
         Upload { depth: vec![k], colour: vec![], description: vec![] }

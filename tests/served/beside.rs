@@ -1,51 +1,15 @@
 //! Commands beside a running `flip serve`, each in a process of its own: tokens, backups, and starts that are refused.
 
+use crate::harness::Service;
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output};
 
-struct Service {
-    process: Child,
-    url: String,
-    token: Option<String>,
-    client: reqwest::Client,
-}
-
-impl Service {
-    fn start(folder: &Path) -> Self {
-        let mut process = Command::new(env!("CARGO_BIN_EXE_flip"))
-            .args(["serve", "--json", "--listen", "127.0.0.1:0", "--data-dir"])
-            .arg(folder)
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
-        let stdout = process.stdout.take().unwrap();
-        let said = serde_json::Deserializer::from_reader(stdout).into_iter::<Value>().next();
-        let said = said.expect("the service says where it listens").unwrap();
-        let url = said["url"].as_str().unwrap().to_owned();
-        let token = said["token"].as_str().map(str::to_owned);
-        Self { process, url, token, client: reqwest::Client::new() }
-    }
-
-    async fn add_powder(&self, token: &str, id: &str) -> u16 {
-        let new = json!({ "id": id, "name": id });
-        let request = self.client.post(format!("{}/v1/powders", self.url)).bearer_auth(token).json(&new);
-        request.send().await.unwrap().status().as_u16()
-    }
-
-    fn kill(&mut self) {
-        self.process.kill().unwrap();
-        self.process.wait().unwrap();
-    }
-}
-
-impl Drop for Service {
-    fn drop(&mut self) {
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
+async fn add_powder(service: &Service, token: &str, id: &str) -> u16 {
+    let new = json!({ "id": id, "name": id });
+    let request = service.client.post(format!("{}/v1/powders", service.url)).bearer_auth(token).json(&new);
+    request.send().await.unwrap().status().as_u16()
 }
 
 fn flip(data_dir: &Path, arguments: &[&str]) -> Output {
@@ -82,14 +46,14 @@ async fn tokens_are_made_listed_and_revoked_while_the_service_runs() {
         &["token", "create", "--role", "operator", "--name", "robot", "--may-clear", "--expires-in", "1h", "--json"],
     ));
     let secret = made["token"].as_str().unwrap();
-    assert_eq!(service.add_powder(secret, "flour").await, 201);
+    assert_eq!(add_powder(&service, secret, "flour").await, 201);
     let list = document(&flip(folder.path(), &["token", "list", "--json"]));
     let text = list.to_string();
     assert!(text.contains("robot") && text.contains("first start") && !text.contains(secret), "{text}");
     assert_eq!(list["items"][1]["role"], "admin", "who starts the service first makes the others");
     let id = made["id"].as_str().unwrap();
     document(&flip(folder.path(), &["token", "revoke", id, "--json"]));
-    while service.add_powder(secret, "rye").await != 401 {
+    while add_powder(&service, secret, "rye").await != 401 {
         tokio::task::yield_now().await;
     }
     let verified = document(&flip(folder.path(), &["audit", "verify", "--json"]));
@@ -101,10 +65,10 @@ async fn tokens_are_made_listed_and_revoked_while_the_service_runs() {
 async fn a_backup_while_serving_holds_what_was_committed_and_is_restored_after_a_kill() {
     let folder = tempfile::tempdir().unwrap();
     let (data, kept, back) = (folder.path().join("data"), folder.path().join("kept"), folder.path().join("back"));
-    let mut service = Service::start(&data);
+    let service = Service::start(&data);
     let token = service.token.clone().unwrap();
     for k in 0..20 {
-        assert_eq!(service.add_powder(&token, &format!("powder_{k}")).await, 201);
+        assert_eq!(add_powder(&service, &token, &format!("powder_{k}")).await, 201);
     }
     let kept_name = kept.to_str().unwrap();
     let made = document(&flip(&data, &["backup", kept_name, "--json"]));
@@ -120,10 +84,12 @@ async fn a_backup_while_serving_holds_what_was_committed_and_is_restored_after_a
     assert_eq!(flip(&back, &["restore", kept_name]).status.code(), Some(2), "nor here");
     let hash = made["last_hash"].as_str().unwrap();
     assert_eq!(document(&flip(&back, &["audit", "verify", "--hash", hash, "--json"]))["holds_hash"], true);
-    let mut service = Service::start(&back);
+    let service = Service::start(&back);
     assert_eq!(service.token, None, "its tokens are those of before");
+    let why = service.get("/v1/bench").await["held"]["reason"].as_str().unwrap().to_owned();
+    assert!(why.starts_with("restored from a backup of "), "its bench waits for a person: {why}");
     for k in 0..20 {
-        assert_eq!(service.add_powder(&token, &format!("powder_{k}")).await, 409, "powder_{k} is there");
+        assert_eq!(add_powder(&service, &token, &format!("powder_{k}")).await, 409, "powder_{k} is there");
     }
     service.kill();
 }

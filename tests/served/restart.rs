@@ -1,9 +1,9 @@
 //! `flip serve` is killed, again and again, in the middle of its work. Nothing is lost, and nothing is done twice.
 
+use crate::harness::Service;
 use serde_json::{Value, json};
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
@@ -12,43 +12,7 @@ const KILLS: u64 = 5;
 /// Longest wait for anything.
 const PATIENCE: Duration = Duration::from_secs(240);
 
-/// A service in a process of its own.
-struct Service {
-    process: Child,
-    url: String,
-    client: reqwest::Client,
-}
-
 impl Service {
-    /// Start it on a data folder, and its operator's token if this is the first start.
-    fn start(folder: &Path) -> (Self, Option<String>) {
-        let mut process = Command::new(env!("CARGO_BIN_EXE_flip"))
-            .args(["serve", "--json", "--listen", "127.0.0.1:0", "--data-dir"])
-            .arg(folder)
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
-        let stdout = process.stdout.take().unwrap();
-        let said = serde_json::Deserializer::from_reader(stdout).into_iter::<Value>().next();
-        let said = said.expect("the service says where it listens").unwrap();
-        let url = said["url"].as_str().unwrap().to_owned();
-        let token = said["token"].as_str().map(str::to_owned);
-        (Self { process, url, client: reqwest::Client::new() }, token)
-    }
-
-    /// SIGKILL: no destructor, no last word.
-    fn kill(mut self) {
-        self.process.kill().unwrap();
-        self.process.wait().unwrap();
-    }
-
-    async fn get(&self, path: &str) -> Value {
-        let response = self.client.get(format!("{}{path}", self.url)).send().await.unwrap();
-        assert!(response.status().is_success(), "{path}: {}", response.status());
-        response.json().await.unwrap()
-    }
-
     async fn post(&self, path: &str, token: &str, body: &Value) -> Value {
         let request = self.client.post(format!("{}{path}", self.url)).bearer_auth(token).json(body);
         let response = request.send().await.unwrap();
@@ -97,7 +61,7 @@ async fn torment(mut service: Service, folder: &Path, job: &str, series: &str) -
         let moment = flip::domain::seed::derive(2026, &[kill]) % 1200;
         tokio::time::sleep(Duration::from_millis(moment)).await;
         service.kill();
-        service = Service::start(folder).0;
+        service = Service::start(folder);
     }
     service
 }
@@ -109,8 +73,8 @@ fn is_whole(series: &[Value]) -> bool {
 #[tokio::test(flavor = "multi_thread")]
 async fn ten_kills_during_a_calibration_and_a_training_lose_nothing_and_repeat_nothing() {
     let folder = TempDir::new().unwrap();
-    let (service, token) = Service::start(folder.path());
-    let token = token.expect("the first start prints a token");
+    let service = Service::start(folder.path());
+    let token = service.token.clone().expect("the first start prints a token");
 
     let request = json!({"powder": "sand", "method": "sequential", "sets": 2, "seed": 3});
     let calibration = service.post("/v1/calibrations", &token, &request).await["id"].as_str().unwrap().to_owned();
@@ -164,7 +128,7 @@ async fn interrupted_weighing(service: Service, folder: &Path, token: &str) -> S
         tokio::time::sleep(Duration::from_millis(2)).await;
     }
     service.kill();
-    let service = Service::start(folder).0;
+    let service = Service::start(folder);
     assert_eq!(state(&service, &moving).await, "unknown");
     assert_eq!(service.weigh(token, "moving", &body).await, moving, "its key does not pour again");
     while ["planned", "armed", "dosing", "settling"].contains(&state(&service, &waiting).await.as_str()) {
@@ -192,8 +156,8 @@ async fn check_database(folder: &Path) {
 #[tokio::test(flavor = "multi_thread")]
 async fn killed_while_it_builds_an_emulator_the_service_goes_on_with_the_heaps_it_has() {
     let folder = TempDir::new().unwrap();
-    let (mut service, token) = Service::start(folder.path());
-    let token = token.expect("the first start prints a token");
+    let mut service = Service::start(folder.path());
+    let token = service.token.clone().expect("the first start prints a token");
     // Small heaps are quick; a wide tolerance is met at once.
     let request = json!({
         "repose_deg": 35.0, "particles": 300, "sets": 2, "verify_repeats": 2, "readings": 2, "tolerance_deg": 5.0
@@ -202,7 +166,7 @@ async fn killed_while_it_builds_an_emulator_the_service_goes_on_with_the_heaps_i
     for kill in 0..3u64 {
         tokio::time::sleep(Duration::from_millis(2500 + flip::domain::seed::derive(7, &[kill]) % 1000)).await;
         service.kill();
-        service = Service::start(folder.path()).0;
+        service = Service::start(folder.path());
     }
     let job = service.ended(&calibration).await;
     assert_eq!(job["state"], "succeeded", "{job}");

@@ -1,0 +1,151 @@
+//! What the lane hears of a dose, kept in memory in its order until it is written down.
+//!
+//! A motion that may let powder fall waits until what it follows is committed. The way back waits for nothing: after a stop the spoon is levelled at once,
+//! and what was heard is written when the database lets it, at the latest before the dose's end.
+
+use super::condition::Condition;
+use crate::domain::bench::Tick;
+use crate::domain::timestamp::Timestamp;
+use crate::domain::vial::VialFlaw;
+use crate::domain::weighing::WeighingState;
+use crate::hardware::wire::{Direction, Exchange};
+use crate::store::audit::About;
+use crate::store::{self, Store, Tx, now};
+use crate::weigh::{Decision, Event, Phase};
+use std::collections::VecDeque;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Entries written in one transaction.
+const BATCH: usize = 100;
+
+/// What is to be written down, in order.
+#[derive(Default)]
+pub(super) struct Journal {
+    pending: Mutex<VecDeque<Entry>>,
+    /// One writes at a time.
+    writing: tokio::sync::Mutex<()>,
+}
+
+/// One thing that was heard, with what had passed over the wires until then.
+#[derive(Clone)]
+struct Entry {
+    weighing: String,
+    at: Timestamp,
+    exchanges: Vec<Exchange>,
+    said: Option<Said>,
+}
+
+#[derive(Clone)]
+enum Said {
+    State(WeighingState),
+    Pan(VialFlaw),
+    Decision(Decision),
+    Tick(Tick),
+}
+
+impl Said {
+    fn of(event: &Event<'_>) -> Option<Self> {
+        Some(match event {
+            // Committed before the bench was opened.
+            Event::Phase(Phase::Armed) => return None,
+            Event::Phase(Phase::Dosing) => Self::State(WeighingState::Dosing),
+            Event::Phase(Phase::Settling) => Self::State(WeighingState::Settling),
+            Event::Pan(flaw) => Self::Pan(**flaw),
+            Event::Decision(decision) => Self::Decision((*decision).clone()),
+            Event::Tick(tick) => Self::Tick(**tick),
+        })
+    }
+}
+
+impl Journal {
+    /// This was heard, and this passed over the wires before it.
+    pub fn hear(&self, weighing: &str, exchanges: Vec<Exchange>, event: Option<&Event<'_>>) {
+        let said = event.and_then(Said::of);
+        if said.is_some() || !exchanges.is_empty() {
+            let entry = Entry { weighing: weighing.to_owned(), at: now(), exchanges, said };
+            self.pending().push_back(entry);
+        }
+    }
+
+    /// Write down all that waits, after whoever writes now.
+    ///
+    /// # Errors
+    /// [`store::Error`]: what was not written still waits.
+    pub async fn write_down(&self, store: &Store, condition: &Condition) -> store::Result<()> {
+        let _one = self.writing.lock().await;
+        self.write(store, condition).await
+    }
+
+    /// The same, unless somebody writes now: he finds what came meanwhile, or whoever writes after him does.
+    ///
+    /// # Errors
+    /// As [`Self::write_down`].
+    pub async fn write_if_nobody_does(&self, store: &Store, condition: &Condition) -> store::Result<()> {
+        match self.writing.try_lock() {
+            Ok(_one) => self.write(store, condition).await,
+            Err(_) => Ok(()),
+        }
+    }
+
+    async fn write(&self, store: &Store, condition: &Condition) -> store::Result<()> {
+        loop {
+            let some: Vec<Entry> = self.pending().iter().take(BATCH).cloned().collect();
+            if some.is_empty() {
+                return Ok(());
+            }
+            let mut tx = store.write().await?;
+            for entry in &some {
+                entry.write(&mut tx).await?;
+            }
+            tx.commit().await?;
+            self.pending().drain(..some.len());
+            some.iter().for_each(|entry| entry.tell(condition));
+        }
+    }
+
+    fn pending(&self) -> MutexGuard<'_, VecDeque<Entry>> {
+        self.pending.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Entry {
+    async fn write(&self, tx: &mut Tx) -> store::Result<()> {
+        let (id, at) = (&*self.weighing, self.at);
+        audit_exchanges(tx, Some(id), &self.exchanges, at).await?;
+        let decision = About { weighing: Some(id), kind: "decision" };
+        match &self.said {
+            None => Ok(()),
+            Some(Said::State(state)) => tx.advance_weighing(id, *state, at).await,
+            Some(Said::Pan(flaw)) => tx.audit(decision, flaw, at).await,
+            Some(Said::Decision(made)) => tx.audit(decision, made, at).await,
+            Some(Said::Tick(tick)) => {
+                tx.insert_tick(id, tick).await?;
+                tx.audit(About { weighing: Some(id), kind: "reading" }, tick, at).await
+            }
+        }
+    }
+
+    fn tell(&self, condition: &Condition) {
+        if let Some(Said::State(state)) = &self.said {
+            condition.advance(*state);
+        }
+    }
+}
+
+/// Write down what passed over the wires.
+pub(in crate::jobs) async fn audit_exchanges(
+    tx: &mut Tx,
+    weighing: Option<&str>,
+    exchanges: &[Exchange],
+    at: Timestamp,
+) -> store::Result<()> {
+    for exchange in exchanges {
+        let kind = match exchange.direction {
+            Direction::Sent => "sent",
+            Direction::Received => "received",
+        };
+        let said = serde_json::json!({ "device": exchange.device, "text": exchange.text });
+        tx.audit(About { weighing, kind }, &said, at).await?;
+    }
+    Ok(())
+}

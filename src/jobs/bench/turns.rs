@@ -1,0 +1,192 @@
+//! What people ask of the bench beside doses: to resume, to clear, to have it for oneself; and that a vial is in.
+//!
+//! Each may wait for the database, and a stop that comes meanwhile wins: whoever asks says how many stops there were when he did.
+
+use super::Bench;
+use crate::domain::timestamp::Timestamp;
+use crate::hardware::DeviceError;
+use crate::store::bench::Latch;
+use crate::store::holds::Held;
+use crate::store::pan::{Refused, Reservation};
+use crate::store::weighings::Weighing;
+use crate::store::{self, new_id, now};
+use tokio::sync::OwnedMutexGuard;
+
+/// What became of what somebody asked of the bench.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Change {
+    /// It is so now.
+    Made,
+    /// It was so, or can no longer be.
+    Nothing,
+    /// The bench was stopped after it was asked.
+    Void,
+}
+
+impl Bench {
+    /// How often it was stopped so far: whoever asks for something that a stop makes void takes this along from the beginning.
+    pub fn stops(&self) -> u64 {
+        self.condition.stops()
+    }
+
+    /// Let doses begin again, if nobody has stopped since there were so many stops; the record says who did.
+    ///
+    /// # Errors
+    /// [`store::Error`]: it is held as before.
+    pub async fn resume(&self, by: &str, note: &str, stops: u64) -> store::Result<Change> {
+        self.records.write_down(&self.store).await?;
+        let mut tx = self.store.write().await?;
+        // A stop from here on is written down after this transaction.
+        if self.stops() != stops {
+            return Ok(Change::Void);
+        }
+        if !tx.resume_bench(by, note, now()).await? {
+            return Ok(Change::Nothing);
+        }
+        tx.commit().await?;
+        let resumed = self.condition.resume(stops);
+        self.wake();
+        Ok(if resumed { Change::Made } else { Change::Void })
+    }
+
+    /// Wait for one's turn to clear the bench: no dose begins or ends, and nobody else clears, while this is held. Wake the lane afterwards.
+    pub async fn alone(&self) -> OwnedMutexGuard<()> {
+        self.condition.alone().await
+    }
+
+    /// Why it may not be used, also where the store alone knows.
+    ///
+    /// # Errors
+    /// [`store::Error`]
+    pub async fn latch(&self) -> store::Result<Option<Latch>> {
+        if let Some(latch) = self.standing().latch {
+            return Ok(Some(latch));
+        }
+        let stored = self.store.latch().await?;
+        stored.iter().for_each(|latch| self.condition.latch(latch.clone()));
+        Ok(stored)
+    }
+
+    /// A person has looked: what was latched is free, if nobody has stopped since there were so many stops. The hold of a stop stays unless weighings are to
+    /// begin; if some wait, the bench is held.
+    ///
+    /// # Errors
+    /// [`store::Error`]: it is latched as before.
+    pub async fn clear(&self, by: &str, note: &str, resume: bool, stops: u64) -> store::Result<Change> {
+        self.records.write_down(&self.store).await?;
+        let pan = self.condition.pan().emptied();
+        let mut tx = self.store.write().await?;
+        if self.stops() != stops {
+            return Ok(Change::Void);
+        }
+        tx.clear_latch(by, note, now()).await?;
+        if !self.kind().exchanges_vials() {
+            tx.set_pan(&pan).await?;
+        }
+        let waits = !resume && tx.planned_weighings().await? > 0;
+        let held = waits.then(|| cleared_while_weighings_waited(by));
+        if let Some(held) = &held {
+            tx.hold_bench(held).await?;
+        }
+        if resume {
+            tx.resume_bench(by, note, now()).await?;
+        }
+        tx.commit().await?;
+        // First the hold, so that nothing begins between the two.
+        held.into_iter().for_each(|held| self.condition.hold(held));
+        if resume {
+            self.condition.resume(stops);
+        }
+        self.condition.cleared();
+        Ok(Change::Made)
+    }
+
+    /// Somebody says that the vial of the weighing whose turn it is is in, if nobody has stopped since there were so many stops.
+    ///
+    /// # Errors
+    /// [`store::Error`]
+    pub async fn vial_is_in(
+        &self,
+        weighing: &Weighing,
+        by: Option<&str>,
+        vial: Option<String>,
+        stops: u64,
+    ) -> store::Result<Change> {
+        let mut tx = self.store.write().await?;
+        if self.stops() != stops {
+            return Ok(Change::Void);
+        }
+        if !tx.awaits_vial(&weighing.id).await? {
+            return Ok(Change::Nothing);
+        }
+        tx.vial_is_in(&weighing.id, by, vial.as_deref(), now()).await?;
+        tx.commit().await?;
+        let said = self.condition.vial_is_in(&weighing.id, vial, stops);
+        self.wake();
+        Ok(if said { Change::Made } else { Change::Void })
+    }
+
+    /// Somebody has the bench for himself until then: whoever had it under this id, or somebody new if nothing waits.
+    ///
+    /// # Errors
+    /// [`store::Error`]
+    pub async fn reserve(
+        &self,
+        id: Option<&str>,
+        owner: &str,
+        seconds: u32,
+    ) -> store::Result<Result<Reservation, Refused>> {
+        let _one = self.reserving.lock().await;
+        let mut tx = self.store.write().await?;
+        if let Some(refused) = tx.may_reserve(id, now()).await? {
+            return Ok(Err(refused));
+        }
+        let id = id.map_or_else(|| format!("rs-{}", new_id()), str::to_owned);
+        let until = Timestamp::from_unix_ms(now().unix_ms() + 1000 * i64::from(seconds));
+        let reservation = Reservation { id, owner: owner.to_owned(), until };
+        tx.reserve_bench(&reservation, now()).await?;
+        tx.commit().await?;
+        self.condition.set_reservation(Some(reservation.clone()));
+        Ok(Ok(reservation))
+    }
+
+    /// Whoever has the bench gives it back. `false`: it is not his.
+    ///
+    /// # Errors
+    /// [`store::Error`]
+    pub async fn release(&self, id: &str) -> store::Result<bool> {
+        let _one = self.reserving.lock().await;
+        let mut tx = self.store.write().await?;
+        let released = tx.release_bench(id, now()).await?;
+        tx.commit().await?;
+        if released {
+            self.condition.set_reservation(None);
+        }
+        Ok(released)
+    }
+
+    /// Why the arm is latched, if it is.
+    ///
+    /// # Errors
+    /// The arm cannot be reached.
+    pub async fn arm_latch(&self) -> Result<Option<String>, DeviceError> {
+        let arm_latch = self.apparatus.arm_latch.clone();
+        let asked = tokio::task::spawn_blocking(move || arm_latch()).await;
+        asked.unwrap_or_else(|error| Err(DeviceError::Faulted { device: "the arm", cause: error.to_string() }))
+    }
+
+    /// A person has looked: a latched arm may move again. Nothing is written down here. A stop ends it where the arm hears of stops.
+    ///
+    /// # Errors
+    /// The arm cannot be reached, what latched it lasts, or it was stopped on its way.
+    pub async fn recover(&self, person: &str) -> Result<(), DeviceError> {
+        let (recover, person) = (self.apparatus.recover.clone(), person.to_owned());
+        let recovered = tokio::task::spawn_blocking(move || recover(&person)).await;
+        recovered.unwrap_or_else(|error| Err(DeviceError::Faulted { device: "the arm", cause: error.to_string() }))
+    }
+}
+
+fn cleared_while_weighings_waited(by: &str) -> Held {
+    let reason = "the latch was cleared while weighings waited".to_owned();
+    Held { at: now(), reason, by: Some(by.to_owned()) }
+}

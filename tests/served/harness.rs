@@ -1,0 +1,51 @@
+//! A service in a process of its own.
+
+use serde_json::Value;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+/// A service in a process of its own, killed when it is dropped.
+pub struct Service {
+    process: Child,
+    pub url: String,
+    /// The token that a first start prints.
+    pub token: Option<String>,
+    pub client: reqwest::Client,
+}
+
+impl Service {
+    /// Start it on a data folder, and wait until it listens.
+    pub fn start(folder: &Path) -> Self {
+        let mut process = Command::new(env!("CARGO_BIN_EXE_flip"))
+            .args(["serve", "--json", "--listen", "127.0.0.1:0", "--data-dir"])
+            .arg(folder)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let stdout = process.stdout.take().unwrap();
+        let said = serde_json::Deserializer::from_reader(stdout).into_iter::<Value>().next();
+        let said = said.expect("the service says where it listens").unwrap();
+        let url = said["url"].as_str().unwrap().to_owned();
+        let token = said["token"].as_str().map(str::to_owned);
+        Self { process, url, token, client: reqwest::Client::new() }
+    }
+
+    /// SIGKILL: no destructor, no last word.
+    pub fn kill(self) {
+        drop(self);
+    }
+
+    pub async fn get(&self, path: &str) -> Value {
+        let response = self.client.get(format!("{}{path}", self.url)).send().await.unwrap();
+        assert!(response.status().is_success(), "{path}: {}", response.status());
+        response.json().await.unwrap()
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
