@@ -1,0 +1,145 @@
+//! Rows from before each had a record of its own: the first start that compares rows with the record writes those that it finds into it, once.
+//!
+//! From then on a row without a record is one that was slipped in.
+
+use super::audit::{About, OutcomeRecord, Written};
+use super::page::LONG_BATCH;
+use super::row::Columns;
+use super::said::{Row, Said, every_row};
+use super::weighings::weighing_row;
+use super::{Result, Store, Tx, now};
+use serde::{Deserialize, Serialize};
+use sqlx::sqlite::SqliteConnection;
+
+/// Kind of the record that ends the stock-taking.
+const STOCK: &str = "stock";
+/// Kind of records that hold rows.
+const ROWS: &str = "rows";
+/// Most rows in a record.
+const ROWS_MAX: usize = 200;
+
+/// What a record of kind `rows` holds.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub(super) struct Rows {
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub weighings: Vec<OutcomeRecord>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rows: Vec<Row>,
+}
+
+/// Since when each row has a record, as far as the database and its record say it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Stock {
+    /// Nobody has looked: a database from before, opened to read.
+    NotTaken,
+    Taken,
+    /// It was taken, and its record is gone.
+    Gone,
+}
+
+impl Store {
+    /// Write rows that no record knows into the record, the first time.
+    pub(super) async fn take_stock(&self) -> Result<()> {
+        let mut tx = self.write().await?;
+        let marked: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM stock)").fetch_one(&mut *tx.inner).await?;
+        if marked {
+            return Ok(());
+        }
+        if !is_recorded(&mut tx.inner).await? {
+            tx.record_stock().await?;
+        }
+        sqlx::query("INSERT INTO stock (one, at) VALUES (1, ?1)").bind(now().unix_ms()).execute(&mut *tx.inner).await?;
+        tx.commit().await
+    }
+}
+
+impl Tx {
+    async fn record_stock(&mut self) -> Result<()> {
+        let mut said = Said::default();
+        let mut after = 0;
+        loop {
+            let sql = "SELECT * FROM audit WHERE seq > ?1 ORDER BY seq LIMIT ?2";
+            let rows = sqlx::query(sql).bind(after).bind(LONG_BATCH).fetch_all(&mut *self.inner).await?;
+            let Some(last) = rows.last() else { break };
+            after = last.plain("seq")?;
+            rows.iter().try_for_each(|row| Written::of(row).map(|record| said.hear(&record)))?;
+        }
+        let found = every_row(&mut self.inner).await?.into_iter();
+        let unsaid = found.filter_map(|(what, id, row)| said.unsaid(what, &id, row.ok()?));
+        let unsaid: Vec<Row> = unsaid.collect();
+        let weighings = self.unrecorded_weighings().await?;
+        let count = (weighings.len(), unsaid.len());
+        let mut weighings = weighings.into_iter().peekable();
+        while weighings.peek().is_some() {
+            let weighings = weighings.by_ref().take(ROWS_MAX).collect();
+            self.audit_found(&Rows { weighings, rows: Vec::new() }).await?;
+        }
+        self.audit_rows(unsaid).await?;
+        let body = serde_json::json!({ "weighings": count.0, "rows": count.1 });
+        self.audit(About { weighing: None, kind: STOCK }, &body, now()).await
+    }
+
+    /// Rows as they were written: for a deed that makes many, or none.
+    pub(crate) async fn audit_rows(&mut self, rows: Vec<Row>) -> Result<()> {
+        let mut rows = rows.into_iter().peekable();
+        while rows.peek().is_some() {
+            let rows = rows.by_ref().take(ROWS_MAX).collect();
+            self.audit_found(&Rows { rows, weighings: Vec::new() }).await?;
+        }
+        Ok(())
+    }
+
+    async fn audit_found(&mut self, rows: &Rows) -> Result<()> {
+        self.audit(About { weighing: None, kind: ROWS }, rows, now()).await
+    }
+
+    /// Weighings from before there was a record.
+    async fn unrecorded_weighings(&mut self) -> Result<Vec<OutcomeRecord>> {
+        let sql = "SELECT * FROM weighing WHERE id NOT IN \
+                   (SELECT weighing FROM audit WHERE weighing IS NOT NULL AND kind IN ('intent', 'outcome')) ORDER BY seq";
+        let rows = sqlx::query(sql).fetch_all(&mut *self.inner).await?;
+        // What does not read as a weighing has no place in a record of weighings.
+        let found = rows.iter().filter_map(|row| weighing_row(row).ok());
+        Ok(found.map(|it| OutcomeRecord { weighing: it.weighing, trace: it.trace }).collect())
+    }
+}
+
+/// Whether the record says that stock was taken.
+pub(super) async fn is_recorded(connection: &mut SqliteConnection) -> Result<bool> {
+    let sql = "SELECT EXISTS (SELECT 1 FROM audit WHERE weighing IS NULL AND kind = 'stock')";
+    Ok(sqlx::query_scalar(sql).fetch_one(connection).await?)
+}
+
+/// Whether stock was taken here.
+pub(super) async fn stock(connection: &mut SqliteConnection) -> Result<Stock> {
+    if is_recorded(connection).await? {
+        return Ok(Stock::Taken);
+    }
+    let table = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'stock')";
+    if !sqlx::query_scalar::<_, bool>(table).fetch_one(&mut *connection).await? {
+        return Ok(Stock::NotTaken);
+    }
+    let marked: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM stock)").fetch_one(connection).await?;
+    Ok(if marked { Stock::Gone } else { Stock::NotTaken })
+}
+
+/// A weighing as it was found at the stock-taking, and the record that holds it.
+pub(super) async fn found_weighing(
+    connection: &mut SqliteConnection,
+    id: &str,
+) -> Result<Option<(i64, OutcomeRecord)>> {
+    let sql = "SELECT * FROM audit WHERE weighing IS NULL AND kind = 'rows' ORDER BY seq";
+    for row in sqlx::query(sql).fetch_all(connection).await? {
+        let record = Written::of(&row)?;
+        let Some(found) = rows_of(&record) else { continue };
+        if let Some(found) = found.weighings.into_iter().find(|it| it.weighing.id == id) {
+            return Ok(Some((record.seq, found)));
+        }
+    }
+    Ok(None)
+}
+
+/// The rows that a record holds, if it holds any.
+pub(super) fn rows_of(record: &Written) -> Option<Rows> {
+    (record.kind == ROWS).then(|| serde_json::from_str(&record.body).ok()).flatten()
+}
