@@ -1,7 +1,7 @@
 //! Copies of a data folder, and data folders of copies.
 
 use crate::store::Error as StoreError;
-use crate::store::backup::{Copied, copy};
+use crate::store::backup::{Copied, copy, restore as restored};
 use std::path::Path;
 
 /// Why nothing was copied.
@@ -24,12 +24,13 @@ pub async fn back_up(data_dir: &Path, to: &Path) -> Result<Copied, BackupError> 
     copy(data_dir, to).await.map_err(BackupError::of)
 }
 
-/// Make a data folder of a backup; the backup stays as it is. Nothing is written over.
+/// Make a data folder of a backup; the backup stays as it is. Nothing is written over. Its tokens are revoked in the new folder, because the backup
+/// does not know which have been revoked since; `keep_tokens` leaves them as the backup has them.
 ///
 /// # Errors
 /// [`BackupError`]; nothing is left behind.
-pub async fn restore(backup: &Path, data_dir: &Path) -> Result<Copied, BackupError> {
-    copy(backup, data_dir).await.map_err(BackupError::of)
+pub async fn restore(backup: &Path, data_dir: &Path, keep_tokens: bool) -> Result<Copied, BackupError> {
+    restored(backup, data_dir, keep_tokens).await.map_err(BackupError::of)
 }
 
 impl BackupError {

@@ -1,5 +1,6 @@
 //! What FLIP can do, in plain Rust. REST, gRPC, the command line and the demonstration all call this.
 
+mod archive;
 mod backup;
 mod bench;
 mod calibrations;
@@ -21,6 +22,7 @@ mod keyring;
 mod long_answers;
 mod measurement_csv;
 mod measurements;
+mod nearest;
 mod policies;
 mod powder_names;
 mod powders;
@@ -29,6 +31,7 @@ mod readiness;
 pub mod report_html;
 mod repose;
 mod simulators;
+mod stored_before;
 mod tokens;
 mod trace_csv;
 mod trainings;

@@ -260,7 +260,8 @@ pub(super) async fn hash_at(connection: &mut SqliteConnection, seq: i64) -> Resu
         return Ok(None);
     }
     // Asked for where a member ends, or begins.
-    let sql = "SELECT hash FROM audit_away WHERE last = ?1 UNION ALL SELECT before FROM audit_away WHERE first = ?1 + 1";
+    let sql =
+        "SELECT hash FROM audit_away WHERE last = ?1 UNION ALL SELECT before FROM audit_away WHERE first = ?1 + 1";
     Ok(sqlx::query_scalar(sql).bind(seq).fetch_optional(connection).await?)
 }
 

@@ -124,8 +124,10 @@ impl Store {
         let mut tx = self.write().await?;
         tx.name_archive(packed).await?;
         tx.commit().await?;
-        // Room for other rows otherwise; the file shrinks only by this.
-        sqlx::query("PRAGMA incremental_vacuum").fetch_all(self.writer()?).await?;
+        // The file shrinks only by this; without it the room is there for other rows.
+        if let Err(error) = sqlx::query("PRAGMA incremental_vacuum").fetch_all(self.writer()?).await {
+            tracing::warn!(%error, "the database keeps the room of what was archived");
+        }
         Ok(())
     }
 }
@@ -134,12 +136,15 @@ impl Tx {
     async fn name_archive(&mut self, packed: &Packed) -> Result<()> {
         let said = serde_json::to_value(&packed.named).map_err(|error| Error::Corrupt(error.to_string()))?;
         self.audit_deed(None, DEED, said, now()).await?;
-        let archive: i64 = sqlx::query("SELECT max(seq) AS seq FROM audit").fetch_one(&mut *self.inner).await?.plain("seq")?;
+        let archive: i64 =
+            sqlx::query("SELECT max(seq) AS seq FROM audit").fetch_one(&mut *self.inner).await?.plain("seq")?;
         for away in &packed.aways {
             self.insert_away(away, archive).await?;
             let gone = sqlx::query("DELETE FROM audit WHERE seq BETWEEN ?1 AND ?2").bind(away.first).bind(away.last);
             if gone.execute(&mut *self.inner).await?.rows_affected() as i64 != away.last - away.first + 1 {
-                return Err(Error::Corrupt("another process archives the same records: nothing was changed".to_owned()));
+                return Err(Error::Corrupt(
+                    "another process archives the same records: nothing was changed".to_owned(),
+                ));
             }
         }
         Ok(())

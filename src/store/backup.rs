@@ -3,9 +3,10 @@
 //! A backup is a data folder like any other, and restoring is the same work the other way round. Neither writes over anything: the copy is made
 //! beside its place under another name, looked at, and put there in one step.
 
+use super::archive::{self, Archives};
 use super::artifacts::{Artifacts, NAMED};
-use super::open::{DATABASE, artifacts};
-use super::{Error, Result, Store, new_id, sound};
+use super::open::{DATABASE, archives, artifacts};
+use super::{Error, Result, Store, new_id, now, sound};
 use serde::Serialize;
 use std::fs::{self, DirBuilder, File, Permissions};
 use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
@@ -18,9 +19,10 @@ pub struct Copied {
     pub folder: PathBuf,
     /// Size of its database.
     pub database_bytes: u64,
-    /// Files beside the database, whole by their hashes.
+    /// Files beside the database, archives of the audit trail among them, whole by their hashes.
     pub files: usize,
-    /// Files that the database names and the original has no more, or only damaged, by SHA-256: what they hold is lost, and nothing else.
+    /// Files that the database names and the original has no more, or only damaged, by SHA-256, or by name of an archive: what they hold is lost, and
+    /// nothing else.
     pub lost: Vec<String>,
     /// Records of the audit trail.
     pub records: i64,
@@ -28,6 +30,9 @@ pub struct Copied {
     pub last_hash: String,
     /// Why the audit trail is not what was written, if it is not: the copy keeps it as it is.
     pub audit_broken: Option<String>,
+    /// Tokens of a backup that were revoked in the data folder that was made of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub revoked_tokens: Option<usize>,
 }
 
 /// Copy the data folder `from`, also while another process writes there, to `to`, which must not be there or be empty.
@@ -36,16 +41,50 @@ pub struct Copied {
 /// [`Error::Occupied`], [`Error::Absent`]; [`Error::Damaged`], [`Error::Newer`] of the database; [`Error::Full`], [`Error::File`].
 /// Nothing is left behind.
 pub async fn copy(from: &Path, to: &Path) -> Result<Copied> {
+    let beside = begin(from, to)?;
+    let made = fill(from, &beside.folder).await?;
+    beside.put_in_place(to)?;
+    Ok(Copied { folder: to.to_owned(), ..made })
+}
+
+/// As [`copy()`], of a backup to a data folder that is going to be used: it is brought up to date, and its tokens are revoked unless they are to be kept,
+/// because one that was revoked since the backup was made would open again.
+///
+/// # Errors
+/// As [`copy()`].
+pub async fn restore(from: &Path, to: &Path, keep_tokens: bool) -> Result<Copied> {
+    let beside = begin(from, to)?;
+    let mut made = fill(from, &beside.folder).await?;
+    if !keep_tokens {
+        made.revoked_tokens = Some(revoke_tokens(&beside.folder).await?);
+    }
+    beside.put_in_place(to)?;
+    Ok(Copied { folder: to.to_owned(), ..made })
+}
+
+/// Revoke every token that is not; how many.
+async fn revoke_tokens(folder: &Path) -> Result<usize> {
+    let store = Store::open(folder).await?;
+    let tokens = store.every_token().await?.into_iter().map(|token| token.entry);
+    let open: Vec<_> = tokens.filter(|token| token.revoked_at.is_none()).collect();
+    let mut tx = store.write().await?;
+    for token in &open {
+        tx.revoke_token(&token.id, now()).await?;
+    }
+    tx.commit().await?;
+    store.close().await;
+    Ok(open.len())
+}
+
+/// The folder that the copy is made in, where there is something to copy and room for it.
+fn begin(from: &Path, to: &Path) -> Result<Beside> {
     if fs::read_dir(to).is_ok_and(|mut found| found.next().is_some()) || (to.exists() && !to.is_dir()) {
         return Err(Error::Occupied(to.to_owned()));
     }
     if !fs::metadata(from.join(DATABASE)).is_ok_and(|it| it.len() > 0) {
         return Err(Error::Absent(from.to_owned()));
     }
-    let beside = Beside::make(to)?;
-    let made = fill(from, &beside.folder).await?;
-    beside.put_in_place(to)?;
-    Ok(Copied { folder: to.to_owned(), ..made })
+    Beside::make(to)
 }
 
 /// Database first: every file that it names is there already.
@@ -62,18 +101,21 @@ async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
     let copy = Store::open_to_read(folder).await?;
     sound::check(copy.reader(), &database).await?;
     let named: Vec<String> = sqlx::query_scalar(NAMED).fetch_all(copy.reader()).await?;
-    let lost = copy_files(&named, original.artifacts(), &artifacts(folder))?;
+    let mut lost = copy_files(&named, original.artifacts(), &artifacts(folder))?;
+    let named_archives: Vec<(String, String)> = sqlx::query_as(archive::NAMED).fetch_all(copy.reader()).await?;
+    lost.extend(copy_archives(&named_archives, &archives(from), &archives(folder))?);
     let found = copy.verify_audit(None).await?;
     original.close().await;
     copy.close().await;
     Ok(Copied {
         folder: folder.to_owned(),
         database_bytes: fs::metadata(&database).map_err(failed)?.len(),
-        files: named.len() - lost.len(),
+        files: named.len() + named_archives.len() - lost.len(),
         lost,
         records: found.records,
         last_hash: found.last_hash,
         audit_broken: found.broken.map(|broken| format!("record {}: {}", broken.seq, broken.why)),
+        revoked_tokens: None,
     })
 }
 
@@ -87,6 +129,22 @@ fn copy_files(named: &[String], from: &Artifacts, to: &Artifacts) -> Result<Vec<
                 to.get(sha256)?;
             }
             Err(error) if error.is_lost_part() => lost.push(sha256.clone()),
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(lost)
+}
+
+/// Copy these archives and read each copy back; those that the original does not have whole.
+fn copy_archives(named: &[(String, String)], from: &Archives, to: &Archives) -> Result<Vec<String>> {
+    let mut lost = Vec::new();
+    for (file, sha256) in named {
+        match from.get(file, sha256) {
+            Ok(bytes) => {
+                to.put(file, &bytes)?;
+                to.get(file, sha256)?;
+            }
+            Err(error) if error.is_lost_part() => lost.push(file.clone()),
             Err(error) => return Err(error),
         }
     }
@@ -132,6 +190,7 @@ impl Drop for Beside {
 mod tests {
     use super::*;
     use crate::domain::timestamp::Timestamp;
+    use crate::store::tokens::{HashedToken, Role, TokenEntry};
 
     async fn with_powders(folder: &Path, n: i64) -> Store {
         let store = Store::open(folder).await.unwrap();
@@ -152,8 +211,9 @@ mod tests {
         let store = with_powders(&data, 20).await;
         let made = copy(&data, &kept).await.unwrap();
         let again = copy(&kept, &back).await.unwrap();
-        assert_eq!((made.records, &made.audit_broken, &made.lost), (20, &None, &Vec::new()));
-        assert_eq!((&again.last_hash, again.records), (&made.last_hash, 20));
+        // With the records of the published powders that it began with.
+        assert_eq!((made.records, &made.audit_broken, &made.lost), (22, &None, &Vec::new()));
+        assert_eq!((&again.last_hash, again.records), (&made.last_hash, 22));
         let restored = Store::open(&back).await.unwrap();
         let count = "SELECT count(*) FROM powder WHERE id LIKE 'powder_%'";
         assert_eq!(sqlx::query_scalar::<_, i64>(count).fetch_one(restored.reader()).await.unwrap(), 20);
@@ -161,6 +221,41 @@ mod tests {
         for path in [&kept, &back] {
             assert_eq!(fs::metadata(path).unwrap().permissions().mode() & 0o777, 0o700);
             assert_eq!(fs::metadata(path.join(DATABASE)).unwrap().permissions().mode() & 0o777, 0o600);
+        }
+    }
+
+    #[tokio::test]
+    async fn a_token_that_was_revoked_after_the_backup_does_not_live_again_in_the_restored_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let store = Store::open(&path("data")).await.unwrap();
+        let mut tx = store.write().await.unwrap();
+        for id in ["00", "01"] {
+            let (name, role, created_at) = ("Ada".to_owned(), Role::Admin, Timestamp::from_unix_ms(1));
+            let (expires_at, revoked_at, last_used_at) = (None, None, None);
+            let id = id.to_owned();
+            let entry =
+                TokenEntry { id, name, role, may_clear: true, created_at, expires_at, revoked_at, last_used_at };
+            tx.insert_token(&HashedToken { entry, sha256: vec![7; 32] }).await.unwrap();
+        }
+        tx.revoke_token("01", now()).await.unwrap();
+        tx.commit().await.unwrap();
+        copy(&path("data"), &path("kept")).await.unwrap();
+        let mut tx = store.write().await.unwrap();
+        tx.revoke_token("00", now()).await.unwrap();
+        tx.commit().await.unwrap();
+
+        let restored = restore(&path("kept"), &path("back"), false).await.unwrap();
+        let as_it_was = restore(&path("kept"), &path("as_it_was"), true).await.unwrap();
+        assert_eq!((restored.revoked_tokens, as_it_was.revoked_tokens), (Some(1), None), "one was revoked before");
+        let log = fs::metadata(path("back").join("flip.db-wal")).map_or(0, |it| it.len());
+        assert_eq!(log, 0, "nothing is left in a log beside the database");
+        for (name, left) in [("back", 0), ("as_it_was", 1)] {
+            let store = Store::open(&path(name)).await.unwrap();
+            let open = store.every_token().await.unwrap().into_iter().filter(|it| it.entry.revoked_at.is_none());
+            assert_eq!(open.count(), left, "{name}");
+            let found = store.verify_audit(Some(&restored.last_hash)).await.unwrap();
+            assert_eq!((found.broken, found.others, found.holds_hash), (None, Vec::new(), Some(true)), "{name}");
         }
     }
 

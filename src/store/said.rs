@@ -37,6 +37,23 @@ pub enum RowOf {
     ParameterSet,
 }
 
+impl RowOf {
+    /// Its name, as in JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Token => "token",
+            Self::Powder => "powder",
+            Self::Measurement => "measurement",
+            Self::Observation => "observation",
+            Self::Check => "check",
+            Self::Latch => "latch",
+            Self::Hold => "hold",
+            Self::Simulator => "simulator",
+            Self::ParameterSet => "parameter_set",
+        }
+    }
+}
+
 /// A row that is not what the record says.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ChangedOther {
@@ -56,6 +73,17 @@ pub(crate) struct Row {
     pub what: RowOf,
     pub id: String,
     pub row: Map<String, Value>,
+}
+
+impl Row {
+    /// A row with what callers see of it.
+    pub(crate) fn of(what: RowOf, id: &str, row: &impl Serialize) -> Self {
+        let row = match serde_json::to_value(row) {
+            Ok(Value::Object(fields)) => fields,
+            _ => Map::new(),
+        };
+        Self { what, id: id.to_owned(), row }
+    }
 }
 
 /// Everything that was said so far.

@@ -143,3 +143,90 @@ pub(super) async fn found_weighing(
 pub(super) fn rows_of(record: &Written) -> Option<Rows> {
     (record.kind == ROWS).then(|| serde_json::from_str(&record.body).ok()).flatten()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::verify::ChangedRow;
+
+    const WEIGHING: &str = "INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, tolerance_upper_mg, policy, \
+         parameter_set, seed, state, outcome, reading_mg, created_at, finished_at) \
+         VALUES (?1, ?1, zeroblob(32), 'salt', 10, 1, 1, 'p', 'ps-1', 1, 'done', 'within', 10.2, 1000, 2000)";
+
+    /// A folder from before each row had a record: nothing is in the record, and these weighings and a token are there.
+    async fn from_before(folder: &std::path::Path, weighings: usize) {
+        let store = Store::open(folder).await.unwrap();
+        let writer = store.writer().unwrap();
+        for sql in [
+            "DROP TRIGGER audit_keeps",
+            "DELETE FROM audit",
+            "DELETE FROM stock",
+            "INSERT INTO policy (id, kind, manifest, bytes, sha256, created_at) VALUES ('p', 'fixed', '{}', x'00', hex(zeroblob(32)), 0)",
+            "INSERT INTO token (id, name, role, sha256, created_at) VALUES ('aa', 'Ada', 'operator', zeroblob(32), 1)",
+        ] {
+            sqlx::query(sql).execute(writer).await.unwrap();
+        }
+        for k in 0..weighings {
+            sqlx::query(WEIGHING).bind(format!("w-{k}")).execute(writer).await.unwrap();
+        }
+        store.close().await;
+    }
+
+    async fn after(store: &Store, sql: &'static str) -> (Vec<ChangedRow>, Vec<String>) {
+        sqlx::query(sql).execute(store.writer().unwrap()).await.unwrap();
+        let found = store.verify_audit(None).await.unwrap();
+        assert_eq!(found.broken.is_some(), !(found.changed.is_empty() && found.others.is_empty()), "{found:?}");
+        (found.changed, found.others.into_iter().map(|it| format!("{} {}", it.what.name(), it.id)).collect())
+    }
+
+    #[tokio::test]
+    async fn rows_from_before_the_record_are_in_it_from_the_first_start_on_and_a_row_that_comes_later_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        from_before(folder.path(), 250).await;
+        let store = Store::open(folder.path()).await.unwrap();
+        let whole = store.verify_audit(None).await.unwrap();
+        assert_eq!(
+            (&whole.broken, whole.records),
+            (&None, 4),
+            "two of weighings, one of other rows, and that it was done"
+        );
+        let (changed, _) = after(&store, "UPDATE weighing SET reading_mg = 9.9 WHERE id = 'w-7'").await;
+        assert!(
+            changed[0].weighing == "w-7" && changed[0].why.contains("reading_mg is 9.9, 10.2 was recorded"),
+            "{changed:?}"
+        );
+        let row = store.weighing("w-7").await.unwrap().unwrap();
+        assert!(store.outcome_on_record(&row).await.unwrap().0.is_some(), "nor is it certified");
+        let row = store.weighing("w-8").await.unwrap().unwrap();
+        assert_eq!(store.outcome_on_record(&row).await.unwrap(), (None, None));
+        let (changed, others) = after(&store, "UPDATE weighing SET reading_mg = 10.2 WHERE id = 'w-7'").await;
+        assert_eq!((changed.len(), others.len()), (0, 0));
+        let (_, others) = after(&store, "UPDATE token SET role = 'admin'").await;
+        assert_eq!(others, ["token aa"]);
+        after(&store, "UPDATE token SET role = 'operator'").await;
+        sqlx::query(WEIGHING).bind("forged").execute(store.writer().unwrap()).await.unwrap();
+        let (changed, _) = after(&store, "UPDATE weighing SET created_at = 1 WHERE id = 'forged'").await;
+        assert_eq!(changed[0].weighing, "forged");
+        store.close().await;
+        drop(store);
+        // Another start takes no stock again, whatever the mark beside the record says.
+        let store = Store::open(folder.path()).await.unwrap();
+        let (changed, _) = after(&store, "DELETE FROM stock").await;
+        assert_eq!(changed[0].weighing, "forged");
+        store.close().await;
+        drop(store);
+        let store = Store::open(folder.path()).await.unwrap();
+        assert_eq!(store.verify_audit(None).await.unwrap().changed[0].weighing, "forged");
+    }
+
+    #[tokio::test]
+    async fn a_record_that_was_emptied_does_not_make_every_row_one_from_before_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        for sql in ["DROP TRIGGER audit_keeps", "DELETE FROM audit"] {
+            sqlx::query(sql).execute(store.writer().unwrap()).await.unwrap();
+        }
+        let found = store.verify_audit(None).await.unwrap();
+        assert!(found.broken.is_some_and(|it| it.why.contains("cut off")));
+    }
+}

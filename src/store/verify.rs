@@ -7,7 +7,6 @@
 use super::archive::{self, Away, LostArchive, Named, Order, aways, hash_at};
 use super::audit::{AuditBreak, AuditVerification, OutcomeRecord, Written, beginning};
 use super::page::LONG_BATCH;
-use super::row::Columns;
 use super::said::{ChangedOther, Said};
 use super::stock::{Stock, found_weighing, rows_of, stock};
 use super::weighings::{Weighing, WeighingRow, weighing_row};
@@ -279,7 +278,7 @@ impl<'a> Walk<'a> {
     fn first_flaw(&self) -> Option<AuditBreak> {
         let lost = |it: &LostArchive| (Some(it.first), format!("archive {} is lost: {}", it.file, it.why));
         let row = |it: &ChangedRow| (it.seq, format!("weighing {}: {}", it.weighing, it.why));
-        let other = |it: &ChangedOther| (it.seq, format!("{} {}: {}", super::row::word(&it.what), it.id, it.why));
+        let other = |it: &ChangedOther| (it.seq, format!("{} {}: {}", it.what.name(), it.id, it.why));
         let first = self.archives.first().map(lost).or_else(|| self.changed.first().map(row));
         let (seq, why) = first.or_else(|| self.others.first().map(other))?;
         Some(AuditBreak { seq: seq.unwrap_or(self.records), why })
