@@ -121,9 +121,13 @@ async fn a_backup_while_serving_holds_what_was_committed_and_is_restored_after_a
     let hash = made["last_hash"].as_str().unwrap();
     assert_eq!(document(&flip(&back, &["audit", "verify", "--hash", hash, "--json"]))["holds_hash"], true);
     let mut service = Service::start(&back);
-    assert_eq!(service.token, None, "its tokens are those of before");
+    assert_eq!(service.token, None, "it has tokens");
+    assert_eq!(restored["revoked_tokens"], 1, "{restored}");
+    assert_eq!(service.add_powder(&token, "flour").await, 401, "none of before opens");
+    let made = document(&flip(&back, &["token", "create", "--role", "operator", "--name", "new", "--json"]));
+    let token = made["token"].as_str().unwrap();
     for k in 0..20 {
-        assert_eq!(service.add_powder(&token, &format!("powder_{k}")).await, 409, "powder_{k} is there");
+        assert_eq!(service.add_powder(token, &format!("powder_{k}")).await, 409, "powder_{k} is there");
     }
     service.kill();
 }

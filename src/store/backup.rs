@@ -197,7 +197,8 @@ mod tests {
         for k in 0..n {
             let mut tx = store.write().await.unwrap();
             tx.insert_powder(&format!("powder_{k}"), "Powder").await.unwrap();
-            tx.audit_person(None, "new powder", Timestamp::from_unix_ms(k)).await.unwrap();
+            let said = serde_json::json!({ "powder": { "id": format!("powder_{k}"), "name": "Powder" } });
+            tx.audit_deed(None, "new powder", said, Timestamp::from_unix_ms(k)).await.unwrap();
             tx.commit().await.unwrap();
         }
         store

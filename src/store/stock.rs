@@ -151,7 +151,7 @@ mod tests {
 
     const WEIGHING: &str = "INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, tolerance_upper_mg, policy, \
          parameter_set, seed, state, outcome, reading_mg, created_at, finished_at) \
-         VALUES (?1, ?1, zeroblob(32), 'salt', 10, 1, 1, 'p', 'ps-1', 1, 'done', 'within', 10.2, 1000, 2000)";
+         VALUES (?1, ?1, zeroblob(32), 'salt', 10, 1, 1, 'p-1', 'ps-1', 1, 'done', 'within', 10.2, 1000, 2000)";
 
     /// A folder from before each row had a record: nothing is in the record, and these weighings and a token are there.
     async fn from_before(folder: &std::path::Path, weighings: usize) {
@@ -161,7 +161,7 @@ mod tests {
             "DROP TRIGGER audit_keeps",
             "DELETE FROM audit",
             "DELETE FROM stock",
-            "INSERT INTO policy (id, kind, manifest, bytes, sha256, created_at) VALUES ('p', 'fixed', '{}', x'00', hex(zeroblob(32)), 0)",
+            "INSERT INTO policy (id, kind, manifest, bytes, sha256, created_at) VALUES ('p-1', 'fixed', '{}', x'00', hex(zeroblob(32)), 0)",
             "INSERT INTO token (id, name, role, sha256, created_at) VALUES ('aa', 'Ada', 'operator', zeroblob(32), 1)",
         ] {
             sqlx::query(sql).execute(writer).await.unwrap();
