@@ -189,10 +189,18 @@ impl Store {
     }
 }
 
+/// Why a file is lost, without where the data folder is.
+pub(super) fn why_lost(file: &str, error: &Error) -> String {
+    match error {
+        Error::File { source, .. } => format!("{file}: {source}"),
+        other => other.to_string(),
+    }
+}
+
 /// A record in the place of those that are lost.
 fn stands_for(away: &Away, error: &Error) -> AuditRecord {
     let Away { first, last, weighing, file, .. } = away;
-    let why = error.to_string();
+    let why = why_lost(file, error);
     AuditRecord {
         seq: *first,
         at: Timestamp::from_unix_ms(0),

@@ -125,7 +125,7 @@ impl Store {
         tx.name_archive(packed).await?;
         tx.commit().await?;
         // The file shrinks only by this; without it the room is there for other rows.
-        if let Err(error) = sqlx::query("PRAGMA incremental_vacuum").fetch_all(self.writer()?).await {
+        if let Err(error) = sqlx::query("PRAGMA incremental_vacuum(2000)").fetch_all(self.writer()?).await {
             tracing::warn!(%error, "the database keeps the room of what was archived");
         }
         Ok(())

@@ -4,7 +4,7 @@
 //! while it has none with the record of its intent; `said.rs` compares other rows. A row that no record knows was slipped in, whenever it says it was
 //! made: those from before there were records are in the record of the stock-taking (`stock.rs`).
 
-use super::archive::{self, Away, LostArchive, Named, Order, aways, hash_at};
+use super::archive::{self, Away, LostArchive, Named, Order, aways, hash_at, why_lost};
 use super::audit::{AuditBreak, AuditVerification, OutcomeRecord, Written, beginning};
 use super::page::LONG_BATCH;
 use super::said::{ChangedOther, Said};
@@ -190,7 +190,7 @@ impl<'a> Walk<'a> {
     fn lose(&mut self, file: &str, (first, last): (i64, i64), error: &Error) {
         match self.archives.iter_mut().find(|lost| lost.file == file) {
             Some(lost) => (lost.first, lost.last) = (lost.first.min(first), lost.last.max(last)),
-            None => self.archives.push(LostArchive { file: file.to_owned(), first, last, why: error.to_string() }),
+            None => self.archives.push(LostArchive { file: file.to_owned(), first, last, why: why_lost(file, error) }),
         }
     }
 
