@@ -93,10 +93,12 @@ impl Tx {
         self.audit(About { weighing: None, kind: ROWS }, rows, now()).await
     }
 
-    /// Weighings from before there was a record.
+    /// Weighings from before there was a record: made after the database was, and before the migration that brought the record (14).
     async fn unrecorded_weighings(&mut self) -> Result<Vec<OutcomeRecord>> {
         let sql = "SELECT * FROM weighing WHERE id NOT IN \
-                   (SELECT weighing FROM audit WHERE weighing IS NOT NULL AND kind IN ('intent', 'outcome')) ORDER BY seq";
+                   (SELECT weighing FROM audit WHERE weighing IS NOT NULL AND kind IN ('intent', 'outcome')) \
+                   AND created_at >= 1000 * (SELECT min(unixepoch(installed_on)) FROM _sqlx_migrations) \
+                   AND created_at < 1000 * (SELECT 1 + unixepoch(installed_on) FROM _sqlx_migrations WHERE version = 14) ORDER BY seq";
         let rows = sqlx::query(sql).fetch_all(&mut *self.inner).await?;
         // What does not read as a weighing has no place in a record of weighings.
         let found = rows.iter().filter_map(|row| weighing_row(row).ok());
@@ -163,6 +165,9 @@ mod tests {
             "DELETE FROM stock",
             "INSERT INTO policy (id, kind, manifest, bytes, sha256, created_at) VALUES ('p-1', 'fixed', '{}', x'00', hex(zeroblob(32)), 0)",
             "INSERT INTO token (id, name, role, sha256, created_at) VALUES ('aa', 'Ada', 'operator', zeroblob(32), 1)",
+            // Made at 1970-01-01 00:00:01, and brought the record a minute later.
+            "UPDATE _sqlx_migrations SET installed_on = '1970-01-01 00:00:01' WHERE version < 14",
+            "UPDATE _sqlx_migrations SET installed_on = '1970-01-01 00:01:01' WHERE version = 14",
         ] {
             sqlx::query(sql).execute(writer).await.unwrap();
         }
@@ -217,6 +222,22 @@ mod tests {
         drop(store);
         let store = Store::open(folder.path()).await.unwrap();
         assert_eq!(store.verify_audit(None).await.unwrap().changed[0].weighing, "forged");
+    }
+
+    #[tokio::test]
+    async fn a_row_that_is_older_than_its_database_or_younger_than_the_record_is_not_one_from_before_it() {
+        for created_at in [999, 62_000] {
+            let folder = tempfile::tempdir().unwrap();
+            from_before(folder.path(), 1).await;
+            let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
+            let pool = sqlx::SqlitePool::connect_with(options).await.unwrap();
+            let moved = sqlx::query("UPDATE weighing SET created_at = ?1").bind(created_at);
+            assert_eq!(moved.execute(&pool).await.unwrap().rows_affected(), 1);
+            pool.close().await;
+            let store = Store::open(folder.path()).await.unwrap();
+            let found = store.verify_audit(None).await.unwrap().changed;
+            assert!(found[0].weighing == "w-0" && found[0].seq.is_none(), "{created_at}: {found:?}");
+        }
     }
 
     #[tokio::test]
