@@ -25,12 +25,13 @@ pub async fn back_up(data_dir: &Path, to: &Path) -> Result<Copied, BackupError> 
 }
 
 /// Make a data folder of a backup; the backup stays as it is. Nothing is written over. Its bench is held until a person resumes: what was poured since
-/// the backup, the database does not know.
+/// the backup, the database does not know. Its tokens are revoked in the new folder, because the backup does not know which have been revoked since;
+/// `keep_tokens` leaves them as the backup has them.
 ///
 /// # Errors
 /// [`BackupError`]; nothing is left behind.
-pub async fn restore(backup: &Path, data_dir: &Path) -> Result<Copied, BackupError> {
-    backup::restore(backup, data_dir).await.map_err(BackupError::of)
+pub async fn restore(backup: &Path, data_dir: &Path, keep_tokens: bool) -> Result<Copied, BackupError> {
+    backup::restore(backup, data_dir, keep_tokens).await.map_err(BackupError::of)
 }
 
 impl BackupError {

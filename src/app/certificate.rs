@@ -63,10 +63,16 @@ struct Recorded {
     asked_by: Option<String>,
     /// It ended before there was a record.
     unrecorded: bool,
+    /// What is wrong with archives that held some of it.
+    lost: Vec<String>,
 }
 
 impl Recorded {
     fn add(&mut self, record: &AuditRecord) {
+        if record.kind == "lost" {
+            self.lost.extend(record.body["why"].as_str().map(str::to_owned));
+            return;
+        }
         self.records += 1;
         self.last = Some(record.clone());
         if record.kind == "intent" {
@@ -140,6 +146,7 @@ fn result(weighing: &Weighing) -> String {
 fn all_warnings(detail: &WeighingDetail, record: &Recorded) -> Vec<String> {
     let mut all = warnings(&detail.weighing);
     all.extend(detail.trace_lost.clone());
+    all.extend(record.lost.iter().map(|why| format!("A part of its record is lost: {why}.")));
     if record.unrecorded {
         all.push("It ended before FLIP kept a record: what is printed here is proven by nothing.".to_owned());
     }

@@ -6,6 +6,7 @@
 use super::check::Check;
 use super::csv_file::words;
 use super::csv_file::{Cells, Columns, Holds, REFUSALS_MAX, Refused, Table, at};
+use super::nearest::did_you_mean;
 use super::powder_names::PowderNames;
 use super::{Error, Result};
 use crate::domain::FieldError;
@@ -127,7 +128,8 @@ fn known(name: &str) -> Option<Holds> {
 fn check_header(header: &[String], check: &mut Check) {
     let is_unknown = |name: &&String| !name.is_empty() && known(name).is_none();
     for name in header.iter().filter(is_unknown) {
-        check.refuse(name, format!("is no column that is known here; these are: {}", COLUMNS.join(", ")));
+        let meant = did_you_mean(name, COLUMNS);
+        check.refuse(name, format!("is no column that is known here{meant}; these are: {}", COLUMNS.join(", ")));
     }
 }
 
@@ -353,7 +355,8 @@ pub(super) fn write(measurements: &[Measurement], observations: &[PowderObservat
             ("powder", m.powder.clone()),
             ("method", m.method.name().to_owned()),
             ("repose_deg", m.repose_deg.to_string()),
-            ("repose_sd_deg", m.sd_deg.to_string()),
+            // Of a single value nobody knows the spread.
+            ("repose_sd_deg", if m.sd_unknown { String::new() } else { m.sd_deg.to_string() }),
             ("n", m.n.to_string()),
             ("source", m.source.clone()),
         ]

@@ -2,6 +2,8 @@
 
 use super::check::Check;
 use super::measurement_csv::{self, Entry, Value};
+use super::nearest::did_you_mean;
+use super::stored_before::StoredBefore;
 use super::{App, Result};
 use crate::discover::reading::NamedPowder;
 use crate::domain::FieldError;
@@ -13,6 +15,7 @@ use crate::store::now;
 use crate::store::observations::PowderObservation;
 use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use crate::store::powders::Measurement;
+use crate::store::said::{Row, RowOf};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::HashSet;
@@ -70,6 +73,13 @@ pub struct Imported {
     pub measurements: Vec<Measurement>,
     /// The observations beside the angle, in the order of the file.
     pub observations: Vec<PowderObservation>,
+    /// What the file has and was stored already, with the same powder, values and source: it was left out.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub already_stored: usize,
+}
+
+fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 /// Everything that was measured.
@@ -186,9 +196,14 @@ fn renamed(entries: &mut [Entry], named: &mut [NamedPowder], made: &str, id: &st
     named.iter_mut().filter(|powder| powder.id == made).for_each(|powder| id.clone_into(&mut powder.id));
 }
 
-fn unknown(id: &str, name: Option<&str>) -> String {
-    let name = name.map_or_else(String::new, |name| format!(" and none called `{name}`"));
-    format!("there is no powder `{id}`{name}: register it first, or import with `create`")
+fn unknown(known: &[(String, String)], id: &str, name: Option<&str>) -> String {
+    let called = name.map_or_else(String::new, |name| format!(" and none called `{name}`"));
+    let ids = did_you_mean(id, known.iter().map(|(id, _)| id.as_str()));
+    let meant = match name {
+        Some(name) if ids.is_empty() => did_you_mean(name, known.iter().map(|(_, name)| name.as_str())),
+        _ => ids,
+    };
+    format!("there is no powder `{id}`{called}{meant}: register it first, or import with `create`")
 }
 
 impl App {
@@ -215,7 +230,8 @@ impl App {
     }
 
     /// Register everything that a CSV file holds, or nothing of it. A powder is named by its id or its name. One that is not registered is refused,
-    /// or with `create` registered, under an id that is made from its name. The same file again adds the same measurements again.
+    /// or with `create` registered, under an id that is made from its name. What is stored already, of the same powder, with the
+    /// same values and source, is left out: the same file again adds nothing.
     ///
     /// # Errors
     /// `Invalid` with every wrong cell as `row[2].repose_deg`, the header being row 1.
@@ -228,7 +244,7 @@ impl App {
             match registered(&known, &made, name) {
                 Registered::As(id) => renamed(&mut entries, &mut named, &made, &id),
                 Registered::Not if create => new.push((made.clone(), name.unwrap_or(&made).to_owned())),
-                Registered::Not => check.refuse(&format!("row[{row}].powder"), unknown(&made, name)),
+                Registered::Not => check.refuse(&format!("row[{row}].powder"), unknown(&known, &made, name)),
                 Registered::Another(other) => {
                     let advice = format!("makes the id {made}, which is `{other}`: write the id if it is that powder");
                     check.refuse(&format!("row[{row}].powder"), advice);
@@ -240,8 +256,14 @@ impl App {
         for (id, name) in &new {
             tx.insert_powder(id, name).await?;
         }
+        // Whoever else imports waits for this transaction, so what is stored now is all there is.
+        let mut before = StoredBefore::of(&self.measured(None).await?);
+        let left_out = entries.extract_if(.., |entry| before.has(entry)).count();
+        let names = new.iter().map(|(id, name)| Row::of(RowOf::Powder, id, &json!({ "id": id, "name": name })));
+        let mut rows: Vec<Row> = names.collect();
         let powders = new.into_iter().map(|(id, _)| id).collect();
-        let mut imported = Imported { powders, named, measurements: Vec::new(), observations: Vec::new() };
+        let (measurements, observations) = (Vec::new(), Vec::new());
+        let mut imported = Imported { powders, named, measurements, observations, already_stored: left_out };
         for entry in &entries {
             let (powder, source) = (&entry.powder, &entry.source);
             match &entry.value {
@@ -254,8 +276,11 @@ impl App {
             }
         }
         let said = json!({ "powders": imported.powders, "measurements": imported.measurements.len(),
-            "observations": imported.observations.len(), "sha256": sha256_hex(csv.as_bytes()) });
+            "observations": imported.observations.len(), "already_stored": left_out, "sha256": sha256_hex(csv.as_bytes()) });
         tx.audit_deed(None, "import measurements", said, now()).await?;
+        rows.extend(imported.measurements.iter().map(|it| Row::of(RowOf::Measurement, &it.id, it)));
+        rows.extend(imported.observations.iter().map(|it| Row::of(RowOf::Observation, &it.id, it)));
+        tx.audit_rows(rows).await?;
         tx.commit().await?;
         Ok(imported)
     }

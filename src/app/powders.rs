@@ -1,6 +1,7 @@
 //! Powders and the parameter sets calibrated to them.
 
 use super::check::Check;
+use super::nearest::did_you_mean;
 use super::{App, Error, Result};
 use crate::domain::FieldError;
 use crate::domain::observable::Observation;
@@ -93,9 +94,12 @@ impl App {
     /// The powder that a field of a request names: an unknown one is the request's fault.
     pub(super) async fn powder_of(&self, field: &str, id: &str) -> Result<Powder> {
         let id = powder_id(field, id)?;
-        self.store().powder(&id).await?.ok_or_else(|| {
-            let advice = format!("there is no powder `{id}`: GET /v1/powders lists them, POST /v1/powders adds one");
-            FieldError::new(field, advice).into()
-        })
+        if let Some(powder) = self.store().powder(&id).await? {
+            return Ok(powder);
+        }
+        let known = self.store().powder_names().await?;
+        let meant = did_you_mean(&id, known.iter().map(|(id, _)| id.as_str()));
+        let advice = format!("there is no powder `{id}`{meant}: GET /v1/powders lists them, POST /v1/powders adds one");
+        Err(FieldError::new(field, advice).into())
     }
 }

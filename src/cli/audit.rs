@@ -2,8 +2,8 @@
 
 use super::Common;
 use super::failure::Failure;
-use super::session::with_reader;
-use crate::app::{AUDIT_CSV_HEADER, AuditVerification, ChangedRow, audit_csv};
+use super::session::{beside, with_reader};
+use crate::app::{AUDIT_CSV_HEADER, Archived, AuditVerification, ChangedOther, ChangedRow, LostArchive, audit_csv};
 use clap::ValueEnum;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -35,6 +35,15 @@ enum What {
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
     },
+    /// Move what was recorded of old weighings from the database into files of the data folder, also while a server runs.
+    ///
+    /// Readings, messages, decisions and phases go into `audit/….jsonl.gz`, are read back, and are named in the record by file and hash. Intents, outcomes
+    /// and what people did stay. Certificates, lists, exports and `verify` read the files, and `flip backup` copies them.
+    Archive {
+        /// Of weighings that had ended before this day (its beginning, UTC) or point in time.
+        #[arg(long, value_name = "DATE")]
+        before: String,
+    },
     /// Write the certificate of a weighing: an HTML page to print.
     Certificate {
         /// The weighing.
@@ -64,6 +73,10 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     match &arguments.what {
         What::Verify { hash } => verify(common, hash.as_deref()),
         What::Export { weighing, format, out } => export(common, weighing.as_deref(), *format, out.clone()),
+        What::Archive { before } => {
+            let done = beside(common, async |app| Ok(app.archive_audit(before).await?))?;
+            common.print(&done, || archived(&done))
+        }
         What::Certificate { weighing, out } => {
             let page = with_reader(common, async |app| Ok(app.certificate(weighing).await?))?;
             std::fs::write(out, page)?;
@@ -82,21 +95,45 @@ fn verify(common: &Common, hash: Option<&str>) -> Result<(), Failure> {
     }
 }
 
+fn archived(done: &Archived) -> String {
+    let Archived { weighings, records, files, bytes, .. } = done;
+    match files.is_empty() {
+        true => "nothing to archive: no weighing that ended before has records here".to_owned(),
+        false => format!(
+            "{records} records of {weighings} weighings in {} files, {bytes} bytes:\n  {}",
+            files.len(),
+            files.join("\n  ")
+        ),
+    }
+}
+
 fn is_whole(found: &AuditVerification) -> bool {
     found.broken.is_none() && found.holds_hash != Some(false)
 }
 
 fn text(found: &AuditVerification) -> String {
+    let rows = differences(found);
     let state = match (&found.broken, found.holds_hash) {
-        (Some(broken), _) if found.changed.is_empty() => format!("broken at record {}: {}", broken.seq, broken.why),
-        (Some(_), _) => {
-            let row = |it: &ChangedRow| format!("\n  weighing {}: {}", it.weighing, it.why);
-            format!("whole, but results differ from it:{}", found.changed.iter().map(row).collect::<String>())
+        (Some(broken), _) if rows.is_empty() => format!("broken at record {}: {}", broken.seq, broken.why),
+        (Some(_), _) if found.changed.is_empty() && found.others.is_empty() => {
+            format!("whole but for what is lost:{rows}")
         }
+        (Some(_), _) => format!("whole, but results or other rows differ from it:{rows}"),
         (None, Some(false)) => "whole, but it does not hold that hash: records were cut off".to_owned(),
         (None, _) => "whole".to_owned(),
     };
     format!("{} records, {state}\nlast hash {}", found.records, found.last_hash)
+}
+
+/// What is lost, and what differs, a line each.
+fn differences(found: &AuditVerification) -> String {
+    let archive =
+        |it: &LostArchive| format!("\n  archive {} (records {} to {}): {}", it.file, it.first, it.last, it.why);
+    let row = |it: &ChangedRow| format!("\n  weighing {}: {}", it.weighing, it.why);
+    let other = |it: &ChangedOther| format!("\n  {} {}: {}", it.what.name().replace('_', " "), it.id, it.why);
+    let lines =
+        found.archives.iter().map(archive).chain(found.changed.iter().map(row)).chain(found.others.iter().map(other));
+    lines.collect()
 }
 
 fn export(common: &Common, weighing: Option<&str>, format: Format, out: PathBuf) -> Result<(), Failure> {

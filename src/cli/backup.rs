@@ -3,7 +3,7 @@
 use super::Common;
 use super::failure::Failure;
 use super::session::runtime;
-use crate::app::{BackupError, Copied, back_up, restore};
+use crate::app::{BackupError, Copied, Who, acting, back_up, restore};
 use std::path::PathBuf;
 
 /// Arguments of `flip backup`.
@@ -20,6 +20,10 @@ pub(super) struct RestoreArguments {
     /// A folder that `flip backup` made. `--data-dir` names the data folder to make of it: it must not be there yet, or be empty.
     #[arg(value_name = "BACKUP")]
     from: PathBuf,
+    /// Leave the tokens as the backup has them, also those that were revoked since it was made. Without it all are revoked, and `flip token create`
+    /// makes new ones.
+    #[arg(long)]
+    keep_tokens: bool,
 }
 
 /// Copy the data folder.
@@ -30,12 +34,13 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 
 /// Make a data folder of a copy.
 pub(super) fn run_restore(common: &Common, arguments: &RestoreArguments) -> Result<(), Failure> {
-    let made = runtime()?.block_on(restore(&arguments.from, &common.data_dir))?;
+    let restored = restore(&arguments.from, &common.data_dir, arguments.keep_tokens);
+    let made = runtime()?.block_on(acting(Who::command_line(), restored))?;
     common.print(&made, || text(&made))
 }
 
 fn text(made: &Copied) -> String {
-    let Copied { folder, database_bytes, files, lost, records, last_hash, audit_broken, held } = made;
+    let Copied { folder, database_bytes, files, lost, records, last_hash, audit_broken, held, revoked_tokens } = made;
     let mut text = format!(
         "{} holds a whole copy: {database_bytes} bytes of database, {files} files, {records} records\nlast hash {last_hash}",
         folder.display()
@@ -48,6 +53,15 @@ fn text(made: &Copied) -> String {
     }
     if let Some(why) = held {
         text += &format!("\nthe bench is held, {why} (`flip bench resume`, after a look at `flip bench status`)");
+    }
+    match revoked_tokens {
+        Some(0) | None => {}
+        Some(count) => {
+            text += &format!(
+                "\n{count} tokens of the backup are revoked, because it does not know which were revoked since it was made: `flip token create` makes new \
+                 ones (--keep-tokens leaves them)"
+            );
+        }
     }
     text
 }

@@ -70,7 +70,8 @@ fn comparison(compared: &[Compared]) -> String {
     let row = |it: &Compared| {
         let error = it.standard_error_deg.map_or_else(|| "-".to_owned(), |error| format!("{error:.2}"));
         let angle = |of: crate::app::Flowability| {
-            [format!("{:.2}", of.repose_deg), format!("{:.2}", of.sd_deg), of.n.to_string()]
+            let sd = if of.n > 1 { format!("{:.2}", of.sd_deg) } else { "-".to_owned() };
+            [format!("{:.2}", of.repose_deg), sd, of.n.to_string()]
         };
         let angles = [it.automated, it.manual].map(angle).concat();
         [vec![it.powder.clone()], angles, vec![format!("{:+.2}", it.difference_deg), error]].concat()
@@ -80,10 +81,14 @@ fn comparison(compared: &[Compared]) -> String {
 }
 
 fn text(imported: &Imported) -> String {
-    let Imported { powders, named, measurements, observations } = imported;
+    let Imported { powders, named, measurements, observations, already_stored } = imported;
     let mut text = format!("{} measurements and {} observations added", measurements.len(), observations.len());
     if !powders.is_empty() {
         text += &format!("; powders registered: {}", powders.join(", "));
+    }
+    if *already_stored > 0 {
+        text +=
+            &format!("; {already_stored} left out, which were stored already with the same powder, values and source");
     }
     for NamedPowder { name, id } in named {
         text += &format!("\npowder `{name}` is {id}");

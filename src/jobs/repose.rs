@@ -16,6 +16,7 @@ use crate::sim::repose as heap;
 use crate::store::artifacts::Artifacts;
 use crate::store::audit::About;
 use crate::store::piles::{FrameFiles, Pile};
+use crate::store::said::{Row, RowOf};
 use crate::store::{self, now};
 use serde::{Deserialize, Serialize};
 use std::sync::PoisonError;
@@ -82,7 +83,8 @@ pub(super) fn perform(context: &JobContext, spec: &ReposeSpec) -> Result<(), Job
     let source = format!("camera, measurement {}, {} piles", context.id(), piles.len());
     context.succeed(&ReposeResult { repeats, registered }, async |tx| {
         if registered {
-            tx.insert_measurement(&spec.powder, Method::Automated, repeats.tip, &source).await?;
+            let made = tx.insert_measurement(&spec.powder, Method::Automated, repeats.tip, &source).await?;
+            tx.audit_rows(vec![Row::of(RowOf::Measurement, &made.id, &made)]).await?;
         }
         Ok(())
     })?;

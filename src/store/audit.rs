@@ -4,22 +4,20 @@
 //! hash = SHA-256 of  previous hash LF seq LF milliseconds since 1970 LF weighing LF kind LF body     (in hexadecimal; 64 zeros before the first)
 //! ```
 //!
-//! `verify.rs` goes through it. The database refuses to change or delete a record, and whoever edits the file by other means breaks the chain. A chain that was cut off at its end
+//! `verify.rs` goes through it, `trail.rs` reads it out, `archive.rs` moves what is old into files. The database refuses to change or delete a record, and whoever edits the file by other means breaks the chain. A chain that was cut off at its end
 //! looks whole: who wants to know keeps a hash elsewhere, as a printed certificate does, and asks whether the chain still holds it.
 
-use super::page::{Page, Window};
+use super::archive::LostArchive;
 use super::row::{Columns, json};
+use super::said::ChangedOther;
 use super::verify::ChangedRow;
 use super::weighings::Weighing;
 use super::who::Who;
-use super::{Error, Result, Store, Tx};
+use super::{Error, Result, Tx};
 use crate::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use sqlx::sqlite::SqliteRow;
-
-/// Records read at once.
-const BATCH: i64 = 2000;
 
 /// One record of the audit trail.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -30,7 +28,8 @@ pub struct AuditRecord {
     pub at: Timestamp,
     /// The weighing that it belongs to.
     pub weighing: Option<String>,
-    /// `intent`, `state`, `sent`, `received`, `reading`, `decision`, `outcome`, `person`, `latch`, `check` or `pile`.
+    /// `intent`, `state`, `sent`, `received`, `reading`, `decision`, `outcome`, `person`, `latch`, `hold`, `check`, `pile`, `rows` (rows as they were
+    /// written) or `stock`; `lost` stands for records of an archive that is gone.
     pub kind: String,
     /// What happened: for a `state` its name, else an object whose fields depend on the kind.
     #[schema(value_type = serde_json::Value)]
@@ -53,6 +52,12 @@ pub struct AuditVerification {
     /// Weighings whose rows are not what the record says, at most a hundred; the first of them is `broken` too.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub changed: Vec<ChangedRow>,
+    /// Other rows that are not what the record says (tokens, measurements, what the bench is), at most a hundred; the first of all is `broken` too.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub others: Vec<ChangedOther>,
+    /// Archives that are gone or damaged: their records are lost, and nothing else. The first of them is `broken` too.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub archives: Vec<LostArchive>,
 }
 
 /// Where an audit trail is broken.
@@ -79,6 +84,19 @@ pub(super) struct OutcomeRecord {
 pub(crate) struct About<'a> {
     pub weighing: Option<&'a str>,
     pub kind: &'a str,
+}
+
+/// A record as it was hashed.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Written {
+    pub seq: i64,
+    /// Milliseconds since 1970-01-01 UTC.
+    pub at: i64,
+    pub weighing: Option<String>,
+    pub kind: String,
+    /// JSON, to the byte.
+    pub body: String,
+    pub hash: String,
 }
 
 pub(super) fn beginning() -> String {
@@ -144,62 +162,41 @@ fn signed(body: &impl Serialize) -> Result<serde_json::Value> {
     Ok(body)
 }
 
-impl Store {
-    /// Records, newest first; of one weighing when named.
-    pub(crate) async fn audit_records(&self, weighing: Option<&str>, window: Window) -> Result<Page<AuditRecord>> {
-        let rows = sqlx::query(
-            "SELECT * FROM audit WHERE seq < ?1 AND (?3 IS NULL OR weighing = ?3) ORDER BY seq DESC LIMIT ?2",
-        )
-        .bind(window.before())
-        .bind(window.rows())
-        .bind(weighing)
-        .fetch_all(&self.reader)
-        .await?;
-        window.page_of(&rows, record)
+impl Written {
+    /// A row of the table.
+    pub(super) fn of(row: &SqliteRow) -> Result<Self> {
+        Ok(Self {
+            seq: row.plain("seq")?,
+            at: row.plain("at")?,
+            weighing: row.plain("weighing")?,
+            kind: row.plain("kind")?,
+            body: row.plain("body")?,
+            hash: row.plain("hash")?,
+        })
     }
 
-    /// Every record after `after`, oldest first, at most some thousands; of one weighing when named.
-    pub(crate) async fn audit_after(&self, weighing: Option<&str>, after: i64) -> Result<Vec<AuditRecord>> {
-        let rows =
-            sqlx::query("SELECT * FROM audit WHERE seq > ?1 AND (?3 IS NULL OR weighing = ?3) ORDER BY seq LIMIT ?2")
-                .bind(after)
-                .bind(BATCH)
-                .bind(weighing)
-                .fetch_all(&self.long)
-                .await?;
-        rows.iter().map(record).collect()
+    /// What is wrong with it if it should be the `seq`-th and follow this hash.
+    pub(super) fn flaw(&self, seq: i64, previous: &str) -> Option<String> {
+        if self.seq != seq {
+            return Some(format!("record {seq} is missing"));
+        }
+        let about = About { weighing: self.weighing.as_deref(), kind: &self.kind };
+        let hash = chained(previous, seq, self.at, about, &self.body);
+        (hash != self.hash).then(|| "it is not what was written, or the one before it is not".to_owned())
     }
-}
 
-/// What is wrong with a record that should be the `seq`-th and follow this hash.
-pub(super) fn flaw(row: &SqliteRow, seq: i64, previous: &str) -> Result<Option<String>> {
-    let found: i64 = row.plain("seq")?;
-    if found != seq {
-        return Ok(Some(format!("record {seq} is missing")));
+    /// As callers see it.
+    pub(super) fn record(self) -> Result<AuditRecord> {
+        let body = serde_json::from_str(&self.body).map_err(|error| Error::Corrupt(format!("body: {error}")))?;
+        let Self { seq, weighing, kind, hash, .. } = self;
+        Ok(AuditRecord { seq, at: Timestamp::from_unix_ms(self.at), weighing, kind, body, hash })
     }
-    let weighing: Option<String> = row.plain("weighing")?;
-    let kind: String = row.plain("kind")?;
-    let about = About { weighing: weighing.as_deref(), kind: &kind };
-    let hash = chained(previous, seq, row.plain("at")?, about, &row.plain::<String>("body")?);
-    let stored: String = row.plain("hash")?;
-    Ok((hash != stored).then(|| "it is not what was written, or the one before it is not".to_owned()))
-}
-
-fn record(row: &SqliteRow) -> Result<AuditRecord> {
-    Ok(AuditRecord {
-        seq: row.plain("seq")?,
-        at: row.time("at")?,
-        weighing: row.plain("weighing")?,
-        kind: row.plain("kind")?,
-        body: row.json("body")?,
-        hash: row.plain("hash")?,
-    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::now;
+    use crate::store::{Store, now};
 
     async fn with_records(folder: &std::path::Path, n: i64) -> Store {
         let store = Store::open(folder).await.unwrap();
@@ -217,7 +214,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = with_records(folder.path(), 5).await;
         let whole = store.verify_audit(None).await.unwrap();
-        assert_eq!((whole.records, &whole.broken), (5, &None));
+        // With the two of the rows that a new database begins with.
+        assert_eq!((whole.records, &whole.broken), (7, &None));
         let writer = store.writer().unwrap();
         for sql in ["UPDATE audit SET body = '{}' WHERE seq = 3", "DELETE FROM audit WHERE seq = 5"] {
             let refused = sqlx::query(sql).execute(writer).await.unwrap_err().to_string();
@@ -246,7 +244,7 @@ mod tests {
         assert_eq!(store.verify_audit(Some(&kept)).await.unwrap().holds_hash, Some(true));
         let writer = store.writer().unwrap();
         sqlx::query("DROP TRIGGER audit_keeps").execute(writer).await.unwrap();
-        sqlx::query("DELETE FROM audit WHERE seq = 3").execute(writer).await.unwrap();
+        sqlx::query("DELETE FROM audit WHERE seq = 5").execute(writer).await.unwrap();
         let cut = store.verify_audit(Some(&kept)).await.unwrap();
         assert_eq!((cut.broken, cut.holds_hash), (None, Some(false)));
     }

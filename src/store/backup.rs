@@ -3,9 +3,10 @@
 //! A backup is a data folder like any other, and restoring is the same work the other way round. Neither writes over anything: the copy is made
 //! beside its place under another name, looked at, and put there in one step.
 
+use super::archive::{self, Archives};
 use super::artifacts::{Artifacts, NAMED};
 use super::holds::Held;
-use super::open::{DATABASE, artifacts};
+use super::open::{DATABASE, archives, artifacts};
 use super::{Error, Result, Store, new_id, now, sound};
 use crate::domain::timestamp::Timestamp;
 use serde::Serialize;
@@ -21,9 +22,10 @@ pub struct Copied {
     pub folder: PathBuf,
     /// Size of its database.
     pub database_bytes: u64,
-    /// Files beside the database, whole by their hashes.
+    /// Files beside the database, archives of the audit trail among them, whole by their hashes.
     pub files: usize,
-    /// Files that the database names and the original has no more, or only damaged, by SHA-256: what they hold is lost, and nothing else.
+    /// Files that the database names and the original has no more, or only damaged, by SHA-256, or by name of an archive: what they hold is lost, and
+    /// nothing else.
     pub lost: Vec<String>,
     /// Records of the audit trail.
     pub records: i64,
@@ -34,6 +36,9 @@ pub struct Copied {
     /// Why the bench of a restored folder is held, which is one record more.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub held: Option<String>,
+    /// Tokens of a backup that were revoked in the data folder that was made of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub revoked_tokens: Option<usize>,
 }
 
 /// Who holds the bench of a restored folder.
@@ -50,15 +55,35 @@ pub async fn copy(from: &Path, to: &Path) -> Result<Copied> {
     Ok(Copied { folder: to.to_owned(), ..made })
 }
 
-/// The same of a backup, to be served: what was poured since the backup its database does not know, so its bench is held until a person has looked.
+/// As [`copy()`], of a backup to a data folder that is going to be served: it is brought up to date. What was poured since the backup its database does
+/// not know, so its bench is held until a person has looked; and a token that was revoked since would open again, so all are revoked unless they are
+/// to be kept.
 ///
 /// # Errors
-/// As [`copy`].
-pub async fn restore(backup: &Path, to: &Path) -> Result<Copied> {
-    let (beside, made) = copy_beside(backup, to).await?;
-    let held = hold(&beside.folder, written_at(&backup.join(DATABASE))?).await?;
+/// As [`copy()`].
+pub async fn restore(backup: &Path, to: &Path, keep_tokens: bool) -> Result<Copied> {
+    let (beside, mut made) = copy_beside(backup, to).await?;
+    let written_at = written_at(&backup.join(DATABASE))?;
+    let store = Store::open(&beside.folder).await?;
+    made.held = Some(hold(&store, written_at).await?);
+    if !keep_tokens {
+        made.revoked_tokens = Some(revoke_tokens(&store).await?);
+    }
+    store.close().await;
     beside.put_in_place(to)?;
-    Ok(Copied { folder: to.to_owned(), held: Some(held), ..made })
+    Ok(Copied { folder: to.to_owned(), ..made })
+}
+
+/// Revoke every token that is not; how many.
+async fn revoke_tokens(store: &Store) -> Result<usize> {
+    let tokens = store.every_token().await?.into_iter().map(|token| token.entry);
+    let open: Vec<_> = tokens.filter(|token| token.revoked_at.is_none()).collect();
+    let mut tx = store.write().await?;
+    for token in &open {
+        tx.revoke_token(&token.id, now()).await?;
+    }
+    tx.commit().await?;
+    Ok(open.len())
 }
 
 async fn copy_beside(from: &Path, to: &Path) -> Result<(Beside, Copied)> {
@@ -81,9 +106,8 @@ fn written_at(database: &Path) -> Result<Timestamp> {
     Ok(Timestamp::from_unix_ms(since_1970.as_millis() as i64))
 }
 
-/// Hold the bench of this folder, in place of a hold from before; why. The folder is migrated, for one of an older FLIP knows no holds.
-async fn hold(folder: &Path, backup: Timestamp) -> Result<String> {
-    let store = Store::open(folder).await?;
+/// Hold the bench, in place of a hold from before; why.
+async fn hold(store: &Store, backup: Timestamp) -> Result<String> {
     let mut reason = format!("restored from a backup of {backup}: look before resuming");
     if let Some(before) = store.held().await? {
         reason = format!("{reason}. It was held before: {}", before.reason);
@@ -92,7 +116,6 @@ async fn hold(folder: &Path, backup: Timestamp) -> Result<String> {
     tx.resume_bench(RESTORE, "held anew", now()).await?;
     tx.hold_bench(&Held { at: now(), reason: reason.clone(), by: Some(RESTORE.to_owned()) }).await?;
     tx.commit().await?;
-    store.close().await;
     Ok(reason)
 }
 
@@ -110,19 +133,22 @@ async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
     let copy = Store::open_to_read(folder).await?;
     sound::check(copy.reader(), &database).await?;
     let named: Vec<String> = sqlx::query_scalar(NAMED).fetch_all(copy.reader()).await?;
-    let lost = copy_files(&named, original.artifacts(), &artifacts(folder))?;
+    let mut lost = copy_files(&named, original.artifacts(), &artifacts(folder))?;
+    let named_archives: Vec<(String, String)> = sqlx::query_as(archive::NAMED).fetch_all(copy.reader()).await?;
+    lost.extend(copy_archives(&named_archives, &archives(from), &archives(folder))?);
     let found = copy.verify_audit(None).await?;
     original.close().await;
     copy.close().await;
     Ok(Copied {
         folder: folder.to_owned(),
         database_bytes: fs::metadata(&database).map_err(failed)?.len(),
-        files: named.len() - lost.len(),
+        files: named.len() + named_archives.len() - lost.len(),
         lost,
         records: found.records,
         last_hash: found.last_hash,
         audit_broken: found.broken.map(|broken| format!("record {}: {}", broken.seq, broken.why)),
         held: None,
+        revoked_tokens: None,
     })
 }
 
@@ -136,6 +162,22 @@ fn copy_files(named: &[String], from: &Artifacts, to: &Artifacts) -> Result<Vec<
                 to.get(sha256)?;
             }
             Err(error) if error.is_lost_part() => lost.push(sha256.clone()),
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(lost)
+}
+
+/// Copy these archives and read each copy back; those that the original does not have whole.
+fn copy_archives(named: &[(String, String)], from: &Archives, to: &Archives) -> Result<Vec<String>> {
+    let mut lost = Vec::new();
+    for (file, sha256) in named {
+        match from.get(file, sha256) {
+            Ok(bytes) => {
+                to.put(file, &bytes)?;
+                to.get(file, sha256)?;
+            }
+            Err(error) if error.is_lost_part() => lost.push(file.clone()),
             Err(error) => return Err(error),
         }
     }
@@ -180,13 +222,15 @@ impl Drop for Beside {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::tokens::{HashedToken, Role, TokenEntry};
 
     async fn with_powders(folder: &Path, n: i64) -> Store {
         let store = Store::open(folder).await.unwrap();
         for k in 0..n {
             let mut tx = store.write().await.unwrap();
             tx.insert_powder(&format!("powder_{k}"), "Powder").await.unwrap();
-            tx.audit_person(None, "new powder", Timestamp::from_unix_ms(k)).await.unwrap();
+            let said = serde_json::json!({ "powder": { "id": format!("powder_{k}"), "name": "Powder" } });
+            tx.audit_deed(None, "new powder", said, Timestamp::from_unix_ms(k)).await.unwrap();
             tx.commit().await.unwrap();
         }
         store
@@ -200,8 +244,9 @@ mod tests {
         let store = with_powders(&data, 20).await;
         let made = copy(&data, &kept).await.unwrap();
         let again = copy(&kept, &back).await.unwrap();
-        assert_eq!((made.records, &made.audit_broken, &made.lost), (20, &None, &Vec::new()));
-        assert_eq!((&again.last_hash, again.records), (&made.last_hash, 20));
+        // With the records of the published powders that it began with.
+        assert_eq!((made.records, &made.audit_broken, &made.lost), (22, &None, &Vec::new()));
+        assert_eq!((&again.last_hash, again.records), (&made.last_hash, 22));
         let restored = Store::open(&back).await.unwrap();
         let count = "SELECT count(*) FROM powder WHERE id LIKE 'powder_%'";
         assert_eq!(sqlx::query_scalar::<_, i64>(count).fetch_one(restored.reader()).await.unwrap(), 20);
@@ -225,7 +270,7 @@ mod tests {
         copy(&data, &stopped).await.unwrap();
         for (backup, also) in [(&kept, ""), (&stopped, "It was held before: stop was pressed")] {
             let back = folder.path().join("back").join(backup.file_name().unwrap());
-            let made = restore(backup, &back).await.unwrap();
+            let made = restore(backup, &back, false).await.unwrap();
             let restored = Store::open(&back).await.unwrap();
             let held = restored.held().await.unwrap().expect("held");
             let at = written_at(&backup.join(DATABASE)).unwrap().to_string();
@@ -237,6 +282,41 @@ mod tests {
             assert!(verified.records > made.records);
         }
         assert_eq!(fs::read(kept.join(DATABASE)).unwrap(), before);
+    }
+
+    #[tokio::test]
+    async fn a_token_that_was_revoked_after_the_backup_does_not_live_again_in_the_restored_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let store = Store::open(&path("data")).await.unwrap();
+        let mut tx = store.write().await.unwrap();
+        for id in ["00", "01"] {
+            let (name, role, created_at) = ("Ada".to_owned(), Role::Admin, Timestamp::from_unix_ms(1));
+            let (expires_at, revoked_at, last_used_at) = (None, None, None);
+            let id = id.to_owned();
+            let entry =
+                TokenEntry { id, name, role, may_clear: true, created_at, expires_at, revoked_at, last_used_at };
+            tx.insert_token(&HashedToken { entry, sha256: vec![7; 32] }).await.unwrap();
+        }
+        tx.revoke_token("01", now()).await.unwrap();
+        tx.commit().await.unwrap();
+        copy(&path("data"), &path("kept")).await.unwrap();
+        let mut tx = store.write().await.unwrap();
+        tx.revoke_token("00", now()).await.unwrap();
+        tx.commit().await.unwrap();
+
+        let restored = restore(&path("kept"), &path("back"), false).await.unwrap();
+        let as_it_was = restore(&path("kept"), &path("as_it_was"), true).await.unwrap();
+        assert_eq!((restored.revoked_tokens, as_it_was.revoked_tokens), (Some(1), None), "one was revoked before");
+        let log = fs::metadata(path("back").join("flip.db-wal")).map_or(0, |it| it.len());
+        assert_eq!(log, 0, "nothing is left in a log beside the database");
+        for (name, left) in [("back", 0), ("as_it_was", 1)] {
+            let store = Store::open(&path(name)).await.unwrap();
+            let open = store.every_token().await.unwrap().into_iter().filter(|it| it.entry.revoked_at.is_none());
+            assert_eq!(open.count(), left, "{name}");
+            let found = store.verify_audit(Some(&restored.last_hash)).await.unwrap();
+            assert_eq!((found.broken, found.others, found.holds_hash), (None, Vec::new(), Some(true)), "{name}");
+        }
     }
 
     #[tokio::test]

@@ -125,6 +125,6 @@ mod tests {
         assert_eq!(tx.clear_latch("Ada", "the arm alone was latched", now()).await.unwrap(), None);
         tx.commit().await.unwrap();
         assert_eq!(store.latch().await.unwrap(), None);
-        assert_eq!(store.verify_audit(None).await.unwrap().records, 3);
+        assert_eq!(store.verify_audit(None).await.unwrap().records, 5);
     }
 }

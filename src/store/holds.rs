@@ -79,6 +79,6 @@ mod tests {
         let mut tx = store.write().await.unwrap();
         assert!(tx.resume_bench("Ada", "vial exchanged", now()).await.unwrap());
         tx.commit().await.unwrap();
-        assert_eq!((store.held().await.unwrap(), store.verify_audit(None).await.unwrap().records), (None, 2));
+        assert_eq!((store.held().await.unwrap(), store.verify_audit(None).await.unwrap().records), (None, 4));
     }
 }

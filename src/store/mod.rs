@@ -3,6 +3,8 @@
 //! One connection writes and four read; two more read for answers that grow with all that was ever done. A transaction that writes begins with `BEGIN IMMEDIATE`: a deferred one that
 //! read first and writes later can fail with a snapshot conflict that the busy time-out does not wait for.
 
+pub mod archive;
+pub mod archiving;
 pub mod artifacts;
 pub mod audit;
 pub mod backup;
@@ -27,9 +29,12 @@ mod place;
 pub mod policies;
 pub mod powders;
 mod row;
+pub mod said;
 pub mod simulators;
 mod sound;
+mod stock;
 pub mod tokens;
+mod trail;
 pub mod trials;
 pub mod verify;
 pub mod weighings;
@@ -38,6 +43,7 @@ pub mod who;
 pub use error::{Error, Result};
 
 use crate::domain::timestamp::Timestamp;
+use archive::Archives;
 use artifacts::Artifacts;
 use lock::DataLock;
 use place::Place;
@@ -56,6 +62,7 @@ pub struct Store {
     /// `None` when opened to read only.
     writer: Option<SqlitePool>,
     artifacts: Artifacts,
+    archives: Archives,
     /// Number of the newest event that is committed.
     newest_event: watch::Sender<i64>,
     /// The database that was opened: its name, and which file that led to.

@@ -1,5 +1,6 @@
 //! Opening a data folder: lock, connect, check, migrate, seed.
 
+use super::archive::{self, Archives};
 use super::artifacts::Artifacts;
 use super::lock::DataLock;
 use super::place::Place;
@@ -37,7 +38,7 @@ impl Store {
         sound::make_folder(data_dir)?;
         let lock = DataLock::take(data_dir)?;
         let database = data_dir.join(DATABASE);
-        sound::prepare(data_dir, &database, &artifacts(data_dir))?;
+        sound::prepare(data_dir, &database, (&artifacts(data_dir), &archives(data_dir)))?;
         let writer = write_connection(connection(data_dir)).await?;
         check_library(&writer).await?;
         sound::check(&writer, &database).await?;
@@ -45,6 +46,7 @@ impl Store {
         migrations().run(&writer).await.map_err(sqlx::Error::from)?;
         let store = Self::assemble(data_dir, Some(writer), Some(Arc::new(lock))).await?;
         store.seed_published_powders().await?;
+        store.take_stock().await?;
         store.sweep_artifacts().await?;
         Ok(store)
     }
@@ -79,6 +81,7 @@ impl Store {
             long,
             writer,
             artifacts: artifacts(data_dir),
+            archives: archives(data_dir),
             newest_event: watch::Sender::new(newest),
             place: Place::of(&data_dir.join(DATABASE))?,
             unwritten: Arc::default(),
@@ -114,6 +117,10 @@ fn connections(max: u32) -> SqlitePoolOptions {
 
 pub(super) fn artifacts(data_dir: &Path) -> Artifacts {
     Artifacts::in_folder(data_dir.join("blobs"))
+}
+
+pub(super) fn archives(data_dir: &Path) -> Archives {
+    Archives::in_folder(data_dir.join(archive::FOLDER))
 }
 
 /// FLIP's migrations. The queue library keeps its own in the same table, so each ignores the other's.

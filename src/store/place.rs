@@ -67,7 +67,7 @@ mod tests {
         std::fs::remove_dir_all(&data).unwrap();
         std::fs::rename(&away, &data).unwrap();
         record().await.unwrap();
-        assert_eq!(store.verify_audit(None).await.unwrap().records, 2);
+        assert_eq!(store.verify_audit(None).await.unwrap().records, 4);
     }
 
     #[tokio::test]

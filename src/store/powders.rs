@@ -34,6 +34,9 @@ pub struct Measurement {
     pub repose_deg: f64,
     /// Standard deviation over the repeats, degrees.
     pub sd_deg: f64,
+    /// Of a single value nobody knows the spread: `sd_deg` is 0 then, and says nothing.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub sd_unknown: bool,
     /// Number of repeats.
     pub n: u32,
     /// Where the numbers come from.
@@ -148,13 +151,15 @@ fn powder(row: &SqliteRow) -> Result<Powder> {
 }
 
 fn measurement(row: &SqliteRow) -> Result<Measurement> {
+    let (sd_deg, n) = (row.plain("sd_deg")?, row.count("n")?);
     Ok(Measurement {
         id: row.plain("id")?,
         powder: row.plain("powder")?,
         method: row.word("method")?,
         repose_deg: row.plain("repose_deg")?,
-        sd_deg: row.plain("sd_deg")?,
-        n: row.count("n")?,
+        sd_deg,
+        sd_unknown: n == 1 && sd_deg == 0.0,
+        n,
         source: row.plain("source")?,
         created_at: row.time("created_at")?,
     })

@@ -1,5 +1,6 @@
 //! What is looked at before a data folder is used: is its database there, whole, and of a version that this program knows?
 
+use super::archive::Archives;
 use super::artifacts::Artifacts;
 use super::{Error, Result};
 use sqlx::SqlitePool;
@@ -18,10 +19,10 @@ const OWN_MAX: i64 = 10_000_000_000;
 ///
 /// # Errors
 /// [`Error::Lost`]: no database, but files that one names; [`Error::File`].
-pub(super) fn prepare(data_dir: &Path, database: &Path, artifacts: &Artifacts) -> Result<()> {
+pub(super) fn prepare(data_dir: &Path, database: &Path, files: (&Artifacts, &Archives)) -> Result<()> {
     let size = |path: &Path| fs::metadata(path).map_or(0, |it| it.len());
     let log = database.with_extension("db-wal");
-    if size(database) == 0 && (size(&log) > 0 || artifacts.any()?) {
+    if size(database) == 0 && (size(&log) > 0 || files.0.any()? || files.1.any()) {
         return Err(Error::Lost(data_dir.to_owned()));
     }
     let made = OpenOptions::new().create_new(true).write(true).mode(0o600).open(database);

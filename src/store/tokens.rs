@@ -2,8 +2,9 @@
 
 use super::page::{Page, Window};
 use super::row::{Columns, word};
-use super::{Result, Store, Tx, now};
+use super::{Error, Result, Store, Tx, now};
 use crate::domain::timestamp::Timestamp;
+use crate::store::artifacts::sha256_hex;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
@@ -82,7 +83,8 @@ impl Tx {
             .bind(entry.may_clear)
             .execute(&mut *self.inner)
             .await?;
-        let said = serde_json::json!({ "token": entry });
+        let mut said = serde_json::json!({ "token": entry });
+        said["token"]["secret"] = mark(sha256).into();
         self.audit_deed(None, "new token", said, now()).await
     }
 
@@ -107,6 +109,21 @@ impl Tx {
         }
         Ok(())
     }
+}
+
+/// What the record keeps of a secret's hash: its own hash, by which it can be told from another and nothing be opened.
+fn mark(sha256: &[u8]) -> String {
+    sha256_hex(sha256)
+}
+
+/// What a row says, by the names of its record.
+pub(super) fn says(row: &SqliteRow) -> Result<serde_json::Value> {
+    let mut said = serde_json::to_value(entry(row)?).map_err(|error| Error::Corrupt(error.to_string()))?;
+    said["secret"] = mark(&row.plain::<Vec<u8>>("sha256")?).into();
+    if let Some(fields) = said.as_object_mut() {
+        fields.remove("last_used_at");
+    }
+    Ok(said)
 }
 
 fn entry(row: &SqliteRow) -> Result<TokenEntry> {

@@ -1,5 +1,6 @@
 //! The product through its sockets: REST, gRPC, events and the page, as its users meet them.
 
+mod archive;
 mod authorization;
 mod comparison;
 mod document;

@@ -252,6 +252,57 @@ async fn a_file_is_taken_in_whole_and_comes_back_as_it_was() {
 }
 
 #[tokio::test]
+async fn the_same_file_again_makes_no_duplicates_and_says_how_many_were_left_out() {
+    let service = Service::start().await;
+    let first: Value = import(&service, "?create=true", FILE).await.json().await.unwrap();
+    assert!(first.get("already_stored").is_none(), "{first}");
+    let all = service.get("/v1/measurements.csv").await.text().await.unwrap();
+    let again: Value = import(&service, "", FILE).await.json().await.unwrap();
+    assert_eq!(
+        (&again["already_stored"], &again["measurements"], &again["observations"]),
+        (&json!(4), &json!([]), &json!([]))
+    );
+    assert_eq!(service.get("/v1/measurements.csv").await.text().await.unwrap(), all);
+    // Another source, another value or another powder is another measurement, and so is what a file has once more than was stored.
+    for (csv, added) in [
+        ("powder,method,repose_deg,repose_sd_deg,n\nchalk,manual,44.5,1.25,6\nchalk,manual,44.5,1.25,6\n", 1),
+        ("powder,method,repose_deg,repose_sd_deg,n,source\nchalk,manual,44.5,1.25,6,Hall\n", 1),
+        ("powder,method,repose_deg,repose_sd_deg,n\nchalk,automated,44.5,1.25,6\nflour,manual,44.5,1.25,6\n", 2),
+        ("powder,method,repose_deg,repose_sd_deg,n\nchalk,manual,44.5,1.5,6\nchalk,manual,44.5,1.25,7\n", 2),
+    ] {
+        let more: Value = import(&service, "", csv).await.json().await.unwrap();
+        assert_eq!(more["measurements"].as_array().unwrap().len(), added, "{csv}: {more}");
+    }
+}
+
+#[tokio::test]
+async fn a_name_that_is_nearly_right_is_asked_about() {
+    let service = Service::start().await;
+    for (csv, meant) in [
+        ("powder,repose_dge\nsalt,30\n", "did you mean `repose_deg`?"),
+        ("powder,repose_deg\nsodium_bicarbonat,30\n", "did you mean `sodium_bicarbonate`?"),
+        ("powder,repose_deg\nSodium bicarbonat,30\n", "did you mean `sodium_bicarbonate`?"),
+    ] {
+        let refused = problem(import(&service, "", csv).await, 400).await;
+        assert!(refused["detail"].as_str().unwrap().contains(meant), "{csv}: {refused}");
+    }
+    let other = problem(import(&service, "", "powder,repose_deg\nflour,30\n").await, 400).await;
+    assert!(!other.to_string().contains("did you mean"), "{other}");
+}
+
+#[tokio::test]
+async fn the_spread_of_a_single_value_is_unknown_and_not_nothing() {
+    let service = Service::start().await;
+    let added: Value =
+        import(&service, "", "powder,repose_deg,n\nsalt,36.2,1\nsand,30,\nsand,30,\n").await.json().await.unwrap();
+    assert_eq!(added["measurements"][0]["sd_unknown"], true, "{added}");
+    assert!(added["measurements"][1].get("sd_unknown").is_none(), "two equal repeats have a spread of nothing");
+    let export = service.get("/v1/powders/salt/measurements.csv").await.text().await.unwrap();
+    assert!(export.contains("\nsalt,automated,36.2,,1,"), "{export}");
+    assert_eq!(import(&Service::start().await, "", export).await.status(), 201);
+}
+
+#[tokio::test]
 async fn a_bad_file_is_refused_by_row_and_column_and_stores_nothing() {
     let service = Service::start().await;
     let before = service.get("/v1/measurements.csv").await.text().await.unwrap();

@@ -86,6 +86,115 @@ async fn rows_that_were_slipped_in_or_taken_out_by_sql_are_noticed() {
 }
 
 #[tokio::test]
+async fn a_forged_row_that_says_it_is_older_than_the_record_is_not_taken_for_one_from_before_it() {
+    let service = Service::ready().await;
+    weighed(&service, "one").await;
+    change(
+        &service,
+        "INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, tolerance_upper_mg, \
+         policy, parameter_set, seed, state, outcome, reading_mg, created_at, finished_at) \
+         SELECT 'old', 'old', request_sha256, powder, target_mg, tolerance_lower_mg, tolerance_upper_mg, policy, parameter_set, \
+         seed, state, outcome, reading_mg, 1000, 2000 FROM weighing",
+    )
+    .await;
+    let found = verified(&service).await;
+    assert_eq!(found["changed"][0]["weighing"], "old", "{found}");
+    problem(service.get("/v1/weighings/old/certificate.html").await, 409).await;
+}
+
+/// What is reported of other rows after this change.
+async fn other_rows_after(sql: &'static str) -> (String, Value) {
+    let service = Service::ready().await;
+    service.token(Role::Operator).await;
+    let body = json!({ "method": "manual", "repose_deg": 31.5, "sd_deg": 1, "n": 5 });
+    let operator = service.token(Role::Operator).await;
+    let post = service.request("POST", "/v1/powders/salt/measurements").bearer_auth(&operator).json(&body);
+    assert_eq!(post.send().await.unwrap().status(), 201);
+    let file = "powder,drained_deg\nsalt,38\nsalt,39\n";
+    let post = service.request("POST", "/v1/measurements/import").bearer_auth(&operator);
+    assert_eq!(post.header("content-type", "text/csv").body(file).send().await.unwrap().status(), 201);
+    let whole = verified(&service).await;
+    assert_eq!((&whole["broken"], &whole["others"]), (&Value::Null, &Value::Null), "{whole}");
+    change(&service, sql).await;
+    let found = verified(&service).await;
+    assert!(found["broken"]["why"].is_string(), "{sql}: {found}");
+    (found["others"][0]["what"].as_str().unwrap_or_default().to_owned(), found)
+}
+
+#[tokio::test]
+async fn a_token_that_was_made_mightier_by_sql_does_not_pass_verification() {
+    for (sql, named) in [
+        ("UPDATE token SET role = 'admin'", "role is \"admin\", \"operator\" was recorded"),
+        ("UPDATE token SET may_clear = 1", "may_clear is true"),
+        ("UPDATE token SET sha256 = zeroblob(32)", "secret is"),
+        ("UPDATE token SET name = 'somebody else'", "name is"),
+        ("UPDATE token SET expires_at = 1", "expires_at is"),
+        ("DELETE FROM token", "its row is gone"),
+        (
+            "INSERT INTO token (id, name, role, sha256, created_at) VALUES ('ff', 'mine', 'admin', zeroblob(32), 1)",
+            "the record knows nothing of it",
+        ),
+    ] {
+        let (what, found) = other_rows_after(sql).await;
+        assert_eq!(what, "token", "{sql}: {found}");
+        assert!(found["others"][0]["why"].as_str().unwrap().contains(named), "{sql}: {found}");
+    }
+}
+
+#[tokio::test]
+async fn a_revoked_token_that_was_made_good_again_by_sql_does_not_pass_verification() {
+    let service = Service::start().await;
+    let secret = service.token(Role::Operator).await;
+    let id = secret.split('_').nth(1).unwrap();
+    service.app.revoke_token(id).await.unwrap();
+    assert_eq!(verified(&service).await["broken"], Value::Null);
+    change(&service, "UPDATE token SET revoked_at = NULL").await;
+    let found = verified(&service).await;
+    assert_eq!((&found["others"][0]["what"], &found["others"][0]["id"]), (&json!("token"), &json!(id)), "{found}");
+}
+
+#[tokio::test]
+async fn what_was_measured_and_what_the_bench_is_cannot_be_changed_by_sql_unseen() {
+    for (sql, what) in [
+        ("UPDATE measurement SET repose_deg = 50 WHERE repose_deg = 31.5", "measurement"),
+        ("UPDATE measurement SET sd_deg = 9 WHERE source LIKE '%2506%' OR n = 5", "measurement"),
+        ("DELETE FROM measurement WHERE repose_deg = 31.5", "measurement"),
+        (
+            "INSERT INTO measurement (id, powder, method, repose_deg, sd_deg, n, source, created_at) \
+             VALUES ('x', 'salt', 'automated', 60, 1, 5, '', 0)",
+            "measurement",
+        ),
+        ("UPDATE observation SET body = json_set(body, '$.mean', 45.0)", "observation"),
+        ("UPDATE powder SET name = 'Sugar' WHERE id = 'salt'", "powder"),
+        ("UPDATE parameter_set SET parameters = replace(parameters, '0.', '0.0')", "parameter_set"),
+        ("INSERT INTO latch (at, reason, cleared_at, cleared_by) VALUES (1, 'never', 2, 'nobody')", "latch"),
+        ("INSERT INTO bench_hold (at, reason) VALUES (1, 'never')", "hold"),
+        ("INSERT INTO bench_check (at, kind, body) VALUES (1, 'repeatability', '{}')", "check"),
+    ] {
+        let (found, all) = other_rows_after(sql).await;
+        assert_eq!(found, what, "{sql}: {all}");
+    }
+}
+
+#[tokio::test]
+async fn a_hold_that_was_ended_by_sql_is_still_on_record() {
+    let service = Service::ready().await;
+    let operator = service.token(Role::Admin).await;
+    let stop = service.request("POST", "/v1/bench/stop").bearer_auth(&operator).send().await.unwrap();
+    assert!(stop.status().is_success(), "{}", stop.status());
+    while service.get("/v1/bench").await.json::<Value>().await.unwrap()["held"].is_null() {
+        tokio::task::yield_now().await;
+    }
+    // The hold is in memory first and in the record a moment later.
+    while verified(&service).await["others"].is_array() {
+        tokio::task::yield_now().await;
+    }
+    change(&service, "UPDATE bench_hold SET resumed_at = 1, resumed_by = 'nobody'").await;
+    let found = verified(&service).await;
+    assert_eq!(found["others"][0]["what"], "hold", "{found}");
+}
+
+#[tokio::test]
 async fn an_intent_that_was_changed_before_its_dose_is_noticed() {
     let service = Service::ready().await;
     let hold = service.hold_bench();

@@ -62,6 +62,17 @@ async fn tokens_are_made_listed_and_revoked_while_the_service_runs() {
 }
 
 #[tokio::test]
+async fn the_record_is_archived_beside_a_service_and_a_day_that_is_none_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let _service = Service::start(folder.path());
+    let done = document(&flip(folder.path(), &["audit", "archive", "--before", "2026-11-26", "--json"]));
+    assert_eq!((&done["records"], &done["files"]), (&json!(0), &json!([])), "no dose is there");
+    let refused = flip(folder.path(), &["audit", "archive", "--before", "26.11.2026"]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("before: must be a day"), "{refused:?}");
+}
+
+#[tokio::test]
 async fn a_backup_while_serving_holds_what_was_committed_and_is_restored_after_a_kill() {
     let folder = tempfile::tempdir().unwrap();
     let (data, kept, back) = (folder.path().join("data"), folder.path().join("kept"), folder.path().join("back"));
@@ -85,11 +96,15 @@ async fn a_backup_while_serving_holds_what_was_committed_and_is_restored_after_a
     let hash = made["last_hash"].as_str().unwrap();
     assert_eq!(document(&flip(&back, &["audit", "verify", "--hash", hash, "--json"]))["holds_hash"], true);
     let service = Service::start(&back);
-    assert_eq!(service.token, None, "its tokens are those of before");
+    assert_eq!(service.token, None, "it has tokens");
+    assert_eq!(restored["revoked_tokens"], 1, "{restored}");
+    assert_eq!(add_powder(&service, &token, "flour").await, 401, "none of before opens");
+    let made = document(&flip(&back, &["token", "create", "--role", "operator", "--name", "new", "--json"]));
+    let token = made["token"].as_str().unwrap();
     let why = service.get("/v1/bench").await["held"]["reason"].as_str().unwrap().to_owned();
     assert!(why.starts_with("restored from a backup of "), "its bench waits for a person: {why}");
     for k in 0..20 {
-        assert_eq!(add_powder(&service, &token, &format!("powder_{k}")).await, 409, "powder_{k} is there");
+        assert_eq!(add_powder(&service, token, &format!("powder_{k}")).await, 409, "powder_{k} is there");
     }
     service.kill();
 }

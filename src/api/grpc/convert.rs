@@ -67,7 +67,7 @@ same_fields! {
         flowability: p.flowability.map(Into::into),
         created_at: at(p.created_at),
     }
-    m: app::Measurement => Measurement { id powder repose_deg sd_deg n source } {
+    m: app::Measurement => Measurement { id powder repose_deg sd_deg sd_unknown n source } {
         method: proto::Method::from(m.method).into(),
         created_at: at(m.created_at),
     }
@@ -287,8 +287,12 @@ same_fields! {
         broken_seq: v.broken.as_ref().map(|broken| broken.seq),
         broken_why: v.broken.map(|broken| broken.why),
         changed: all(v.changed),
+        others: all(v.others),
+        archives: all(v.archives),
     }
     c: app::ChangedRow => ChangedRow { weighing seq why } {}
+    c: app::ChangedOther => ChangedOther { id seq why } { what: c.what.name().to_owned(), }
+    l: app::LostArchive => LostArchive { file first last why } {}
     r: app::ReposeMeasurement => ReposeMeasurement { powder run } {
         job: Some(r.job.into()),
         bench: bench_kind(r.bench),

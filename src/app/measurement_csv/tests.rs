@@ -102,6 +102,7 @@ fn what_is_written_is_read_to_the_last_bit() {
         method,
         repose_deg,
         sd_deg: 0.1 + 0.2,
+        sd_unknown: false,
         n: 3,
         source: source.into(),
         created_at,

@@ -1,0 +1,44 @@
+//! Archiving the audit trail.
+
+use super::{App, Result};
+use crate::domain::FieldError;
+use crate::domain::timestamp::Timestamp;
+use crate::store::archiving::Archived;
+use serde::Deserialize;
+
+impl App {
+    /// Move what was recorded of weighings that ended before a day, or a point in time, into files of the data folder. Their intents and outcomes and
+    /// what people did stay where they are; certificates, listings and verification read the files.
+    ///
+    /// # Errors
+    /// `Invalid`: `before`, as `2026-11-26` (its beginning, UTC) or in RFC 3339; `Internal`, `Unavailable`: whatever was moved is in files
+    /// that the record names, and everything else is where it was.
+    pub async fn archive_audit(&self, before: &str) -> Result<Archived> {
+        let before = point_in_time(before)?;
+        Ok(self.store().archive_audit(before).await?)
+    }
+}
+
+fn point_in_time(text: &str) -> std::result::Result<Timestamp, FieldError> {
+    let whole = if text.len() == "2026-11-26".len() { format!("{text}T00:00:00Z") } else { text.to_owned() };
+    let read = Timestamp::deserialize(serde_json::Value::String(whole));
+    read.map_err(|_| {
+        let advice = format!("must be a day such as 2026-11-26, or a time such as 2026-11-26T08:00:00Z, got `{text}`");
+        FieldError::new("before", advice)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_day_begins_at_midnight_utc_and_what_is_no_day_is_refused() {
+        let read = |text| point_in_time(text).map(|at| at.to_string());
+        assert_eq!(read("2026-11-26").unwrap(), "2026-11-26T00:00:00Z");
+        assert_eq!(read("2026-11-26T08:00:00+01:00").unwrap(), "2026-11-26T07:00:00Z");
+        for text in ["", "26.11.2026", "2026-13-01", "yesterday", "2026-11-26T"] {
+            assert_eq!(read(text).unwrap_err().field, "before", "{text}");
+        }
+    }
+}

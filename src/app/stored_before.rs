@@ -1,0 +1,44 @@
+//! Which measurements of a file are stored already: of the same powder, with the same values and source.
+
+use super::measurement_csv::{Entry, Value};
+use super::measurements::Measured;
+use crate::domain::observable::Observation;
+use crate::domain::powder::{Flowability, Method};
+use std::collections::HashMap;
+
+/// How often each was stored.
+pub(super) struct StoredBefore(HashMap<String, usize>);
+
+impl StoredBefore {
+    pub fn of(measured: &Measured) -> Self {
+        let mut stored = HashMap::new();
+        for it in &measured.measurements {
+            let angle = Flowability { repose_deg: it.repose_deg, sd_deg: it.sd_deg, n: it.n };
+            *stored.entry(key(&it.powder, &it.source, &angle_key(it.method, &angle))).or_default() += 1;
+        }
+        for it in &measured.observations {
+            let observed = Observation { observable: it.observable, mean: it.mean, sd: it.sd, n: it.n };
+            *stored.entry(key(&it.powder, &it.source, &format!("{observed:?}"))).or_default() += 1;
+        }
+        Self(stored)
+    }
+
+    /// Whether it was stored. Each stored one stands for one of the file: what a file has twice is stored twice.
+    pub fn has(&mut self, entry: &Entry) -> bool {
+        let value = match &entry.value {
+            Value::Angle(method, angle) => angle_key(*method, angle),
+            Value::Observed(observed) => format!("{observed:?}"),
+        };
+        let left = self.0.get_mut(&key(&entry.powder, &entry.source, &value)).filter(|left| **left > 0);
+        left.map(|left| *left -= 1).is_some()
+    }
+}
+
+fn angle_key(method: Method, angle: &Flowability) -> String {
+    format!("{method:?} {angle:?}")
+}
+
+/// Unequal numbers print unequal, and no id or source holds a line break.
+fn key(powder: &str, source: &str, value: &str) -> String {
+    format!("{powder}\n{source}\n{value}")
+}
