@@ -20,7 +20,7 @@ use super::csv_file::words::{self, yes_or_no};
 use super::csv_file::{Cells, Columns, Holds, REFUSALS_MAX, Refused, Table, Told, at, within};
 use super::powder_names::PowderNames;
 use super::{Error, Result, humidity};
-use crate::discover::reading::{ColumnRead, FileRead, TakenAs};
+use crate::discover::reading::{ColumnRead, FileRead, LeftOut, TakenAs};
 use crate::discover::{Campaign, Covariate, Run, repeats_of};
 use crate::domain::FieldError;
 use crate::domain::powder::{Flowability, Method};
@@ -108,8 +108,12 @@ pub(super) fn read(text: &str, required: &[&str], dates: Option<DateOrder>) -> R
     let table = Table::open(text, &columns, check_header)?;
     let covariates = table.columns.iter().filter(|name| !OWN.contains(&name.as_str()) && !name.is_empty());
     let covariates: Vec<&str> = covariates.map(String::as_str).collect();
-    let (mut lines, mut powders) = (Vec::new(), PowderNames::default());
+    let (mut lines, mut powders, mut summaries) = (Vec::new(), PowderNames::default(), Vec::new());
     let refusals = table.each(|cells| {
+        if is_summary(cells) {
+            summaries.push(cells.row as u32);
+            return Ok(());
+        }
         lines.push(line(cells, &covariates, required, &mut powders)?);
         Ok(())
     });
@@ -125,13 +129,23 @@ pub(super) fn read(text: &str, required: &[&str], dates: Option<DateOrder>) -> R
     columns.sort_by_key(|it| table.columns.iter().position(|name| *name == it.column));
     let read_as = FileRead {
         file: "measurements".to_owned(),
-        rows: (lines.len() + left_out.rows.len()) as u32,
+        rows: (lines.len() + left_out.rows.len() + summaries.len()) as u32,
         columns,
         powders: powders.named(),
-        left_out: left_out.told(),
+        left_out: summaries_told(summaries).into_iter().chain(left_out.told()).collect(),
         notes: left_out.note.into_iter().collect(),
     };
     Ok(CampaignRead { campaign: campaign(&lines, &session.places, &covariates, read), read: read_as })
+}
+
+/// Whether a row says what was computed of others: what its powder or its session is called tells.
+fn is_summary(cells: &Cells<'_>) -> bool {
+    ["powder", "session"].iter().any(|column| words::is_summary(cells.text(column)))
+}
+
+fn summaries_told(rows: Vec<u32>) -> Option<LeftOut> {
+    let reason = "they are called mean, SD, total or the like: computed of other rows, and no runs";
+    (!rows.is_empty()).then(|| LeftOut { rows, reason: reason.to_owned() })
 }
 
 /// Session and covariates of the rows, or all that is wrong with either.

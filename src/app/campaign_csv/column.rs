@@ -95,9 +95,12 @@ impl Numbers<'_> {
             return Err(refusals);
         }
         let mut notes: Vec<String> = self.limits().into_iter().collect();
-        if self.name == humidity::COLUMN {
-            let has_unit = |k: usize| self.unit(&self.cells[k]).is_some();
-            notes.extend(humidity::to_percent(&mut values, has_unit, |k| self.rows[k])?.map(str::to_owned));
+        let has_unit = |k: usize| self.unit(&self.cells[k]).is_some();
+        // Fractions alone are a scale of their own, in a column that nobody said is of per cent.
+        let is_percent = |(k, value): (usize, &Option<f64>)| has_unit(k) || value.is_some_and(|value| value > 1.0);
+        let is_mixed = || humidity::is_meant(self.name) && values.iter().enumerate().any(is_percent);
+        if self.name == humidity::COLUMN || is_mixed() {
+            notes.extend(humidity::to_percent(self.name, &mut values, has_unit, |k| self.rows[k])?.map(str::to_owned));
         }
         let filled = values.iter().flatten().count();
         if filled == 0 {

@@ -15,6 +15,61 @@ pub fn is_missing(cell: &str) -> bool {
     cell.is_empty() || MISSING.contains(&cell)
 }
 
+/// Whether a cell names what was computed of the rows above it, as the last rows of a table do: `Mean`, `SD`, `Total`, `salt average`.
+pub fn is_summary(cell: &str) -> bool {
+    /// Alone.
+    const WORDS: [&str; 39] = [
+        "mean",
+        "mean value",
+        "average",
+        "avg",
+        "median",
+        "sd",
+        "s.d",
+        "std",
+        "std dev",
+        "std. dev",
+        "stdev",
+        "st dev",
+        "st. dev",
+        "standard deviation",
+        "rsd",
+        "rsd%",
+        "% rsd",
+        "%rsd",
+        "rsd (%)",
+        "cv",
+        "cv%",
+        "% cv",
+        "variance",
+        "sem",
+        "min",
+        "minimum",
+        "max",
+        "maximum",
+        "range",
+        "count",
+        "n",
+        "sum",
+        "total",
+        "subtotal",
+        "mittelwert",
+        "stabw",
+        "standardabweichung",
+        "summe",
+        "moyenne",
+    ];
+    /// Also beside a name: nobody calls a powder so.
+    const BESIDE: [&str; 10] =
+        ["mean", "average", "avg", "median", "total", "subtotal", "mittelwert", "summe", "gesamt", "moyenne"];
+    let text = cell.trim().trim_end_matches([':', '=', '.']).trim_end().to_lowercase();
+    let mut words = text.split(|c: char| c.is_whitespace() || "()_,-".contains(c)).filter(|word| !word.is_empty());
+    let (first, last) = (words.next().unwrap_or_default(), words.next_back());
+    WORDS.contains(&text.as_str())
+        || last.is_some_and(|last| BESIDE.contains(&first) || BESIDE.contains(&last))
+        || BESIDE.contains(&text.as_str())
+}
+
 /// Whether it is where a number belongs.
 pub fn is_no_number(cell: &str) -> bool {
     NO_NUMBER.contains(&cell.to_ascii_lowercase().as_str())
@@ -44,5 +99,43 @@ pub fn method(text: &str) -> Option<Method> {
         "" | "automated" | "automatic" | "auto" | "camera" => Some(Method::Automated),
         "manual" | "hand" | "by hand" | "by_hand" => Some(Method::Manual),
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_of_means_is_no_powder() {
+        for word in [
+            "Mean",
+            "AVERAGE:",
+            "SD",
+            "Std. Dev.",
+            "Total",
+            "Grand Total",
+            "salt Average",
+            "mean (salt)",
+            "% RSD",
+            "n",
+            "Mittelwert",
+        ] {
+            assert!(is_summary(word), "{word}");
+        }
+        for powder in [
+            "salt",
+            "Mannitol SD 200",
+            "lactose SD",
+            "Std sand",
+            "meant",
+            "Maxim",
+            "totally",
+            "NaCl",
+            "n-hexatriacontane",
+            "",
+        ] {
+            assert!(!is_summary(powder), "{powder}");
+        }
     }
 }
