@@ -3,16 +3,17 @@
 //! | cells | order |
 //! |-------|-------|
 //! | days, half of them at least ([`date`](crate::app::csv_file::date)) | of time; the others are refused |
-//! | numbers, more than half | of size, but for those that only a name can be, as 1.1 beside 1.10 (`labels`); where all count days (46056), seconds or milliseconds since 1970, or are digits of a date, the day; the others are refused |
+//! | numbers, more than half | of size, but for those that only a name can be, as 1.1 beside 1.10 (`labels`); where half count days (46056), seconds or milliseconds since 1970, or are digits of a date, the day; the others are refused |
 //! | names | in which they first stand in the file |
 
 mod dates;
 mod labels;
 
 use super::Cell;
-use crate::app::csv_file::date::{Count, DateOrder, Written, day, time_of};
+use crate::app::csv_file::date::{Count, DateOrder, Written, day, six_digits, time_of};
 use crate::app::csv_file::{Refused, Told, at};
 use crate::discover::reading::{ColumnRead, TakenAs};
+use crate::domain::powder_name::same_name;
 use dates::Dates;
 use std::collections::HashMap;
 use time::Date;
@@ -63,7 +64,11 @@ pub(super) fn sessions(cells: &[Cell<'_>], rows: &[usize], order: Option<DateOrd
     let mut known = known.into_iter();
     let place = |cell: &Cell<'_>| if cell.is_filled() { known.next() } else { unnamed.next() };
     let missing = cells.len() - filled.len();
-    let alone = if missing > 0 && !filled.is_empty() { "; a row without is a session of its own" } else { "" };
+    let alone = if missing > 0 && !filled.is_empty() {
+        "; a row without is a session of its own: fill merged cells down"
+    } else {
+        ""
+    };
     Ok(Sessions {
         column: (!filled.is_empty()).then(|| ColumnRead {
             column: "session".to_owned(),
@@ -93,17 +98,35 @@ impl Column<'_> {
             return Ok(self.of_days(&days));
         }
         if 2 * numbers > self.cells.len() {
-            let numbers = self.numbers()?;
-            let counted = Count::of(&numbers);
-            let days: Option<Vec<Date>> =
-                counted.and_then(|count| numbers.iter().map(|number| count.day(*number)).collect());
-            return Ok(match days {
-                Some(days) => self.of_days(&days),
-                None if labels::are_labels(&self.texts) => of_names(&self.texts, LABELS),
-                None => of_numbers(&numbers),
-            });
+            return self.counted(order);
         }
         Ok(of_names(&self.texts, NAMES))
+    }
+
+    /// Of numbers, most of them: days where they count such, else what they are.
+    fn counted(&self, order: Option<DateOrder>) -> Refused<(Vec<usize>, String)> {
+        let numbers = self.numbers()?;
+        if let Some(count) = Count::of(&numbers) {
+            let days = self.each(|cell| {
+                match cell {
+                    Read::Number(number) => count.day(*number),
+                    _ => None,
+                }
+                .ok_or_else(|| {
+                    "counts no day, as most sessions of the file do: correct it, or leave it empty".to_owned()
+                })
+            });
+            return Ok(self.of_days(&days?));
+        }
+        let six: Option<Vec<Read>> = self.texts.iter().map(|text| six_digits(text).map(Read::Day)).collect();
+        if let Some(cells) = six {
+            let written = Self { rows: self.rows.clone(), texts: self.texts.clone(), cells };
+            return Ok(written.of_days(&written.days(order)?));
+        }
+        Ok(match labels::are_labels(&self.texts) {
+            true => of_names(&self.texts, LABELS),
+            false => of_numbers(&numbers),
+        })
     }
 
     fn of_days(&self, days: &[Date]) -> (Vec<usize>, String) {
@@ -192,12 +215,12 @@ fn span(what: &str, order: &[impl std::fmt::Display]) -> String {
 }
 
 fn of_names(names: &[&str], note: &str) -> (Vec<usize>, String) {
-    let mut known: HashMap<&str, usize> = HashMap::new();
+    let mut known: HashMap<String, usize> = HashMap::new();
     let places: Vec<usize> = names
         .iter()
         .map(|name| {
             let next = known.len();
-            *known.entry(*name).or_insert(next)
+            *known.entry(same_name(name)).or_insert(next)
         })
         .collect();
     (places, format!("{} {note}", known.len()))

@@ -123,6 +123,12 @@ fn date(year: u16, month: u16, day: u16) -> Option<Date> {
     Date::from_calendar_date(i32::from(year), month, u8::try_from(day).ok()?).ok()
 }
 
+/// The day in six digits, in whichever order: 260221 or 210226.
+pub fn six_digits(text: &str) -> Option<Written> {
+    let are_digits = text.len() == 6 && text.bytes().all(|byte| byte.is_ascii_digit());
+    if are_digits { three(&text[..2], &text[2..4], &text[4..], '/') } else { None }
+}
+
 /// Digits, at most `most` of them.
 fn number(text: &str, most: usize) -> Option<u16> {
     let is_number = (1..=most).contains(&text.len()) && text.bytes().all(|byte| byte.is_ascii_digit());
@@ -250,11 +256,13 @@ pub enum Count {
 }
 
 impl Count {
-    /// What all of these numbers count; nothing where they are numbers of another kind.
+    /// What at least half of these numbers count; nothing where they are numbers of another kind.
     pub fn of(numbers: &[f64]) -> Option<Self> {
-        [Self::Serial, Self::Seconds, Self::Milliseconds, Self::Digits]
-            .into_iter()
-            .find(|count| !numbers.is_empty() && numbers.iter().all(|number| count.day(*number).is_some()))
+        let are_days = |count: &Self| {
+            let days = numbers.iter().filter(|number| count.day(**number).is_some()).count();
+            days > 0 && 2 * days >= numbers.len()
+        };
+        [Self::Serial, Self::Seconds, Self::Milliseconds, Self::Digits].into_iter().find(are_days)
     }
 
     /// The day of a number, of the years 2000 to 2099.
@@ -361,6 +369,8 @@ mod tests {
         assert_eq!(day("15/2/26").unwrap().order(), None, "15 February 2026 or 26 February 2015");
         assert_eq!(day("26/02/2021").unwrap().order(), Some(DateOrder::DayFirst));
         assert_eq!([day("10-2-3"), day("10.2.3")], [None, None]);
+        assert_eq!(six_digits("260221"), day("26/02/21"));
+        assert_eq!([six_digits("26022"), six_digits("269921"), six_digits("26é21")], [None, None, None]);
     }
 
     #[test]
@@ -400,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_count_days_if_all_of_them_do() {
+    fn numbers_count_days_if_most_of_them_do() {
         let of = |numbers: &[f64]| Count::of(numbers).and_then(|count| count.day(numbers[0]));
         assert_eq!(of(&[46_056.0, 46_057.4]), Some(THIRD));
         assert_eq!(of(&[46_056.9]), Some(THIRD), "whatever the hour");
@@ -409,7 +419,8 @@ mod tests {
         assert_eq!(of(&[20_260_203.0]), Some(THIRD));
         assert_eq!(of(&[202_602_030_930.0]), Some(THIRD));
         assert_eq!(of(&[20_260_203_093_059.0]), Some(THIRD));
-        for numbers in [&[1.0, 2.0] as &[f64], &[46_056.0, 3.0], &[20_261_503.0], &[202_602_032_530.0], &[]] {
+        assert_eq!(Count::of(&[46_056.0, 46_057.0, 4_605.0]), Some(Count::Serial), "a digit is missing");
+        for numbers in [&[1.0, 2.0] as &[f64], &[46_056.0, 3.0, 4.0], &[20_261_503.0], &[202_602_032_530.0], &[]] {
             assert_eq!(Count::of(numbers), None, "{numbers:?}");
         }
     }
