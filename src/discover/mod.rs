@@ -31,7 +31,7 @@
 //! what is claimed has 0.8 of it, and no look-alike. What it is worth is a matter of days that were left out of the whole search.
 
 /// Grows when an investigation of the same campaign may come to another report.
-pub const VERSION: u32 = 4;
+pub const VERSION: u32 = 5;
 
 mod beside;
 pub mod campaign;
