@@ -365,7 +365,11 @@ fn discover_of_one_to_five_sessions_says_that_it_cannot_judge_and_what_that_take
         let output = flip(&data, &[&discover[..], &quick].concat());
         expect_status(&output, 0);
         let text = String::from_utf8(output.stdout).unwrap();
-        for said in ["These angles cannot be judged", "It takes runs of the same powders on 6 days or more", "angles not judged"] {
+        for said in [
+            "These angles cannot be judged",
+            "It takes runs of the same powders on 6 days or more",
+            "angles not judged",
+        ] {
             assert!(text.contains(said), "{said} is missing in {text}");
         }
         // The job's report reads back, and says the same.

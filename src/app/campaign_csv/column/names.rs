@@ -49,7 +49,9 @@ fn as_one<'a>(cells: &[Cell<'a>]) -> (Vec<Cell<'a>>, Option<String>) {
     }
     let named =
         |cell: &Cell<'a>| Cell { text: ways.get(&same_name(cell.text)).map_or(cell.text, |known| known[0]), ..*cell };
-    if ways.len() > 2 && ways.keys().all(|name| yes_or_no(name).is_some()) {
+    // Of letters alone, such as t and n, nobody knows.
+    let has_word = ways.keys().any(|name| name.len() > 1 && name.chars().all(char::is_alphabetic));
+    if ways.len() > 2 && has_word && ways.keys().all(|name| yes_or_no(name).is_some()) {
         let told = |cell: &Cell<'a>| yes_or_no(cell.text).map_or(*cell, |text| Cell { text, told: Told::Text(text) });
         return (cells.iter().map(told).collect(), Some("written in several ways, taken as yes and no".to_owned()));
     }

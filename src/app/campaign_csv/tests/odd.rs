@@ -129,6 +129,23 @@ fn what_stands_for_nothing_is_no_number() {
 }
 
 #[test]
+fn a_thousand_with_a_point_beside_hundreds_is_no_one_point_something() {
+    let pressure = |k: usize| ["980", "1.013", "995", "1.005"][k % 4].to_owned();
+    let rows =
+        |text: &str| table("powder;repose_deg;pressure_hpa", |k| format!("salt;{}{text};{}", 30 + k % 7, pressure(k)));
+    assert_eq!(refused(&rows("")).len(), 7, "may be 1.013 or 1013");
+    // Another column tells that points separate decimals, or that commas do.
+    let first = |text: &str| match column(&campaign_of(&rows(text)), "pressure_hpa") {
+        Some(Values::Numbers(of)) => of[1],
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(
+        (first(".5"), column(&campaign_of(&with_column("gap", &["2", "1.125", "3"])), "gap").is_some()),
+        (Some(1.013), true)
+    );
+}
+
+#[test]
 fn a_column_that_stands_twice_or_counts_rows_is_no_condition() {
     for again in ["repose_deg.1", "repose_deg_2", "Repose deg 3", "flow_time_s.1", "powder.1"] {
         assert_eq!(refused(&beside(again, |_| "33".to_owned())), [again], "{again}");
