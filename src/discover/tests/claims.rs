@@ -23,9 +23,9 @@ enum Hidden {
 
 const KINDS: [Hidden; 6] =
     [Hidden::Nothing, Hidden::Outliers, Hidden::Small, Hidden::Graded, Hidden::Mixed, Hidden::Operator];
-const NAMES: [&str; 3] = ["talc", "lactose_m200", "quartz"];
+const NAMES: [&str; 2] = ["talc", "lactose_m200"];
 /// Campaigns of each kind.
-const SEEDS: u64 = 4;
+const SEEDS: u64 = 3;
 
 impl Hidden {
     /// What is added to the angle of a powder, deg; `share` of the humidity's range from its middle, `by` the operator.
@@ -42,10 +42,10 @@ impl Hidden {
     }
 }
 
-/// One to three powders, two runs of each on eight to ten days.
+/// One or two powders, two runs of each on eight to ten days.
 fn campaign(hidden: Hidden, seed: u64) -> Campaign {
     let mut rng = Pcg64::seed_from_u64(derive(hidden as u64, &[seed]));
-    let (powders, days) = (rng.random_range(1..=3u32) as usize, rng.random_range(8..=10u32) as usize);
+    let (powders, days) = (rng.random_range(1..=2u32) as usize, rng.random_range(8..=10u32) as usize);
     let normal = |rng: &mut Pcg64| normal::quantile(rng.random::<f64>().clamp(1e-12, 1.0 - 1e-12));
     let (mut runs, mut humidity, mut operator) = (Vec::new(), Vec::new(), Vec::new());
     for session in 0..days {
@@ -85,18 +85,22 @@ fn of_angles(report: &Report) -> impl Iterator<Item = &Finding> {
     report.findings.iter().filter(|it| it.unit == "deg")
 }
 
-/// Every powder that is named has its own effect beside its name; how many are.
+/// Every powder that is named has its own effect beside its name, of one of the findings; how many are.
 fn named(report: &Report, case: &str) -> usize {
-    let mut named = 0;
-    for (finding, it) in of_angles(report).flat_map(|finding| finding.by_powder.iter().map(move |it| (finding, it))) {
-        let name = it.powder.replace('_', " ");
-        if headline(report).contains(&name) {
-            named += 1;
-            let own = format!("{name} {}", sized(it.effect, it.ci95, &finding.unit));
-            assert!(headline(report).contains(&own), "{case}: no `{own}` in `{}`", report.sentence);
-        }
-    }
-    named
+    let effects = || of_angles(report).flat_map(|finding| finding.by_powder.iter().map(move |it| (finding, it)));
+    let names = NAMES.into_iter().filter(|name| headline(report).contains(&name.replace('_', " ")));
+    let check = |name: &str| {
+        let own = effects().filter(|(_, it)| it.powder == name);
+        let own =
+            own.map(|(finding, it)| format!("{} {}", name.replace('_', " "), sized(it.effect, it.ci95, &finding.unit)));
+        let own: Vec<String> = own.collect();
+        assert!(
+            own.iter().any(|own| headline(report).contains(own)),
+            "{case}: none of {own:?} in `{}`",
+            report.sentence
+        );
+    };
+    names.map(check).count()
 }
 
 #[test]
@@ -116,7 +120,8 @@ fn a_headline_of_nothing_is_no_cause_and_a_named_powder_has_its_own_effect() {
             }
             Verdict::Hint => {
                 assert!(report.sentence.starts_with("A hint") && !report.is_worth_a_version(), "{}", report.sentence);
-                assert!(!(is_accepted && of_angles(&report).all(is_claimed)), "{case}: {}", report.sentence);
+                let is_whole = of_angles(&report).count() > 0 && of_angles(&report).all(is_claimed);
+                assert!(!(is_accepted && is_whole), "{case}: {}", report.sentence);
             }
             Verdict::NoDiscrepancy => assert!(of_angles(&report).count() == 0 && report.gain.is_none(), "{case}"),
             Verdict::Ambiguous | Verdict::Unexplained => {}
