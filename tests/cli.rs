@@ -424,6 +424,35 @@ fn discover_asks_which_day_is_meant_and_says_how_it_read_a_file() {
 }
 
 #[test]
+fn discover_of_one_to_five_sessions_says_that_it_cannot_judge_and_what_that_takes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, out, data) = (folder.path().join("m.csv"), folder.path().join("found"), folder.path().join("data"));
+    for sessions in [1, 5] {
+        let run = |k: usize| format!("{},3{}.{},{}\n", ["salt", "sugar"][k % 2], k % 7, k % 10, k % sessions);
+        let rows: String = (0..40).map(run).collect();
+        std::fs::write(&file, format!("powder,repose_deg,session\n{rows}")).unwrap();
+        let quick = ["--simulations", "99", "--budget-runs", "0"];
+        let discover = ["discover", "--measurements", file.to_str().unwrap(), "--out", out.to_str().unwrap()];
+        let output = flip(&data, &[&discover[..], &quick].concat());
+        expect_status(&output, 0);
+        let text = String::from_utf8(output.stdout).unwrap();
+        for said in [
+            "These angles cannot be judged",
+            "It takes runs of the same powders on 6 days or more",
+            "angles not judged",
+        ] {
+            assert!(text.contains(said), "{said} is missing in {text}");
+        }
+        // The job's report reads back, and says the same.
+        let jobs = document(&flip(&data, &["jobs", "--json"]));
+        assert!(jobs["items"].as_array().unwrap().iter().all(|job| job["state"] == "succeeded"), "{jobs}");
+        let report: Value = serde_json::from_slice(&std::fs::read(out.join("report.json")).unwrap()).unwrap();
+        assert!(report["unjudged"].is_string() && report["null_check"]["campaigns"] == 0, "{report}");
+        assert!(std::fs::read_to_string(out.join("report.html")).unwrap().contains("Could not be judged"));
+    }
+}
+
+#[test]
 fn discover_prints_a_text_and_refuses_a_bad_file_before_anything_is_written() {
     let folder = tempfile::tempdir().unwrap();
     let (file, out) = (folder.path().join("m.csv"), folder.path().join("found"));

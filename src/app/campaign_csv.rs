@@ -12,6 +12,7 @@
 
 mod column;
 mod sessions;
+mod summaries;
 mod twice;
 
 use super::check::Check;
@@ -26,6 +27,7 @@ use crate::domain::FieldError;
 use crate::domain::powder::{Flowability, Method};
 use column::Column;
 use sessions::{Sessions, sessions};
+use summaries::Summaries;
 
 /// Most runs, the repeats behind summaries counted: an investigation holds some thirty matrices of runs times runs.
 const RUNS_MAX: usize = 2000;
@@ -108,15 +110,19 @@ pub(super) fn read(text: &str, required: &[&str], dates: Option<DateOrder>) -> R
     let table = Table::open(text, &columns, check_header)?;
     let covariates = table.columns.iter().filter(|name| !OWN.contains(&name.as_str()) && !name.is_empty());
     let covariates: Vec<&str> = covariates.map(String::as_str).collect();
-    let (mut lines, mut powders) = (Vec::new(), PowderNames::default());
+    let (mut lines, mut powders, mut summaries) = (Vec::new(), PowderNames::default(), Summaries::of(&table));
+    // Rows to be predicted are questions: none is left unanswered, and one may be asked twice.
+    let is_campaign = required.contains(&ANGLE);
     let refusals = table.each(|cells| {
+        if is_campaign && summaries.has(cells) {
+            return Ok(());
+        }
         lines.push(line(cells, &covariates, required, &mut powders)?);
         Ok(())
     });
     refused(refusals)?;
-    // Rows to be predicted are questions, and a question may be asked twice.
-    let left_out =
-        if required.contains(&"repose_deg") { twice::leave_out(&mut lines) } else { twice::Twice::default() };
+    summaries.leave_any(lines.len())?;
+    let left_out = if is_campaign { twice::leave_out(&mut lines) } else { twice::Twice::default() };
     bounded(&lines)?;
     let (session, read) = conditions(&lines, &covariates, dates)?;
     let mut columns = own_columns(&table, &lines);
@@ -125,10 +131,10 @@ pub(super) fn read(text: &str, required: &[&str], dates: Option<DateOrder>) -> R
     columns.sort_by_key(|it| table.columns.iter().position(|name| *name == it.column));
     let read_as = FileRead {
         file: "measurements".to_owned(),
-        rows: (lines.len() + left_out.rows.len()) as u32,
+        rows: (lines.len() + left_out.rows.len() + summaries.rows.len()) as u32,
         columns,
         powders: powders.named(),
-        left_out: left_out.told(),
+        left_out: summaries.told().into_iter().chain(left_out.told()).collect(),
         notes: left_out.note.into_iter().collect(),
     };
     Ok(CampaignRead { campaign: campaign(&lines, &session.places, &covariates, read), read: read_as })
@@ -167,12 +173,24 @@ fn known(name: &str) -> Option<Holds> {
 }
 
 fn check_header(names: &[String], check: &mut Check) {
+    // As pandas renames what stands twice, and as repeats stand side by side.
+    for name in names.iter().filter(|name| is_again(name)) {
+        check.refuse(name, "is a column that stands twice, or a repeat beside another one: write one run a row");
+    }
     if !names.iter().all(|name| is_name(name)) {
         check.refuse(
             "header",
             format!("holds a name of more than {NAME_CHARS_MAX} characters, or of more than one line"),
         );
     }
+}
+
+/// `repose_deg.1`, `repose_deg_2`: what is measured of a run once more.
+fn is_again(name: &str) -> bool {
+    let name = name.to_lowercase().replace([' ', '-', '.'], "_");
+    let column = name.trim_end_matches(|c: char| c.is_ascii_digit());
+    let is_own = |column: &str| ["powder", ANGLE, "repose_sd_deg", FLOW].contains(&column);
+    column.len() < name.len() && is_own(column.trim_end_matches('_'))
 }
 
 fn is_name(name: &str) -> bool {

@@ -5,11 +5,19 @@ use super::csv_file::{Refused, at};
 /// The column.
 pub(super) const COLUMN: &str = "relative_humidity_pct";
 
+/// Whether a column that FLIP does not know is of relative humidity, by its name.
+pub(super) fn is_meant(column: &str) -> bool {
+    let column = column.to_lowercase();
+    let is_word = |word: &str| word == "rh" || word.contains("humid") || word.contains("feucht");
+    column.split(|c: char| !c.is_alphanumeric()).any(is_word)
+}
+
 /// Where all values are from 0 to 1 they are fractions, and become per cent; what that is to say of the column. A value with its unit is what it says.
 ///
 /// # Errors
 /// Fractions among per cents, by row: 0.41 beside 41.
 pub(super) fn to_percent(
+    column: &str,
     values: &mut [Option<f64>],
     has_unit: impl Fn(usize) -> bool,
     row: impl Fn(usize) -> usize,
@@ -26,7 +34,7 @@ pub(super) fn to_percent(
     }
     if bare.iter().any(|(_, value)| *value > 1.0) {
         let advice = "is a fraction among per cents: write 41, or 0.41 % where the air is that dry";
-        return Err(low.into_iter().map(|k| at(row(k), COLUMN, advice)).collect());
+        return Err(low.into_iter().map(|k| at(row(k), column, advice)).collect());
     }
     bare.iter().for_each(|(k, value)| values[*k] = Some(100.0 * value));
     Ok(Some("written as fractions, taken as per cent: 0.41 is 41 %"))
@@ -40,12 +48,22 @@ mod tests {
     fn a_humidity_of_fractions_is_taken_as_per_cent_and_a_mixture_is_refused() {
         let of = |values: &[f64], units: &[usize]| {
             let mut values: Vec<Option<f64>> = values.iter().copied().map(Some).collect();
-            let said = to_percent(&mut values, |k| units.contains(&k), |k| k + 2)?;
+            let said = to_percent(COLUMN, &mut values, |k| units.contains(&k), |k| k + 2)?;
             Ok((values.into_iter().flatten().collect::<Vec<_>>(), said.is_some()))
         };
         assert_eq!(of(&[0.25, 0.5, 1.0, 0.0], &[]), Ok((vec![25.0, 50.0, 100.0, 0.0], true)));
         assert_eq!(of(&[41.0, 0.0, 1.0], &[]), Ok((vec![41.0, 0.0, 1.0], false)));
         assert_eq!(of(&[0.5, 0.8], &[0, 1]), Ok((vec![0.5, 0.8], false)), "0.5 % of a dry box");
+        for (column, is_humidity) in [
+            ("humidity", true),
+            ("RH [%]", true),
+            ("rel_humidity", true),
+            ("Luftfeuchte", true),
+            ("rhodium", false),
+            ("rest", false),
+        ] {
+            assert_eq!(is_meant(column), is_humidity, "{column}");
+        }
         let refused: Result<_, Vec<crate::domain::FieldError>> = of(&[41.0, 0.41], &[]);
         assert_eq!(refused.unwrap_err()[0].field, "row[3].relative_humidity_pct");
     }

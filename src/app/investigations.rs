@@ -51,7 +51,7 @@ pub struct InvestigationRequest {
     /// far), `shake_mm`, `spoon_pitch_deg`, `spoon_fill_mg`, `target_mg`, `relative_humidity_pct`, `vibration_rms_m_s2`, and `kind`: `dose`, or of
     /// a control log `zero` (the empty pan) or `standard` (a standard mass). Forms and limits are those of `measurements_csv`.
     pub traces_csv: Option<String>,
-    /// What stands first in dates such as 2/3/2026, `day_first` or `month_first`; needed where no day above 12 in the column tells.
+    /// What stands first in dates such as 2/3/2026 and 26/02/21, `day_first`, `month_first` or `year_first`; needed where the column does not tell.
     pub dates: Option<DateOrder>,
     /// Campaigns in which nothing is wrong to compare with, 99 to 9999; default 499.
     pub simulations: Option<u32>,

@@ -1,6 +1,7 @@
 //! Powders that a file names, by id or by name.
 
 use super::csv_file::at;
+use super::csv_file::words::is_summary;
 use crate::discover::reading::NamedPowder;
 use crate::domain::FieldError;
 use crate::domain::powder_name::{id_of_powder, same_name};
@@ -16,8 +17,12 @@ impl PowderNames {
     /// The id of the powder that a row names.
     ///
     /// # Errors
-    /// What names none; a name that makes the id of another name.
+    /// What names none, as `Mean` does; a name that makes the id of another name.
     pub fn id_of(&mut self, row: usize, text: &str) -> Result<String, FieldError> {
+        if is_summary(text) {
+            let advice = format!("`{text}` is no powder but what was computed of the rows above: leave the row out");
+            return Err(at(row, "powder", advice));
+        }
         let id = id_of_powder(&format!("row[{row}].powder"), text)?;
         if id == text {
             return Ok(id);
@@ -58,5 +63,6 @@ mod tests {
         assert!(refused.message.contains("lactose_200m") && refused.message.contains("row 2"), "{refused}");
         assert_eq!((names.name_of("lactose_200m"), names.name_of("salt")), (Some("Lactose 200M"), None));
         assert_eq!(names.named().len(), 1);
+        assert_eq!(names.id_of(7, "Mean").unwrap_err().field, "row[7].powder");
     }
 }

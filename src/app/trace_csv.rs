@@ -134,7 +134,7 @@ fn humidities(table: &Table, lines: &mut [Line]) -> Refused<Option<&'static str>
     let mut values: Vec<Option<f64>> = lines.iter().map(|line| line.reading.relative_humidity_pct).collect();
     let units: Vec<bool> =
         table.rows().map(|cells| matches!(cells.told(humidity::COLUMN), Told::Number(_, Some(_)))).collect();
-    let note = humidity::to_percent(&mut values, |k| units[k], |k| lines[k].row)?;
+    let note = humidity::to_percent(humidity::COLUMN, &mut values, |k| units[k], |k| lines[k].row)?;
     lines.iter_mut().zip(values).for_each(|(line, value)| line.reading.relative_humidity_pct = value);
     Ok(note)
 }

@@ -71,7 +71,7 @@ struct CampaignArguments {
     /// empty pan) or standard (a standard mass). An empty cell is a missing value.
     #[arg(long, value_name = "FILE")]
     traces: Option<PathBuf>,
-    /// What stands first in dates such as 2/3/2026; needed where no day above 12 in the column tells.
+    /// What stands first in dates such as 2/3/2026 and 26/02/21; needed where the column does not tell.
     #[arg(long, value_name = "ORDER")]
     dates: Option<Dates>,
     /// Most heaps to simulate, 0 to 10000: they criticise the simulator's own numerics, and find and verify the amplitude of an accepted extension. With
@@ -93,6 +93,8 @@ enum Dates {
     DayFirst,
     /// 2/3/2026 is 3 February.
     MonthFirst,
+    /// 26/02/21 is 21 February 2026.
+    YearFirst,
 }
 
 impl From<Dates> for DateOrder {
@@ -100,6 +102,7 @@ impl From<Dates> for DateOrder {
         match dates {
             Dates::DayFirst => Self::DayFirst,
             Dates::MonthFirst => Self::MonthFirst,
+            Dates::YearFirst => Self::YearFirst,
         }
     }
 }
@@ -193,12 +196,15 @@ fn write_all(folder: &Path, files: &[(&str, String)]) -> Result<(), Failure> {
 }
 
 fn text(report: &Report, out: &Path) -> String {
-    let decision = format!(
-        "verdict {}, p = {:.3} among {} campaigns of this design in which nothing is wrong",
-        word(&report.verdict),
-        report.p_value,
-        report.null_check.campaigns
-    );
+    let decision = match report.null_check.is_judged() {
+        true => format!(
+            "verdict {}, p = {:.3} among {} campaigns of this design in which nothing is wrong",
+            word(&report.verdict),
+            report.p_value,
+            report.null_check.campaigns
+        ),
+        false => format!("angles not judged; verdict of the rest {}", word(&report.verdict)),
+    };
     let causes = report.causes.iter().take(CAUSES_SHOWN).map(|cause| {
         let probability = format!("{:.2}", cause.inclusion_probability);
         vec![names::cause(&cause.mechanism), cause.family.clone(), probability, list(&cause.powders)]

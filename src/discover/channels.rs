@@ -73,7 +73,11 @@ pub fn investigate(
     let flow = flow_times(campaign).map(|flow| -> Result<_, FieldError> {
         let (flow, of_flow) = follows::without(&flow?);
         left_out.extend(of_flow);
-        Ok((Prepared::new(&flow, &Responses::new())?, flow))
+        let prepared = Prepared::new(&flow, &Responses::new())?;
+        match prepared.hypotheses.is_empty() {
+            true => Err(FieldError::new("flow_time_s", words::unjudged(flow.sessions()))),
+            false => Ok((prepared, flow)),
+        }
     });
     let (flow, silent) = match flow {
         Some(Ok(flow)) => (Some(flow), None),
@@ -101,7 +105,9 @@ pub fn investigate(
     let found = angles(campaign, &responses(campaign), base, settings, |p| holm(p, &others), later)?;
     let Some(mut document) = found else { return Ok(None) };
     document.left_out = left_out;
-    let all: Vec<f64> = [document.p_value].into_iter().chain(others).collect();
+    // Nor do angles of which nothing was judged.
+    let own = Some(document.p_value).filter(|_| document.null_check.is_judged());
+    let all: Vec<f64> = own.into_iter().chain(others).collect();
     document.p_value = all.iter().map(|&p| holm(p, &without(&all, p))).fold(1.0, f64::min);
     let corrected = |p: f64| holm(p, &without(&all, p));
     if let Some(timed) = timed {

@@ -13,7 +13,7 @@ const UNCATALOGUED_PRIOR: [f64; 2] = [0.05, 0.3];
 /// Odds before any data of a wander over the sessions.
 const UNRECORDED_PRIOR: f64 = 0.1;
 /// Fewest sessions over which a wander can be told from days.
-const SESSIONS_MIN: usize = 6;
+pub(super) const SESSIONS_MIN: usize = 6;
 
 /// What may explain a discrepancy.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -129,7 +129,11 @@ pub(super) fn hypotheses(campaign: &Campaign, responses: &Responses) -> (Vec<Hyp
     }
     if campaign.sessions() >= SESSIONS_MIN {
         let session: Vec<f64> = campaign.runs.iter().map(|run| run.session as f64).collect();
-        judged.push(hypothesis(Cause::Unrecorded, smooth(&session, campaign), UNRECORDED_PRIOR));
+        let courses = smooth(&session, campaign);
+        // Where each powder has a day of its own, its mean is the day's.
+        if !courses.is_empty() {
+            judged.push(hypothesis(Cause::Unrecorded, courses, UNRECORDED_PRIOR));
+        }
     }
     (judged, untestable)
 }

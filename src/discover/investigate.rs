@@ -118,6 +118,11 @@ pub(super) fn angles(
     };
     let first = claim.told.first().filter(|_| report.verdict == Verdict::Cause);
     report.sentence = words::sentence(&report, &claim, first.and_then(|it| posterior.law(&it.cause)));
+    if !report.null_check.is_judged() {
+        let why = words::unjudged(campaign.sessions());
+        report.sentence = format!("These angles cannot be judged: {why}.");
+        report.unjudged = Some(why);
+    }
     scatter(&mut report, campaign, &shifts, &settings)?;
     Ok(Some(report))
 }
@@ -305,8 +310,9 @@ pub(super) fn evidence(prepared: &Prepared, screening: &Screening, posterior: &P
             inclusion_probability: posterior.inclusion_of(&judged.cause),
         }
     };
-    let mut all: Vec<Evidence> = screening.judged.iter().map(of).collect();
-    debug_assert_eq!(all.len(), prepared.hypotheses.len());
+    // What powders' means explain has no evidence, for or against.
+    let mut all: Vec<Evidence> = screening.judged.iter().filter(|it| it.log_evidence.is_finite()).map(of).collect();
+    debug_assert!(all.len() <= prepared.hypotheses.len());
     all.sort_by(|a, b| b.inclusion_probability.total_cmp(&a.inclusion_probability));
     all
 }

@@ -8,7 +8,7 @@
 //! signature.rs    from strengths to what the angles would show, up to its size
 //! hypothesis.rs   the causes, the covariates without a cause, and what nobody recorded
 //! noise.rs        what angles do when nothing is wrong
-//! screen.rs       is anything wrong, and what explains it best
+//! screen.rs       is anything wrong, and what explains it best      null_check.rs  how often by chance
 //! posterior.rs    one cause or two, and what that says of each run
 //! effects.rs      how large, on which powders        law.rs         the law of what no cause explains
 //! claim.rs        what of it may be claimed          sizes.rs       how far each powder is moved, in words
@@ -31,7 +31,7 @@
 //! what is claimed has 0.8 of it, and no look-alike. What it is worth is a matter of days that were left out of the whole search.
 
 /// Grows when an investigation of the same campaign may come to another report.
-pub const VERSION: u32 = 4;
+pub const VERSION: u32 = 5;
 
 mod beside;
 pub mod campaign;
@@ -52,6 +52,7 @@ mod investigate;
 mod law;
 pub mod names;
 mod noise;
+mod null_check;
 pub mod numerics;
 mod posterior;
 pub mod reading;

@@ -1,6 +1,7 @@
 //! What an investigation found, as its document has it.
 
 use super::extension::FitSet;
+pub use super::null_check::NullCheck;
 use super::numerics::Dependence;
 use super::reading::FileRead;
 use serde::{Deserialize, Serialize};
@@ -45,6 +46,9 @@ pub struct Report {
     /// Columns that were not judged because they follow from what was measured, in the order of the file.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<ColumnLeftOut>,
+    /// Why the angles could not be judged, and what it would take; absent where they were, or where there are none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unjudged: Option<String>,
     /// How often as much is found where nothing is wrong: of angles, and of balance readings where there are no angles.
     pub null_check: NullCheck,
     /// What was measured beside the angle, by itself: flow times where there are any, and how far repeats scatter.
@@ -94,6 +98,7 @@ impl Report {
             evidence: Vec::new(),
             untestable: Vec::new(),
             left_out: Vec::new(),
+            unjudged: None,
             null_check,
             beside: Vec::new(),
             traces: None,
@@ -439,25 +444,6 @@ pub struct SideChannel {
     /// What its causes are worth on days left out; absent where no cause was proposed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gain: Option<Gain>,
-}
-
-/// Campaigns of the same design with nothing wrong.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct NullCheck {
-    /// How many were simulated.
-    pub campaigns: u32,
-    /// The statistic here.
-    pub statistic: f64,
-    /// What one of twenty of them exceeds.
-    pub threshold95: f64,
-}
-
-impl NullCheck {
-    /// Of these simulated campaigns' statistics, ascending, and this one's.
-    pub(super) fn of(null: &[f64], statistic: f64) -> Self {
-        let threshold95 = null[(0.95 * null.len() as f64) as usize];
-        Self { campaigns: null.len() as u32, statistic, threshold95 }
-    }
 }
 
 /// A row of the file.

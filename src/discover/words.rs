@@ -3,7 +3,7 @@
 use super::campaign::Quantity;
 use super::claim::{Claim, Told};
 use super::effects::{quantity, rounded};
-use super::hypothesis::Cause;
+use super::hypothesis::{Cause, SESSIONS_MIN};
 use super::names;
 use super::report::{ColumnLeftOut, Experiment, Finding, Gain, Report, Verdict};
 use super::sizes::{ANGLES, FLOW, moved, size, sizes, whom};
@@ -43,6 +43,20 @@ fn passing_by(finding: &Finding) -> String {
     let with = finding.covariate.as_deref().map_or("something".to_owned(), |name| quantity(name).0);
     format!(
         ", but what it points at, {with}, has no effect that is told from zero, and days left out are not predicted better by it"
+    )
+}
+
+/// Why angles of so many sessions, beside which nothing that varied was recorded, cannot be judged, and what it would take.
+pub(super) fn unjudged(sessions: usize) -> String {
+    let days = match sessions {
+        0..SESSIONS_MIN => format!(
+            "{sessions} of the {SESSIONS_MIN} sessions that it takes to tell a change over time from days that differ"
+        ),
+        _ => "no powder that was measured on days enough to tell a change over time from days that differ".to_owned(),
+    };
+    format!(
+        "nothing that was recorded beside them differed between the runs of a powder, and the file has {days}. It takes runs of the same powders on \
+         {SESSIONS_MIN} days or more (column session), or a column of what differed between runs, such as relative_humidity_pct, operator or batch"
     )
 }
 

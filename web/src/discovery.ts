@@ -59,6 +59,7 @@ export function meaning(report: Report): string {
   const depart = `The ${listed(what)} depart from the simulation`
   switch (report.verdict) {
     case 'no_discrepancy':
+      if (report.unjudged) return 'These angles can neither show that the simulation is wrong nor that it is right.'
       return 'These data do not show that the simulation is wrong. That is no proof that it is right: see below which effects this campaign would have found, and which it cannot show.'
     case 'cause':
       return `${depart}, and the catalogue has a cause that explains how. A good explanation is not a proof: only an experiment that changes the cause is.`

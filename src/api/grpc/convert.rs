@@ -43,7 +43,7 @@ same_names! {
     WeighingState = WeighingState { Planned AwaitingVial Armed Dosing Settling Done Aborted Unknown }
     app::VialCheck = VialCheck { Confirm Skip }
     app::CalibrationMethod = CalibrationMethod { Emulator Paper Sequential }
-    app::DateOrder = DateOrder { DayFirst MonthFirst }
+    app::DateOrder = DateOrder { DayFirst MonthFirst YearFirst }
     app::TrialPhase = TrialPhase { Search Verification }
     app::Order = Order { Curriculum Random Reverse DomainRandomisation }
     app::Preset = Preset { Flip Paper }

@@ -6,13 +6,15 @@
 //! | more than half numbers | numbers: the others are refused by row and column |
 //! | others | names, unless hardly one stands twice |
 
-use super::{Cell, NAMES, NUMBERS, is_name};
+mod names;
+
+use super::{Cell, NAMES, NUMBERS};
 use crate::app::csv_file::number::unit_of;
 use crate::app::csv_file::words::is_no_number;
 use crate::app::csv_file::{Refused, Told, at, two_numbers};
 use crate::app::humidity;
+use crate::discover::Values;
 use crate::discover::reading::{ColumnRead, TakenAs};
-use crate::discover::{LEVELS_MAX, Values};
 
 /// Largest number in a column without bounds of its own: its square must be one too.
 const NUMBER_MAX: f64 = 1e15;
@@ -52,6 +54,12 @@ impl Column {
     }
 }
 
+fn marked(text: &str) -> String {
+    format!(
+        "is `{text}`, as loggers write what is missing: leave the cell empty, or write {text}.0 where it was measured"
+    )
+}
+
 fn of_runs<T: Copy>(of_rows: &[T], runs: &[usize]) -> Vec<T> {
     of_rows.iter().zip(runs).flat_map(|(value, runs)| std::iter::repeat_n(*value, *runs)).collect()
 }
@@ -65,11 +73,17 @@ pub(super) fn read(name: &str, cells: &[Cell<'_>], rows: &[usize]) -> Refused<Co
     if filled == 0 {
         return Ok(Column::nothing(0, "no cell of it is filled"));
     }
+    if name.starts_with("Unnamed: ") {
+        return Ok(Column::nothing(
+            filled,
+            "it has no name but the one that pandas gives, mostly to a count of the rows",
+        ));
+    }
     let is_text = |cell: &&Cell<'_>| matches!(cell.told, Told::Text(text) if !is_no_number(text));
     let numbers = cells.iter().filter(|cell| matches!(cell.told, Told::Number(..) | Told::TwoNumbers(_))).count();
     let texts = cells.iter().filter(is_text).count();
     if NAMES.contains(&name) || (texts > 0 && 2 * numbers <= filled) {
-        return Ok(names(name, cells, filled));
+        return Ok(names::read(name, cells, filled));
     }
     Numbers { name, cells, rows }.read()
 }
@@ -87,6 +101,7 @@ impl Numbers<'_> {
         let (mut values, mut refusals) = (Vec::new(), Vec::new());
         for (cell, row) in self.cells.iter().zip(self.rows) {
             match self.value(cell, unit) {
+                Ok(_) if self.is_mark(cell) => refusals.push(at(*row, self.name, marked(cell.text))),
                 Ok(value) => values.push(value),
                 Err(message) => refusals.push(at(*row, self.name, message)),
             }
@@ -95,9 +110,12 @@ impl Numbers<'_> {
             return Err(refusals);
         }
         let mut notes: Vec<String> = self.limits().into_iter().collect();
-        if self.name == humidity::COLUMN {
-            let has_unit = |k: usize| self.unit(&self.cells[k]).is_some();
-            notes.extend(humidity::to_percent(&mut values, has_unit, |k| self.rows[k])?.map(str::to_owned));
+        let has_unit = |k: usize| self.unit(&self.cells[k]).is_some();
+        // Fractions alone are a scale of their own, in a column that nobody said is of per cent.
+        let is_percent = |(k, value): (usize, &Option<f64>)| has_unit(k) || value.is_some_and(|value| value > 1.0);
+        let is_mixed = || humidity::is_meant(self.name) && values.iter().enumerate().any(is_percent);
+        if self.name == humidity::COLUMN || is_mixed() {
+            notes.extend(humidity::to_percent(self.name, &mut values, has_unit, |k| self.rows[k])?.map(str::to_owned));
         }
         let filled = values.iter().flatten().count();
         if filled == 0 {
@@ -132,6 +150,25 @@ impl Numbers<'_> {
         }
     }
 
+    /// Whether a cell is what loggers write for nothing, far from all that was measured: -999 where nothing else is negative, 9999 in several rows
+    /// where all else is a tenth of it at most.
+    fn is_mark(&self, cell: &Cell<'_>) -> bool {
+        let digits = cell.text.trim_start_matches('-');
+        if digits.len() < 2 || digits.bytes().any(|digit| digit != b'9') {
+            return false;
+        }
+        let number = |cell: &Cell<'_>| match cell.told {
+            Told::Number(number, _) => Some(number),
+            _ => None,
+        };
+        let Some(mark) = number(cell) else { return false };
+        let others: Vec<f64> = self.cells.iter().filter(|it| it.text != cell.text).filter_map(number).collect();
+        let times = self.cells.iter().filter(|it| it.text == cell.text).count();
+        let is_far = |other: &f64| if mark < 0.0 { *other >= 0.0 } else { other.abs() <= 0.1 * mark };
+        let is_usual = mark < 0.0 || (digits.len() > 2 && times > 1);
+        is_usual && !others.is_empty() && others.iter().all(is_far)
+    }
+
     fn is_known(&self) -> bool {
         NUMBERS.iter().any(|(column, ..)| *column == self.name)
     }
@@ -151,31 +188,4 @@ impl Numbers<'_> {
             named.join(", ")
         ))
     }
-}
-
-/// A column of names, if it says anything.
-fn names(name: &str, cells: &[Cell<'_>], filled: usize) -> Column {
-    let is_filled = |cell: &&Cell<'_>| cell.is_filled();
-    let mut names: Vec<&str> = cells.iter().filter(is_filled).map(|cell| cell.text).collect();
-    names.sort_unstable();
-    names.dedup();
-    // A column that a cause needs is kept, so that the report can say why the cause cannot be told.
-    let is_needed = NAMES.contains(&name);
-    if !names.iter().all(|name| is_name(name)) {
-        return Column::nothing(filled, "it holds sentences");
-    }
-    if names.len() > LEVELS_MAX && !is_needed {
-        return Column::nothing(filled, &format!("it holds {} names, more than {LEVELS_MAX}", names.len()));
-    }
-    if 2 * names.len() > filled && !is_needed {
-        return Column::nothing(filled, "hardly a name stands twice");
-    }
-    let numbers = cells.iter().filter(|cell| matches!(cell.told, Told::Number(..))).count();
-    let note = match numbers {
-        n if n > 0 && !is_needed => format!("{n} of its cells are numbers and count as names"),
-        _ => String::new(),
-    };
-    let of = |cell: &Cell<'_>| cell.is_filled().then(|| names.binary_search(&cell.text).ok()).flatten();
-    let of = cells.iter().map(of).collect();
-    Column { values: Some(Values::Levels { names: names.into_iter().map(str::to_owned).collect(), of }), filled, note }
 }

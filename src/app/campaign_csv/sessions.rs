@@ -3,16 +3,26 @@
 //! | cells | order |
 //! |-------|-------|
 //! | days, half of them at least ([`date`](crate::app::csv_file::date)) | of time; the others are refused |
-//! | numbers, more than half | of size; where all count days (46056), seconds or milliseconds since 1970, or are digits of a date, the day; the others are refused |
+//! | numbers, more than half | of size, but for those that only a name can be, as 1.1 beside 1.10 (`labels`); where half count days (46056), seconds or milliseconds since 1970, or are digits of a date, the day; the others are refused |
 //! | names | in which they first stand in the file |
 
+mod dates;
+mod labels;
+
 use super::Cell;
-use crate::app::csv_file::date::{Count, DateOrder, Written, day};
+use crate::app::csv_file::date::{Count, DateOrder, Written, day, six_digits, time_of};
 use crate::app::csv_file::{Refused, Told, at};
 use crate::discover::reading::{ColumnRead, TakenAs};
-use crate::domain::FieldError;
+use crate::domain::powder_name::same_name;
+use dates::Dates;
 use std::collections::HashMap;
 use time::Date;
+
+/// What is said of names.
+const NAMES: &str =
+    "names, in the order in which they first stand in the file: only days or numbers tell the order of time";
+/// And of names that look like numbers.
+const LABELS: &str = "names such as 1.10, which is another session than 1.1 and comes after 1.9, in the order in which they first stand in the file";
 
 /// Sessions of the rows.
 #[derive(Debug)]
@@ -54,7 +64,11 @@ pub(super) fn sessions(cells: &[Cell<'_>], rows: &[usize], order: Option<DateOrd
     let mut known = known.into_iter();
     let place = |cell: &Cell<'_>| if cell.is_filled() { known.next() } else { unnamed.next() };
     let missing = cells.len() - filled.len();
-    let alone = if missing > 0 && !filled.is_empty() { "; a row without is a session of its own" } else { "" };
+    let alone = if missing > 0 && !filled.is_empty() {
+        "; a row without is a session of its own: fill merged cells down"
+    } else {
+        ""
+    };
     Ok(Sessions {
         column: (!filled.is_empty()).then(|| ColumnRead {
             column: "session".to_owned(),
@@ -80,16 +94,50 @@ impl Column<'_> {
         let days = self.cells.iter().filter(|cell| matches!(cell, Read::Day(_))).count();
         let numbers = self.cells.iter().filter(|cell| matches!(cell, Read::Number(_))).count();
         if days > 0 && 2 * days >= self.cells.len() {
-            return Ok(of_days(&self.days(order)?));
+            let days = self.days(order)?;
+            return Ok(self.of_days(&days));
         }
         if 2 * numbers > self.cells.len() {
-            let numbers = self.numbers()?;
-            let counted = Count::of(&numbers);
-            let days: Option<Vec<Date>> =
-                counted.and_then(|count| numbers.iter().map(|number| count.day(*number)).collect());
-            return Ok(days.map_or_else(|| of_numbers(&numbers), |days| of_days(&days)));
+            return self.counted(order);
         }
-        Ok(of_names(&self.texts))
+        Ok(of_names(&self.texts, NAMES))
+    }
+
+    /// Of numbers, most of them: days where they count such, else what they are.
+    fn counted(&self, order: Option<DateOrder>) -> Refused<(Vec<usize>, String)> {
+        let numbers = self.numbers()?;
+        if let Some(count) = Count::of(&numbers) {
+            let days = self.each(|cell| {
+                match cell {
+                    Read::Number(number) => count.day(*number),
+                    _ => None,
+                }
+                .ok_or_else(|| {
+                    "counts no day, as most sessions of the file do: correct it, or leave it empty".to_owned()
+                })
+            });
+            return Ok(self.of_days(&days?));
+        }
+        let six: Option<Vec<Read>> = self.texts.iter().map(|text| six_digits(text).map(Read::Day)).collect();
+        if let Some(cells) = six {
+            let written = Self { rows: self.rows.clone(), texts: self.texts.clone(), cells };
+            return Ok(written.of_days(&written.days(order)?));
+        }
+        Ok(match labels::are_labels(&self.texts) {
+            true => of_names(&self.texts, LABELS),
+            false => of_numbers(&numbers),
+        })
+    }
+
+    fn of_days(&self, days: &[Date]) -> (Vec<usize>, String) {
+        let (places, order) = ranked(days, Date::cmp);
+        let several = match self.days_of_several_times(days) {
+            0 => String::new(),
+            days => format!(
+                "; {days} of them have runs at several times of day, which are one session: name sessions to keep them apart, 2026-02-03 a"
+            ),
+        };
+        (places, span("days", &order) + &several)
     }
 
     fn numbers(&self) -> Refused<Vec<f64>> {
@@ -119,46 +167,39 @@ impl Column<'_> {
         self.each(|cell| match cell {
             Read::Day(Written::Unclear(why)) => Err(format!("{why}: write days as 2026-02-03")),
             Read::Day(written) => written.day(order).ok_or_else(|| {
-                let first = if order == Some(DateOrder::DayFirst) { "the day" } else { "the month" };
+                let first = order.map_or("nothing", DateOrder::first);
                 format!("is no day with {first} first, as the others are read")
             }),
             _ => Err("is no day, as most sessions of the file are: correct it, or leave it empty".to_owned()),
         })
     }
 
-    /// The order that a day above 12 shows. None where no cell needs one.
+    /// The order that the column's dates can only have. None where no cell needs one.
     fn order(&self) -> Refused<Option<DateOrder>> {
-        let days = || self.cells.iter().zip(&self.rows).zip(&self.texts);
-        let shown = days().filter_map(|((cell, row), text)| match cell {
-            Read::Day(written) => Some((written.order()?, *row, *text)),
+        let cells = self.cells.iter().zip(&self.rows).zip(&self.texts);
+        let written = cells.filter_map(|((cell, row), text)| match cell {
+            Read::Day(written @ Written::By(_)) if written.day(None).is_none() => Some((written, *row, *text)),
             _ => None,
         });
-        let shown: Vec<(DateOrder, usize, &str)> = shown.collect();
-        if let Some((first, from, _)) = shown.first() {
-            let other = shown.iter().filter(|(order, ..)| order != first);
-            let refuse = |(_, row, text): &(DateOrder, usize, &str)| {
-                let advice = format!("`{text}` has the day where row {from} has the month: write days as 2026-02-03");
-                at(*row, "session", advice)
-            };
-            let refusals: Vec<FieldError> = other.map(refuse).collect();
-            return if refusals.is_empty() { Ok(Some(*first)) } else { Err(refusals) };
-        }
-        let unclear = days().find(
-            |((cell, _), _)| matches!(cell, Read::Day(written @ Written::Either(..)) if written.day(None).is_none()),
-        );
-        unclear.map_or(Ok(None), |((_, row), text)| {
-            let advice = format!(
-                "`{text}` may have the day first or the month, and no day above 12 in the column tells: say which with `dates`, \
-                 day_first or month_first (`flip discover --dates day-first`), or write days as 2026-02-03"
-            );
-            Err(vec![at(*row, "session", advice)])
-        })
+        Dates(written.collect()).order()
     }
-}
 
-fn of_days(days: &[Date]) -> (Vec<usize>, String) {
-    let (places, order) = ranked(days, Date::cmp);
-    (places, span("days", &order))
+    /// How many days have runs at several times of day, `days` being those of the cells.
+    fn days_of_several_times(&self, days: &[Date]) -> usize {
+        let mut times: Vec<(Date, String)> = days
+            .iter()
+            .zip(&self.cells)
+            .zip(&self.texts)
+            .map(|((day, cell), text)| match cell {
+                Read::Number(number) => (*day, number.to_string()),
+                _ => (*day, time_of(text).to_owned()),
+            })
+            .collect();
+        times.sort_unstable();
+        times.dedup();
+        let several = times.chunk_by(|a, b| a.0 == b.0).filter(|times| times.len() > 1);
+        several.count()
+    }
 }
 
 fn of_numbers(numbers: &[f64]) -> (Vec<usize>, String) {
@@ -173,16 +214,15 @@ fn span(what: &str, order: &[impl std::fmt::Display]) -> String {
     }
 }
 
-fn of_names(names: &[&str]) -> (Vec<usize>, String) {
-    let mut known: HashMap<&str, usize> = HashMap::new();
+fn of_names(names: &[&str], note: &str) -> (Vec<usize>, String) {
+    let mut known: HashMap<String, usize> = HashMap::new();
     let places: Vec<usize> = names
         .iter()
         .map(|name| {
             let next = known.len();
-            *known.entry(*name).or_insert(next)
+            *known.entry(same_name(name)).or_insert(next)
         })
         .collect();
-    let note = "names, in the order in which they first stand in the file: only days or numbers tell the order of time";
     (places, format!("{} {note}", known.len()))
 }
 

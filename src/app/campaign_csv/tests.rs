@@ -5,6 +5,8 @@ use crate::discover::{LEVELS_MAX, Values};
 use crate::stats::summary::{mean, sd};
 use proptest::prelude::*;
 
+mod odd;
+
 const REQUIRED: [&str; 2] = ["powder", "repose_deg"];
 
 fn read_of(text: &str) -> CampaignRead {

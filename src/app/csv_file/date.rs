@@ -3,8 +3,9 @@
 //! | written | read |
 //! |---------|------|
 //! | `2026-02-03`, `2026/2/3`, `2026.02.03`, `2026-02-03T09:30:00+01:00` | year, month, day |
-//! | `3.2.2026`, `03.02.26` | dots: day, month, year |
+//! | `3.2.2026`, `3.2.26` | dots: day, month, year |
 //! | `2/3/2026`, `2-3-2026`, `2/3/26` | day or month first: a day above 12 in the column decides, else whoever sends the file ([`DateOrder`]) |
+//! | `26/02/21`, `26.02.21`, `26-02-21` | the year may also stand first: the column decides, else whoever sends the file |
 //! | `03-Feb-26`, `3 Feb 2026`, `Feb 3, 2026`, `Tuesday, 3 February 2026 2:30 PM` | month by name, also in German and French |
 
 use serde::{Deserialize, Serialize};
@@ -18,14 +19,30 @@ pub enum DateOrder {
     DayFirst,
     /// 3 February.
     MonthFirst,
+    /// Of years of two digits: 26/02/21 is 21 February 2026.
+    YearFirst,
+}
+
+impl DateOrder {
+    /// All of them, in the order of [`Written::By`].
+    pub const ALL: [Self; 3] = [Self::DayFirst, Self::MonthFirst, Self::YearFirst];
+
+    /// What stands first.
+    pub fn first(self) -> &'static str {
+        match self {
+            Self::DayFirst => "the day",
+            Self::MonthFirst => "the month",
+            Self::YearFirst => "the year",
+        }
+    }
 }
 
 /// A cell that holds a day.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Written {
     Day(Date),
-    /// By day first and by month first; one of them may be no day.
-    Either(Option<Date>, Option<Date>),
+    /// By day, by month and by year first; some of them are no day.
+    By([Option<Date>; 3]),
     /// A day, and why it cannot be told which.
     Unclear(&'static str),
 }
@@ -33,21 +50,18 @@ pub enum Written {
 impl Written {
     /// The order that it can only have.
     pub fn order(&self) -> Option<DateOrder> {
-        match self {
-            Self::Either(Some(_), None) => Some(DateOrder::DayFirst),
-            Self::Either(None, Some(_)) => Some(DateOrder::MonthFirst),
-            _ => None,
-        }
+        let Self::By(days) = self else { return None };
+        let mut possible = DateOrder::ALL.into_iter().filter(|order| days[*order as usize].is_some());
+        possible.next().filter(|_| possible.next().is_none())
     }
 
     /// Its day, in a column whose dates have this order; nothing where that is needed and not known, or says that there is no such day.
     pub fn day(&self, order: Option<DateOrder>) -> Option<Date> {
-        match (self, order) {
-            (Self::Day(day), _) => Some(*day),
-            (Self::Either(day_first, month_first), _) if day_first == month_first => *day_first,
-            (Self::Either(day_first, _), Some(DateOrder::DayFirst)) => *day_first,
-            (Self::Either(_, month_first), Some(DateOrder::MonthFirst)) => *month_first,
-            _ => None,
+        match self {
+            Self::Day(day) => Some(*day),
+            Self::By([day, month, None]) if day == month => *day,
+            Self::By(days) => order.and_then(|order| days[order as usize]),
+            Self::Unclear(_) => None,
         }
     }
 }
@@ -83,23 +97,36 @@ fn three(a: &str, b: &str, c: &str, mark: char) -> Option<Written> {
     if let (Some(month), Some(day), Some(year)) = (month(a), ordinal(b), year(c)) {
         return date(year, month, day).map(Written::Day);
     }
-    let (first, second, written) = (short(a)?, short(b)?, year(c)?);
-    match mark {
-        '.' => date(written, second, first).map(Written::Day),
-        '-' if full_year(c).is_none() => {
-            Some(Written::Unclear("has a year of two digits, which may be the first number or the last"))
-        }
-        '/' | '-' => match (date(written, second, first), date(written, first, second)) {
-            (None, None) => None,
-            (day_first, month_first) => Some(Written::Either(day_first, month_first)),
-        },
-        _ => None,
+    let (first, second) = (short(a)?, short(b)?);
+    let (day_first, month_first) = match year(c) {
+        Some(year) => (date(year, second, first), date(year, first, second)),
+        None => (None, None),
+    };
+    // `26/2/3` may be a day, `10-2-3` and `10.2.3` are names.
+    let year_first =
+        || date(year(a).filter(|_| a.len() == 2)?, second, short(c).filter(|_| mark == '/' || c.len() == 2)?);
+    let days = match mark {
+        // With dots no month stands first.
+        '.' => [day_first, day_first, year_first()],
+        '/' | '-' => [day_first, month_first, year_first()],
+        _ => return None,
+    };
+    match days {
+        [None, None, None] => None,
+        [Some(day), _, None] if mark == '.' => Some(Written::Day(day)),
+        days => Some(Written::By(days)),
     }
 }
 
 fn date(year: u16, month: u16, day: u16) -> Option<Date> {
     let month = Month::try_from(u8::try_from(month).ok()?).ok()?;
     Date::from_calendar_date(i32::from(year), month, u8::try_from(day).ok()?).ok()
+}
+
+/// The day in six digits, in whichever order: 260221 or 210226.
+pub fn six_digits(text: &str) -> Option<Written> {
+    let are_digits = text.len() == 6 && text.bytes().all(|byte| byte.is_ascii_digit());
+    if are_digits { three(&text[..2], &text[2..4], &text[4..], '/') } else { None }
 }
 
 /// Digits, at most `most` of them.
@@ -178,6 +205,12 @@ fn without_weekday(text: &str) -> &str {
     if is_weekday { text[end..].trim_start_matches(['.', ',', ' ']) } else { text }
 }
 
+/// The time of day that ends a text; empty where none does.
+pub fn time_of(text: &str) -> &str {
+    let Some(colon) = text.find(':') else { return "" };
+    text[text[..colon].trim_end_matches(|c: char| c.is_ascii_digit()).len()..].trim_start_matches('0')
+}
+
 /// The date of a text that a time of day may end; nothing where what ends it is no time.
 fn without_time(text: &str) -> Option<&str> {
     let Some(colon) = text.find(':') else { return Some(text) };
@@ -223,11 +256,13 @@ pub enum Count {
 }
 
 impl Count {
-    /// What all of these numbers count; nothing where they are numbers of another kind.
+    /// What at least half of these numbers count; nothing where they are numbers of another kind.
     pub fn of(numbers: &[f64]) -> Option<Self> {
-        [Self::Serial, Self::Seconds, Self::Milliseconds, Self::Digits]
-            .into_iter()
-            .find(|count| !numbers.is_empty() && numbers.iter().all(|number| count.day(*number).is_some()))
+        let are_days = |count: &Self| {
+            let days = numbers.iter().filter(|number| count.day(**number).is_some()).count();
+            days > 0 && 2 * days >= numbers.len()
+        };
+        [Self::Serial, Self::Seconds, Self::Milliseconds, Self::Digits].into_iter().find(are_days)
     }
 
     /// The day of a number, of the years 2000 to 2099.
@@ -310,16 +345,32 @@ mod tests {
         assert_eq!((read.order(), read.day(None)), (None, None));
         assert_eq!(read.day(Some(DateOrder::MonthFirst)), Some(THIRD));
         assert_eq!(read.day(Some(DateOrder::DayFirst)), Some(date!(2026 - 03 - 02)));
-        assert_eq!(day("15/2/26 9:30").unwrap().order(), Some(DateOrder::DayFirst));
+        assert_eq!(day("15/2/2026 9:30").unwrap().order(), Some(DateOrder::DayFirst));
         assert_eq!(day("2-15-2026").unwrap().order(), Some(DateOrder::MonthFirst));
         assert_eq!(day("15/2/2026").unwrap().day(Some(DateOrder::MonthFirst)), None);
         assert_eq!(day("2/2/2026").unwrap().day(None), Some(date!(2026 - 02 - 02)), "the same either way");
-        assert_eq!(
-            day("26-02-03"),
-            Some(Written::Unclear("has a year of two digits, which may be the first number or the last"))
-        );
         assert_eq!(day("3.2."), Some(Written::Unclear("has no year")));
         assert_eq!(day("3 Feb"), Some(Written::Unclear("has no year")));
+    }
+
+    #[test]
+    fn a_year_of_two_digits_may_stand_first_or_last() {
+        let (first, last) = (date!(2026 - 02 - 21), date!(2021 - 02 - 26));
+        for text in ["26/02/21", "26.02.21", "26-02-21", "26/02/21 09:30", "26. 02. 21"] {
+            let read = day(text).unwrap();
+            assert_eq!((read.day(None), read.order()), (None, None), "{text}");
+            assert_eq!(read.day(Some(DateOrder::YearFirst)), Some(first), "{text}");
+            assert_eq!(read.day(Some(DateOrder::DayFirst)), Some(last), "{text}");
+        }
+        assert_eq!(day("26/2/3").unwrap().order(), Some(DateOrder::YearFirst));
+        assert_eq!(day("45/12/30").unwrap().order(), Some(DateOrder::YearFirst));
+        assert_eq!(day("31.12.45"), Some(Written::Day(date!(2045 - 12 - 31))), "2031-12-45 is none");
+        assert_eq!(day("3.2.26"), Some(Written::Day(THIRD)), "a year has two digits");
+        assert_eq!(day("15/2/26").unwrap().order(), None, "15 February 2026 or 26 February 2015");
+        assert_eq!(day("26/02/2021").unwrap().order(), Some(DateOrder::DayFirst));
+        assert_eq!([day("10-2-3"), day("10.2.3")], [None, None]);
+        assert_eq!(six_digits("260221"), day("26/02/21"));
+        assert_eq!([six_digits("26022"), six_digits("269921"), six_digits("26é21")], [None, None, None]);
     }
 
     #[test]
@@ -352,7 +403,14 @@ mod tests {
     }
 
     #[test]
-    fn numbers_count_days_if_all_of_them_do() {
+    fn the_time_of_day_is_what_stands_behind_the_day() {
+        for (text, time) in [("2026-02-03", ""), ("2026-02-03T09:30Z", "9:30Z"), ("3.2.26 14:05", "14:05")] {
+            assert_eq!(time_of(text), time, "{text}");
+        }
+    }
+
+    #[test]
+    fn numbers_count_days_if_most_of_them_do() {
         let of = |numbers: &[f64]| Count::of(numbers).and_then(|count| count.day(numbers[0]));
         assert_eq!(of(&[46_056.0, 46_057.4]), Some(THIRD));
         assert_eq!(of(&[46_056.9]), Some(THIRD), "whatever the hour");
@@ -361,7 +419,8 @@ mod tests {
         assert_eq!(of(&[20_260_203.0]), Some(THIRD));
         assert_eq!(of(&[202_602_030_930.0]), Some(THIRD));
         assert_eq!(of(&[20_260_203_093_059.0]), Some(THIRD));
-        for numbers in [&[1.0, 2.0] as &[f64], &[46_056.0, 3.0], &[20_261_503.0], &[202_602_032_530.0], &[]] {
+        assert_eq!(Count::of(&[46_056.0, 46_057.0, 4_605.0]), Some(Count::Serial), "a digit is missing");
+        for numbers in [&[1.0, 2.0] as &[f64], &[46_056.0, 3.0, 4.0], &[20_261_503.0], &[202_602_032_530.0], &[]] {
             assert_eq!(Count::of(numbers), None, "{numbers:?}");
         }
     }

@@ -147,8 +147,9 @@ impl Table {
 
 /// The name of a column: as it is known, else as it is written.
 fn name_of(written: &str, columns: &Columns<'_>) -> String {
+    let written = text::visible(written);
     let written = written.trim();
-    let plain = written.to_lowercase().replace([' ', '-'], "_");
+    let plain = written.to_lowercase().replace(|c: char| c.is_whitespace() || c == '-', "_");
     if (columns.known)(&plain).is_some() { plain } else { written.to_owned() }
 }
 
@@ -180,7 +181,7 @@ fn rows(reader: &mut csv::Reader<&[u8]>, mut place: Place<'_>, names: &[String])
             let advice = format!("is one too many: a file may hold {ROWS_MAX} rows; split it");
             return Err(FieldError::new(format!("row[{number}]"), advice).into());
         }
-        rows.push(Row { number, cells: record.iter().map(str::to_owned).collect() });
+        rows.push(Row { number, cells: record.iter().map(|cell| text::visible(cell).into_owned()).collect() });
     }
     match rows.is_empty() {
         true => Err(FieldError::new("row[2]", "is missing: the file has no row below its header").into()),

@@ -13,25 +13,31 @@
 pub struct Signs {
     pub point: bool,
     pub comma: bool,
+    /// A whole number of three digits or more without any: then 1.013 may be the next thousand.
+    pub hundreds: bool,
 }
 
 impl Signs {
     /// What either shows.
     pub fn and(self, other: Self) -> Self {
-        Self { point: self.point || other.point, comma: self.comma || other.comma }
+        Self {
+            point: self.point || other.point,
+            comma: self.comma || other.comma,
+            hundreds: self.hundreds || other.hundreds,
+        }
     }
 
     fn of(mark: char) -> Self {
-        Self { point: mark == '.', comma: mark == ',' }
+        Self { point: mark == '.', comma: mark == ',', hundreds: false }
     }
 
     /// Whether they show `mark` and not the other one.
     fn is_only(self, mark: char) -> bool {
-        self == Self::of(mark)
+        (self.point, self.comma) == (mark == '.', mark == ',')
     }
 
     fn is_silent(self) -> bool {
-        self == Self::default()
+        !self.point && !self.comma
     }
 }
 
@@ -82,14 +88,14 @@ impl Written {
     /// Its value in a column and a file with these signs; nothing where it may be two numbers.
     ///
     /// Signs of the column count before the file's. Where neither has any a point is a decimal point, and a comma a decimal comma if it does not
-    /// also separate cells.
+    /// also separate cells; but beside 980 nobody knows whether 1.013 is the next thousand.
     pub fn value(&self, column: Signs, file: Signs, separator: u8) -> Option<f64> {
         let Value::Either { mark, decimal } = self.value else {
             let Value::Sure(value, _) = self.value else { return None };
             return Some(value);
         };
         let signs = if column.is_silent() { file } else { column };
-        let is_free = mark == '.' || separator != b',';
+        let is_free = (mark == '.' || separator != b',') && !column.hundreds;
         let is_decimal = signs.is_only(mark) || (signs.is_silent() && is_free) || (mark == '.' && signs.point);
         is_decimal.then_some(decimal)
     }
@@ -136,7 +142,10 @@ fn value(digits: &str, is_plain: bool, number: impl Fn(&str) -> Option<f64>) -> 
     let marks: Vec<(usize, char)> = digits.char_indices().filter(|(_, c)| !c.is_ascii_digit()).collect();
     let is_decimal = |mark: char| ".,".contains(mark);
     match marks.as_slice() {
-        [] => Some(Value::Sure(number(digits)?, Signs::default())),
+        [] => {
+            let hundreds = is_plain && digits.len() > 2 && !digits.starts_with('0');
+            Some(Value::Sure(number(digits)?, Signs { hundreds, ..Signs::default() }))
+        }
         [(at, mark)] if is_decimal(*mark) => {
             let (whole, part) = (&digits[..*at], &digits[at + 1..]);
             let decimal = number(&format!("{whole}.{part}"))?;
@@ -233,10 +242,10 @@ pub fn unit_of(column: &str) -> Option<&'static str> {
 mod tests {
     use super::*;
 
-    const COMMA: Signs = Signs { point: false, comma: true };
-    const POINT: Signs = Signs { point: true, comma: false };
-    const NONE: Signs = Signs { point: false, comma: false };
-    const BOTH: Signs = Signs { point: true, comma: true };
+    const COMMA: Signs = Signs { point: false, comma: true, hundreds: false };
+    const POINT: Signs = Signs { point: true, comma: false, hundreds: false };
+    const NONE: Signs = Signs { point: false, comma: false, hundreds: false };
+    const BOTH: Signs = Signs { point: true, comma: true, hundreds: false };
 
     fn value(text: &str, column: Signs, file: Signs) -> Option<f64> {
         match cell(text) {

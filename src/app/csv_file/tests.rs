@@ -57,6 +57,10 @@ fn known_columns_are_found_whatever_the_case_of_their_names() {
     let table = open("A; Long Name ;X_MM;Other One\nx;y;1,5;z\n").unwrap();
     assert_eq!(table.columns, ["a", "long_name", "x_mm", "Other One"]);
     assert_eq!(table.rows().next().unwrap().number("x_mm"), Ok(1.5));
+    // Blanks that do not break, and those that nobody sees.
+    let hidden = open("\u{200b}A;Long\u{a0}Name;\u{feff}x_mm\nx\u{200b};y;1,5\n").unwrap();
+    assert_eq!(hidden.columns, ["a", "long_name", "x_mm"]);
+    assert_eq!(hidden.rows().next().unwrap().text("a"), "x");
     assert!(refused("a,A\n1,2\n").contains("a: stands twice in the header"));
     assert!(refused("b\n1\n").contains("a: is missing in the header"));
     assert!(refused("a,b,c,d,e\n1,2,3,4,5\n").contains("header: has 5 columns"));

@@ -1,6 +1,7 @@
 //! From the bytes of a file to its text, and from the text to what is left when its wrapping is taken off.
 
 use crate::domain::FieldError;
+use std::borrow::Cow;
 
 /// What Windows and old loggers end a file with: Ctrl-Z, or zeros to fill a block.
 const ENDINGS: [char; 2] = ['\u{1a}', '\0'];
@@ -26,6 +27,13 @@ pub fn table_text(bytes: &[u8]) -> Result<String, FieldError> {
             FieldError::new(format!("row[{row}]"), "is not UTF-8 text: save the file as CSV UTF-8")
         }),
     }
+}
+
+/// Without what pages and chats put between letters and nobody sees: `salt` with a blank of no width is salt.
+pub(super) fn visible(text: &str) -> Cow<'_, str> {
+    let is_hidden =
+        |c: char| matches!(c, '\u{ad}' | '\u{200b}'..='\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2060}' | '\u{feff}');
+    if text.contains(is_hidden) { Cow::Owned(text.replace(is_hidden, "")) } else { Cow::Borrowed(text) }
 }
 
 /// A text without its wrapping, and the separator that it names itself.

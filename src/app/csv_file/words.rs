@@ -12,7 +12,95 @@ const NO_NUMBER: [&str; 9] = ["none", "nil", "na", "nd", "n.v.", "missing", ".",
 
 /// Whether a cell is as good as empty.
 pub fn is_missing(cell: &str) -> bool {
-    cell.is_empty() || MISSING.contains(&cell)
+    cell.is_empty() || MISSING.contains(&cell) || is_error(cell)
+}
+
+/// Whether a spreadsheet could not compute it: `#DIV/0!`, `#VALUE!`, `#NAME?`, in every language.
+fn is_error(cell: &str) -> bool {
+    let name = cell.strip_prefix('#').and_then(|rest| rest.strip_suffix(['!', '?']));
+    name.is_some_and(|name| name.len() >= 3 && name.chars().all(|c| c.is_uppercase() || "/0".contains(c)))
+}
+
+/// Whether a cell names what was computed of the rows above it, as the last rows of a table do: `Mean`, `SD`, `Total`, `salt average`.
+pub fn is_summary(cell: &str) -> bool {
+    /// Alone.
+    const WORDS: [&str; 39] = [
+        "mean",
+        "mean value",
+        "average",
+        "avg",
+        "median",
+        "sd",
+        "s.d",
+        "std",
+        "std dev",
+        "std. dev",
+        "stdev",
+        "st dev",
+        "st. dev",
+        "standard deviation",
+        "rsd",
+        "rsd%",
+        "% rsd",
+        "%rsd",
+        "rsd (%)",
+        "cv",
+        "cv%",
+        "% cv",
+        "variance",
+        "sem",
+        "min",
+        "minimum",
+        "max",
+        "maximum",
+        "range",
+        "count",
+        "n",
+        "sum",
+        "total",
+        "subtotal",
+        "mittelwert",
+        "stabw",
+        "standardabweichung",
+        "summe",
+        "moyenne",
+    ];
+    /// Also beside a name: nobody calls a powder so.
+    const BESIDE: [&str; 10] =
+        ["mean", "average", "avg", "median", "total", "subtotal", "mittelwert", "summe", "gesamt", "moyenne"];
+    let text = plain(cell);
+    let mut words = text.split(|c: char| c.is_whitespace() || "()_,-".contains(c)).filter(|word| !word.is_empty());
+    let (first, last) = (words.next().unwrap_or_default(), words.next_back());
+    WORDS.contains(&text.as_str())
+        || last.is_some_and(|last| BESIDE.contains(&first) || BESIDE.contains(&last))
+        || BESIDE.contains(&text.as_str())
+}
+
+/// Whether it is one of the words that are little else: in a column of names there may be a `max` or a `total`.
+pub fn is_surely_summary(cell: &str) -> bool {
+    const WORDS: [&str; 16] = [
+        "mean",
+        "mean value",
+        "average",
+        "avg",
+        "median",
+        "sd",
+        "s.d",
+        "std",
+        "std dev",
+        "stdev",
+        "standard deviation",
+        "rsd",
+        "sem",
+        "mittelwert",
+        "stabw",
+        "standardabweichung",
+    ];
+    WORDS.contains(&plain(cell).as_str())
+}
+
+fn plain(cell: &str) -> String {
+    cell.trim().trim_end_matches([':', '=', '.']).trim_end().to_lowercase()
 }
 
 /// Whether it is where a number belongs.
@@ -44,5 +132,53 @@ pub fn method(text: &str) -> Option<Method> {
         "" | "automated" | "automatic" | "auto" | "camera" => Some(Method::Automated),
         "manual" | "hand" | "by hand" | "by_hand" => Some(Method::Manual),
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_spreadsheet_could_not_compute_is_missing() {
+        for cell in ["#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#BEZUG!", "#ZÄHL!", "#N/A"] {
+            assert!(is_missing(cell), "{cell}");
+        }
+        for cell in ["#3", "#A!", "# 12", "#lot!", "DIV/0!"] {
+            assert!(!is_missing(cell), "{cell}");
+        }
+    }
+
+    #[test]
+    fn a_row_of_means_is_no_powder() {
+        for word in [
+            "Mean",
+            "AVERAGE:",
+            "SD",
+            "Std. Dev.",
+            "Total",
+            "Grand Total",
+            "salt Average",
+            "mean (salt)",
+            "% RSD",
+            "n",
+            "Mittelwert",
+        ] {
+            assert!(is_summary(word), "{word}");
+        }
+        for powder in [
+            "salt",
+            "Mannitol SD 200",
+            "lactose SD",
+            "Std sand",
+            "meant",
+            "Maxim",
+            "totally",
+            "NaCl",
+            "n-hexatriacontane",
+            "",
+        ] {
+            assert!(!is_summary(powder), "{powder}");
+        }
     }
 }

@@ -309,11 +309,12 @@ pub fn predicted(report: &Report, caption: &str, side: Side) -> String {
 /// The statistic of this campaign beside what one of twenty campaigns without an effect exceeds.
 pub fn null_scale(check: &NullCheck) -> String {
     const HEIGHT: f64 = 74.0;
-    if !(check.statistic - check.threshold95).is_finite() {
+    let both = check.statistic.zip(check.threshold95);
+    let Some((statistic, threshold95)) = both.filter(|(here, limit)| (here - limit).is_finite()) else {
         return String::new();
-    }
-    let x = Scale::over([0.0, check.statistic, check.threshold95], 12.0, WIDTH - 12.0);
-    let (here, limit) = (x.at(check.statistic), x.at(check.threshold95));
+    };
+    let x = Scale::over([0.0, statistic, threshold95], 12.0, WIDTH - 12.0);
+    let (here, limit) = (x.at(statistic), x.at(threshold95));
     let tick = |(value, written): &(f64, String)| {
         format!(
             "<path class=\"axis\" d=\"M{0:.1} 48v4\"/><text class=\"mid\" x=\"{0:.1}\" y=\"66\">{written}</text>",
@@ -332,8 +333,8 @@ pub fn null_scale(check: &NullCheck) -> String {
     );
     let summary = format!(
         "The statistic here is {}; one of twenty campaigns without an effect exceeds {}.",
-        num(check.statistic, 1),
-        num(check.threshold95, 1)
+        num(statistic, 1),
+        num(threshold95, 1)
     );
     figure("The statistic here, and of campaigns with nothing wrong", &summary, HEIGHT, &drawing)
 }

@@ -74,19 +74,25 @@ fn badge(verdict: Verdict) -> (&'static str, &'static str) {
 
 /// Sentence, verdict and p, and what the verdict means.
 fn first(report: &Report) -> String {
-    let (class, name) = badge(report.verdict);
+    let is_unjudged = report.unjudged.is_some() && report.verdict == Verdict::NoDiscrepancy;
+    let (class, name) = if is_unjudged { ("doubt", "Could not be judged") } else { badge(report.verdict) };
     let sentence = if report.sentence.trim().is_empty() { name } else { report.sentence.trim() };
     let campaigns = report.null_check.campaigns;
     let least = match campaigns > 0 && report.p_value * (f64::from(campaigns) + 1.0) < 1.5 {
         true => format!(" It is the smallest that {campaigns} simulated campaigns can show."),
         false => String::new(),
     };
+    let chance = match is_unjudged && report.p_value >= 1.0 {
+        true => String::new(),
+        false => format!(
+            "<span><strong>p = {}</strong>: chance of evidence this strong if nothing is wrong.{least}</span>",
+            chance(report.p_value)
+        ),
+    };
     format!(
         "<section class=\"first\"><p class=\"over\">FLIP · what the simulation gets wrong</p><h1>{}</h1><div class=\"head\">\
-         <span class=\"badge {class}\">{name}</span><span><strong>p = {}</strong>: chance of evidence this strong if nothing is \
-         wrong.{least}</span></div><p>{}</p></section>",
+         <span class=\"badge {class}\">{name}</span>{chance}</div><p>{}</p></section>",
         text(sentence),
-        chance(report.p_value),
         meaning(report)
     )
 }
@@ -106,6 +112,9 @@ fn meaning(report: &Report) -> String {
         return "Whatever was measured, simulated heaps go on moving: what is wrong is how they are computed. These data show nothing else.".to_owned();
     }
     match report.verdict {
+        Verdict::NoDiscrepancy if report.unjudged.is_some() => {
+            "These angles can neither show that the simulation is wrong nor that it is right.".to_owned()
+        }
         Verdict::NoDiscrepancy => {
             "These data do not show that the simulation is wrong. That is no proof that it is right: \
                                    see below which effects this campaign would have found, and which it cannot show."

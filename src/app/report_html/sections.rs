@@ -315,14 +315,14 @@ pub fn null_check(report: &Report) -> String {
     }
     let check = &report.null_check;
     let mut content = String::new();
-    if check.campaigns > 0 {
+    if let Some((statistic, threshold95)) = check.statistic.zip(check.threshold95) {
         content = format!(
             "<p>{} of this design (its powders, days, repeats and gaps) were simulated with nothing wrong, and the whole search \
              was done on each. The statistic is the natural log of the strongest evidence for any cause, with how \
              likely the cause was before. One in twenty exceeds {}; here it is {}, p\u{a0}=\u{a0}{}.</p><div class=\"figures\">{}</div>",
             counted(check.campaigns as usize, "campaign"),
-            num(check.threshold95, 1),
-            num(check.statistic, 1),
+            num(threshold95, 1),
+            num(statistic, 1),
             chance(report.p_value),
             figures::null_scale(check)
         );

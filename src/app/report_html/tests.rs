@@ -30,7 +30,8 @@ fn bare(verdict: Verdict) -> Report {
         evidence: Vec::new(),
         untestable: Vec::new(),
         left_out: Vec::new(),
-        null_check: NullCheck { campaigns: 0, statistic: 0.0, threshold95: 0.0 },
+        unjudged: None,
+        null_check: NullCheck { campaigns: 0, statistic: None, threshold95: None },
         rows: Vec::new(),
         curves: Vec::new(),
         numerics: None,
@@ -121,7 +122,7 @@ fn full(verdict: Verdict, word: &str) -> Report {
         ],
         untestable: vec![UntestableReport { mechanism: owned(), reason: owned() }],
         left_out: vec![ColumnLeftOut { column: owned(), reason: owned() }],
-        null_check: NullCheck { campaigns: 499, statistic: 9.5, threshold95: 3.1 },
+        null_check: NullCheck { campaigns: 499, statistic: Some(9.5), threshold95: Some(3.1) },
         curves: vec![
             Curve {
                 covariate: owned(),
@@ -276,7 +277,7 @@ fn every_number_of_every_figure_is_finite() {
     broken.curves[0].course[0][1] = f64::NAN;
     broken.evidence[0].log10_evidence = f64::NEG_INFINITY;
     broken.findings[0].effect = f64::NAN;
-    broken.null_check.threshold95 = f64::NEG_INFINITY;
+    broken.null_check.threshold95 = Some(f64::NEG_INFINITY);
     reports.extend([one, alike, unmeasured, broken]);
     for report in reports {
         let page = html(&report);

@@ -32,14 +32,14 @@ pub fn traces(report: &Report) -> String {
         .as_ref()
         .map_or(String::new(), |why| format!("<p>What the spoon lets fall is not judged: {}.</p>", text(why)));
     let check = &it.null_check;
-    let null = format!(
+    let null = check.statistic.zip(check.threshold95).map_or(String::new(), |(statistic, threshold95)| format!(
         "<h3>Null check</h3><p>Readings of this design were simulated {} times with nothing wrong, and the whole search was done on each. \
          One in twenty exceeds {}; here it is {}.</p><div class=\"figures\">{}</div>",
         check.campaigns,
-        num(check.threshold95, 1),
-        num(check.statistic, 1),
+        num(threshold95, 1),
+        num(statistic, 1),
         figures::null_scale(check)
-    );
+    ));
     let own = it.suggested_experiment.as_ref().filter(|own| report.suggested_experiment.as_ref() != Some(*own));
     let own = own.map_or(String::new(), |own| format!("<h3>The next control</h3>{}", experiment_card(own)));
     section(

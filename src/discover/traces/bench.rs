@@ -19,7 +19,7 @@
 //! | mechanism | g_k of shake n, after p mg | |
 //! |---|---|---|
 //! | `spoon_holdup` | -exp(-(n - 1) / N), -exp(-p / P) | |
-//! | `fill_level` | log of the fill over its mean; log(1 - p / F) where it was not recorded | d ~ fill^a; F: fill at the start |
+//! | `fill_level` | log of the fill over its mean | d ~ fill^a |
 //! | `densification` | -log(1 + n / N), -n | over their size at n = 10 |
 //! | `actuator` | log(1 - b / A), -A of the amplitude A | over their range; b: backlash |
 //!
@@ -68,8 +68,6 @@ pub(super) enum Spoon {
     HoldupMass { lasts_mg: f64 },
     /// Exponent of the fill.
     Fill,
-    /// The same where it was not recorded: what was poured is missing from a spoon that held this much, mg.
-    Poured { from_mg: f64 },
     /// Fall of log mass by shake 10, as log(1 + shakes / this).
     Densification { shakes: f64 },
     /// Fall of log mass by shake 10, the same each shake.
@@ -188,7 +186,6 @@ impl<'a> Bench<'a> {
                 Spoon::HoldupShakes { lasts } => -libm::exp(-(shake.number - 1.0).max(0.0) / lasts),
                 Spoon::HoldupMass { lasts_mg } => -libm::exp(-poured / lasts_mg),
                 Spoon::Fill => libm::log(fill / typical),
-                Spoon::Poured { from_mg } => libm::log((1.0 - poured / from_mg).max(0.05)),
                 Spoon::Densification { shakes } => -libm::log1p(shake.number / shakes) / libm::log1p(10.0 / shakes),
                 Spoon::DensificationSteady => -shake.number / 10.0,
                 Spoon::Backlash { backlash_mm } => bent(backlash_mm, amplitude) / bend(backlash_mm),

@@ -3,6 +3,7 @@
 use super::bench::{Humidity, Sensor, Spoon};
 use super::design::Design;
 use super::readings::Kind;
+use super::shakes::is_fill_known;
 
 /// A cause that the simulated bench can be extended by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -121,7 +122,7 @@ impl TraceMechanism {
             Self::BalanceStatic => [("amplitude_at_20_pct", "mg"), ("decay", "s")],
             Self::VibrationNoise => [("log_variance_rise", "1"), ("onset", "m/s^2")],
             Self::SpoonHoldup => [("share_of_first_shake", "1"), ("lasts", "shakes or mg")],
-            Self::FillLevel => [("exponent", "1"), ("fill_at_start", "mg")],
+            Self::FillLevel => [("exponent", "1"), ("", "")],
             Self::Densification => [("log_mass_fall_by_shake_10", "1"), ("shakes", "1")],
             Self::Actuator => [("log_mass_bend", "1"), ("backlash", "mm")],
         }
@@ -177,15 +178,7 @@ impl TraceMechanism {
                 let masses = [0.7, 2.0].map(|lasts_mg| spoon(Spoon::HoldupMass { lasts_mg }, Some(lasts_mg)));
                 [&shakes[..], &masses[..]].concat()
             }
-            Self::FillLevel if is_fill_known(design) => vec![spoon(Spoon::Fill, None)],
-            Self::FillLevel => {
-                let levels = design.levels(&design.shown_mg);
-                let poured = |log: &super::design::Log| levels[log.plateaus.end - 1] - levels[log.plateaus.start];
-                let doses = design.logs.iter().filter(|log| log.kind == Kind::Dose);
-                let most = doses.map(poured).fold(0.0, f64::max);
-                let from = [1.1, 1.6, 3.0].map(|share| share * most).into_iter().filter(|&mg| mg > 0.0);
-                from.map(|from_mg| spoon(Spoon::Poured { from_mg }, Some(from_mg))).collect()
-            }
+            Self::FillLevel => vec![spoon(Spoon::Fill, None)],
             Self::Densification => {
                 let slowing = [2.0, 8.0, 30.0].map(|shakes| spoon(Spoon::Densification { shakes }, Some(shakes)));
                 [&slowing[..], &[spoon(Spoon::DensificationSteady, None)]].concat()
@@ -211,6 +204,8 @@ impl TraceMechanism {
         let counted = match self.level() == Level::Shakes && !design.shakes.is_empty() {
             // A controller shakes ever less on the way to the target: unrecorded, that is every cause of the spoon.
             true if !design.knows(|plateau| plateau.shake_mm) => Err("shake_mm was not recorded".to_owned()),
+            // And a spoon empties, in the simulator too.
+            true if !is_fill_known(design) => Err("spoon_fill_mg was not recorded".to_owned()),
             _ => counted,
         };
         let most = design.plateaus.iter().map(|plateau| plateau.readings.len()).max().unwrap_or(0);
@@ -234,10 +229,10 @@ impl TraceMechanism {
             Self::VibrationNoise => {
                 varies(design, |plateau| plateau.vibration).map_err(|how| format!("vibration_rms_m_s2 {how}"))
             }
-            Self::FillLevel if is_fill_known(design) => counted
+            Self::FillLevel => counted
                 .and_then(|()| shaken())
                 .and_then(|()| varies(design, |plateau| plateau.fill_mg).map_err(|how| format!("spoon_fill_mg {how}"))),
-            Self::SpoonHoldup | Self::Densification | Self::FillLevel => counted.and_then(|()| shaken()),
+            Self::SpoonHoldup | Self::Densification => counted.and_then(|()| shaken()),
             Self::Actuator => counted.and_then(|()| shaken()).and_then(|()| {
                 varies(design, |plateau| plateau.shake_mm).map_err(|how| format!("shake_mm {how}"))?;
                 let mut all: Vec<f64> = design.plateaus.iter().filter_map(|plateau| plateau.shake_mm).collect();
@@ -257,11 +252,6 @@ impl TraceMechanism {
 pub(super) enum Differs {
     Powders,
     Sessions,
-}
-
-/// Whether the fill was recorded in at least half of the plateaus; what was poured stands for it where it was not.
-pub(super) fn is_fill_known(design: &Design) -> bool {
-    2 * design.plateaus.iter().filter(|plateau| plateau.fill_mg.is_some()).count() >= design.plateaus.len().max(1)
 }
 
 /// Whether a covariate was recorded in at least half of the plateaus and varies, and if not, why.

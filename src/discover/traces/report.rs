@@ -89,7 +89,7 @@ fn judge(screening: &TraceScreening, corrected: f64) -> (Proposal, Vec<&TraceJud
     let over = |it: &TraceJudged| it.log_evidence - wander.max(0.0);
     let is_close = |it: &&TraceJudged| {
         let is_behind = over(it) <= (1.0 - LEAD_MIN) * over(top) && it.probability <= 1.0 - CERTAIN;
-        it.acts_like(top) && (!is_behind || it.empties_like(top) || top.empties_like(it))
+        it.acts_like(top) && !is_behind
     };
     let look_alike = judged[1..].iter().find(is_close);
     if top.probability >= CLAIM && look_alike.is_none() {
@@ -106,14 +106,6 @@ fn judge(screening: &TraceScreening, corrected: f64) -> (Proposal, Vec<&TraceJud
 }
 
 impl TraceJudged {
-    /// Whether this is a fill that was not recorded and the other powder that packs: whatever their forms, nobody can tell a spoon that has emptied
-    /// from one that was shaken as often.
-    fn empties_like(&self, other: &Self) -> bool {
-        let is = |judged: &Self, mechanism| judged.mechanism == TraceCause::Known(mechanism);
-        let is_recorded = self.effect.as_ref().is_some_and(|effect| effect.covariate == "spoon_fill_mg");
-        is(self, TraceMechanism::FillLevel) && !is_recorded && is(other, TraceMechanism::Densification)
-    }
-
     /// Whether both are causes of the catalogue that act on the same level.
     fn acts_like(&self, other: &Self) -> bool {
         match (self.mechanism, other.mechanism) {

@@ -6,12 +6,13 @@
 //! ```
 //!
 //! A calibrated simulation has all of these from the powder, so whatever they span is not looked at. Without amplitudes there is no response: who shakes
-//! ever less makes what looks like any cause of the spoon. A pitch that was not recorded may have grown from shake to shake: a trend stands for it.
+//! ever less makes what looks like any cause of the spoon. Nor is there without the spoon's fill: a simulated spoon lets fall less as it empties and packs,
+//! and nothing in the first shakes of a heap that has not begun to slide, so that what it should have let fall depends on what was in it. A pitch that was
+//! not recorded may have grown from shake to shake: a trend stands for it.
 
-use super::catalogue::{TraceMechanism, is_fill_known};
 use super::design::Design;
 use super::level::Verdict;
-use super::noise::{Masses, ShakeNoise};
+use super::noise::{Masses, SCATTERS, ShakeNoise};
 use super::readings::Kind;
 use super::screen::{EXPLAINED_MIN, Unjudged};
 use nalgebra::{DMatrix, DVector};
@@ -19,11 +20,8 @@ use nalgebra::{DMatrix, DVector};
 /// Fewest shakes beyond the columns of the response that say anything.
 const SPARE_MIN: usize = 12;
 
-/// Scatter of log mass around the response and the best of all causes from which there is no law: half of the shakes then let fall less than two thirds, or
-/// more than one and a half times, of what they should.
-const SCATTER_MAX: f64 = 0.6;
-/// Log evidence of masses that wander from which the response is none.
-const WANDER_MAX: f64 = 3.0;
+/// Share of simulated readings, which follow a law, that wander as much as those that are said to follow none.
+const LAWFUL: f64 = 0.05;
 /// Sets of simulated doses of which this one would be the first of twenty.
 const SETS: usize = 19;
 
@@ -35,9 +33,9 @@ impl Masses {
     }
 }
 
-/// The response; `None` of too few shakes, or without their amplitudes.
+/// The response; `None` of too few shakes, or without their amplitudes or fills.
 pub(super) fn response(design: &Design) -> Option<Masses> {
-    if !design.knows(|plateau| plateau.shake_mm) {
+    if !design.knows(|plateau| plateau.shake_mm) || !is_fill_known(design) {
         return None;
     }
     let masses = design.masses(&design.shown_mg);
@@ -61,30 +59,51 @@ pub(super) fn response(design: &Design) -> Option<Masses> {
     Some(Masses { width_mg, level_sd_mg, nominal_mg, fixed })
 }
 
-/// Why there is no law around which shakes could be judged, if there is none: a simulator's spoon has an onset, empties and packs by itself, and where its
-/// shakes follow no law of amplitude and pitch only the simulator could say what they should have let fall.
+/// Whether the fill of the spoon was recorded.
+pub(super) fn is_fill_known(design: &Design) -> bool {
+    design.knows(|plateau| plateau.fill_mg)
+}
+
+/// Why shakes were not judged whose amplitudes are known, where nobody recorded what was in the spoon.
+pub(super) fn unfilled(design: &Design) -> Option<Unjudged> {
+    let is_shaken = design.knows(|plateau| plateau.shake_mm);
+    (is_shaken && !is_fill_known(design)).then(|| {
+        unjudged(
+            design,
+            "the spoon's fill was not recorded (spoon_fill_mg), and a simulated spoon empties and packs by itself",
+        )
+    })
+}
+
+/// Why there is no law around which shakes could be judged, if there is none: they scatter more than any noise that is thought of, or wander more than
+/// all but one in twenty sets of simulated shakes, which follow the law, and no cause explains it.
 /// `scatter`: of log mass around the response, as [`scatter`] has it.
 pub(super) fn unlike(design: &Design, scatter: f64, judged: &Verdict) -> Option<Unjudged> {
-    // A spoon empties and packs by itself. Where its fill was not recorded nothing says by how much, so that neither can be what the law lacks.
-    let is_of_any_spoon = |cause| matches!(cause, TraceMechanism::FillLevel | TraceMechanism::Densification);
-    let counts = |cause| is_fill_known(design) || !is_of_any_spoon(cause);
-    let counted = || judged.causes.iter().zip(&judged.estimates).filter(|(it, _)| counts(it.0));
-    let left = counted().map(|(_, of)| of.left).fold(1.0, f64::min);
+    let left = judged.estimates.iter().map(|of| of.left).fold(1.0, f64::min);
     let scatter = scatter * left.sqrt();
     let wander = judged.wander[0];
-    let is_caused = counted().any(|(it, of)| it.1[0] > wander && of.explained >= EXPLAINED_MIN);
-    let doses = (SETS * design.logs.iter().filter(|log| log.kind == Kind::Dose).count()) as u32;
-    let how = if scatter > SCATTER_MAX {
+    let is_caused = || {
+        judged.causes.iter().zip(&judged.estimates).any(|(it, of)| it.1[0] > wander && of.explained >= EXPLAINED_MIN)
+    };
+    let how = if scatter > SCATTERS[SCATTERS.len() - 1] {
         format!("scatter by a factor of {:.1}", scatter.exp())
-    } else if wander > WANDER_MAX && !is_caused {
+    } else if is_rare(&judged.wander) && !is_caused() {
         "wander".to_owned()
     } else {
         return None;
     };
-    let why = format!(
-        "masses of shakes {how} around any law of amplitude and pitch; what a simulated spoon would let fall takes {doses} simulated doses"
-    );
-    Some(Unjudged { why, doses })
+    Some(unjudged(design, &format!("masses of shakes {how} around any law of amplitude and pitch")))
+}
+
+/// Whether the first is among the largest, and evidence at all.
+pub(super) fn is_rare(logs: &[f64]) -> bool {
+    let as_large = logs.iter().filter(|&&log| log >= logs[0]).count();
+    logs[0] > 0.0 && as_large as f64 <= LAWFUL * logs.len() as f64
+}
+
+fn unjudged(design: &Design, why: &str) -> Unjudged {
+    let doses = (SETS * design.logs.iter().filter(|log| log.kind == Kind::Dose).count()) as u32;
+    Unjudged { why: format!("{why}; what a simulated spoon would let fall takes {doses} simulated doses"), doses }
 }
 
 /// Scatter of log mass by plain noise, as probable as the masses make it.

@@ -1,7 +1,7 @@
 //! How large a cause is over what it goes with: the change of its signature from the lowest to the highest tenth of that, whose middles are the 5th
 //! and the 95th percentile.
 
-use super::catalogue::{Level, TraceMechanism, is_fill_known};
+use super::catalogue::{Level, TraceMechanism};
 use super::design::{Design, Plateau};
 use super::readings::Kind;
 
@@ -34,10 +34,6 @@ impl Along {
             }
             TraceMechanism::SpoonHoldup | TraceMechanism::Densification => {
                 ("shake_index", shakes(&|shake| Some(shake.number)))
-            }
-            TraceMechanism::FillLevel if !is_fill_known(design) => {
-                let at = shakes(&|shake| Some(shake.number));
-                ("shake_index", at)
             }
             TraceMechanism::FillLevel => {
                 let fill = |k: usize| design.plateaus[k].fill_mg;

@@ -66,8 +66,7 @@ impl TraceFamily {
     /// The cause of the catalogue that is at work.
     pub fn mechanism(self) -> Option<&'static str> {
         match self {
-            Self::HiddenFill => Some("fill_level"),
-            Self::NullPlain | Self::NullFew | Self::NullMissing | Self::Wander => None,
+            Self::NullPlain | Self::NullFew | Self::NullMissing | Self::HiddenFill | Self::Wander => None,
             single => Some(single.name()),
         }
     }

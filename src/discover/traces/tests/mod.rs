@@ -138,6 +138,35 @@ fn what_was_not_recorded_cannot_be_blamed_and_the_reason_is_given() {
 }
 
 #[test]
+fn a_spoon_that_empties_is_blamed_on_nothing_where_its_fill_was_not_recorded() {
+    for hidden in [Hidden::Fill, Hidden::Densification, Hidden::Holdup] {
+        let mut all = traces(Bench::new(hidden, 0.1), 3);
+        all.weighings.retain(|weighing| weighing.kind == Kind::Dose);
+        for reading in all.weighings.iter_mut().flat_map(|weighing| &mut weighing.readings) {
+            reading.spoon_fill_mg = None;
+        }
+        let screening = screen_traces(&all, &SETTINGS).unwrap();
+        let spoon = ["spoon_holdup", "fill_level", "densification", "actuator"];
+        assert!(screening.judged.iter().all(|it| !spoon.contains(&it.mechanism.name().0)), "{hidden:?}");
+        let reasons = screening.untestable.iter().filter(|(it, _)| spoon.contains(&it.name().0));
+        assert!(reasons.clone().all(|(_, why)| why == "spoon_fill_mg was not recorded") && reasons.count() == 4);
+        let why = screening.unjudged.unwrap();
+        assert!(why.why.contains("empties and packs by itself") && why.doses == 19 * 40, "{}", why.why);
+    }
+}
+
+#[test]
+fn what_wanders_more_than_simulated_shakes_do_follows_no_law() {
+    // Of a hundred simulated sets none wanders as this one does, or many do.
+    assert!(super::shakes::is_rare(&[4.0, 1.0, -2.0].iter().copied().chain([0.0; 97]).collect::<Vec<_>>()));
+    assert!(!super::shakes::is_rare(&[1.0; 100]));
+    assert!(
+        !super::shakes::is_rare(&[-1.0].iter().copied().chain([-3.0; 99]).collect::<Vec<_>>()),
+        "evidence against it"
+    );
+}
+
+#[test]
 fn sizes_are_estimated_with_their_intervals() {
     let of = |hidden| screen_traces(&traces(Bench::new(hidden, 0.1), 2), &SETTINGS).unwrap().judged.swap_remove(0);
     let drift = &of(Hidden::Drift).parameters[0];
