@@ -239,7 +239,7 @@ async fn a_restored_folder_begins_none_of_its_planned_doses_before_a_person_resu
     assert_eq!(done(&app, &planned).await.outcome, Some(Outcome::Within));
     app.shutdown().await.unwrap();
 
-    let made = restore(&kept, &back).await.unwrap();
+    let made = restore(&kept, &back, false).await.unwrap();
     let app = open_in(&back, gate.functions()).await;
     let found = app.bench().await.unwrap();
     let why = found.held.expect("a person must look").reason;
