@@ -3,6 +3,7 @@
 use serde_json::Value;
 use std::io::{PipeWriter, Read, Write, pipe};
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc::channel;
 use std::time::Duration;
 use tempfile::TempDir;
 
@@ -29,7 +30,7 @@ impl Logging {
     /// Logs everything to this pipe.
     fn to(stderr: PipeWriter) -> Self {
         let folder = TempDir::new().unwrap();
-        let mut process = Command::new(env!("CARGO_BIN_EXE_flip"))
+        let process = Command::new(env!("CARGO_BIN_EXE_flip"))
             .args(["serve", "--json", "--listen", "127.0.0.1:0", "--data-dir"])
             .arg(folder.path())
             .env("FLIP_LOG", "trace")
@@ -37,9 +38,15 @@ impl Logging {
             .stderr(stderr)
             .spawn()
             .unwrap();
-        let said = serde_json::Deserializer::from_reader(process.stdout.take().unwrap()).into_iter::<Value>().next();
-        let said = said.expect("the service says where it is").unwrap();
-        Self { process, url: said["url"].as_str().unwrap().to_owned(), _folder: folder }
+        let mut service = Self { process, url: String::new(), _folder: folder };
+        let (stdout, (say, hear)) = (service.process.stdout.take().unwrap(), channel());
+        std::thread::spawn(move || {
+            let said = serde_json::Deserializer::from_reader(stdout).into_iter::<Value>().next();
+            say.send(said.unwrap().unwrap()).unwrap();
+        });
+        let said = hear.recv_timeout(SOON).expect("the service says soon where it is");
+        service.url = said["url"].as_str().unwrap().to_owned();
+        service
     }
 
     async fn ask(&self) {
