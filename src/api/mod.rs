@@ -6,6 +6,7 @@
 
 mod auth;
 mod complaint;
+mod docs;
 mod edge;
 mod front;
 pub mod grpc;

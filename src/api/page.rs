@@ -3,7 +3,7 @@
 //! The page answers browsers, which say that they take HTML. To a program a path that nobody knows is an error, or it would believe that it
 //! had found an interface.
 
-use super::grpc;
+use super::{docs, grpc};
 use super::problem::Problem;
 use axum::body::Body;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
@@ -25,7 +25,7 @@ pub async fn fallback(method: Method, uri: Uri, headers: HeaderMap) -> Response 
     if path.starts_with("v1/") || path == "v1" || !matches!(method, Method::GET | Method::HEAD) {
         return Problem::not_found("no such path; /openapi.json lists all").into_response();
     }
-    answer(path, takes_html(&headers), Files::get)
+    docs::answer(path).unwrap_or_else(|| answer(path, takes_html(&headers), Files::get))
 }
 
 /// Whether the caller names HTML among what it takes; `*/*` alone is what programs send.
@@ -59,7 +59,8 @@ fn answer(path: &str, takes_html: bool, find: impl Fn(&str) -> Option<EmbeddedFi
     }
 }
 
-fn serve(file: EmbeddedFile, cache: &'static str) -> Response {
+/// A file, kept by browsers as `cache` says.
+pub(super) fn serve(file: EmbeddedFile, cache: &'static str) -> Response {
     let kind =
         HeaderValue::from_str(file.metadata.mimetype()).unwrap_or(HeaderValue::from_static("application/octet-stream"));
     let headers = [(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, HeaderValue::from_static(cache))];
@@ -108,7 +109,7 @@ mod tests {
         };
         assert!(accept("text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8") && accept("Text/HTML;q=0.5"));
         assert!(!accept("*/*") && !accept("application/json, text/plain, */*") && !takes_html(&HeaderMap::new()));
-        for path in ["status", "info", "docs", ".well-known/openid-configuration", "weighings/01890000"] {
+        for path in ["status", "info", ".well-known/openid-configuration", "weighings/01890000"] {
             let response = answer(path, false, built);
             assert_eq!(response.status(), StatusCode::NOT_FOUND, "{path}");
         }

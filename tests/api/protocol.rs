@@ -80,7 +80,7 @@ async fn a_body_that_says_it_is_too_long_is_not_asked_for() {
 #[tokio::test]
 async fn a_program_that_probes_for_an_interface_is_told_that_there_is_none() {
     let service = Service::start().await;
-    for path in ["/status", "/info", "/docs", "/version", "/.well-known/oauth", "/weighings/some"] {
+    for path in ["/status", "/info", "/version", "/.well-known/oauth", "/weighings/some"] {
         for accept in ["application/json", "*/*"] {
             let answer = service.request("GET", path).header("accept", accept).send().await.unwrap();
             assert_eq!(answer.headers()["content-type"], "application/problem+json", "{path}");
