@@ -51,10 +51,26 @@ function bounds(schema) {
   return Object.entries(says).filter(([key]) => schema[key] !== undefined).map(([key, word]) => `${word} ${JSON.stringify(schema[key])}`).join(', ')
 }
 
-function operation(method, path, it) {
-  const parameters = (it.parameters ?? []).map(one => [`\`${one.name}\``, one.in, kind(one.schema), one.required ? 'yes' : '', [one.description, bounds(one.schema ?? {})].filter(Boolean).join('; ')])
+/** A description and the bounds behind it. */
+const said = (text, limits) => (text && limits ? `${text.replace(/\.$/, '')}; ${limits}` : (text ?? limits))
+
+/** Refusals that most operations share, each with the words that most use for it. */
+function shared(operations) {
+  const counts = {}
+  for (const { it } of operations) {
+    for (const [status, one] of Object.entries(it.responses)) {
+      if (status >= '400') (counts[status] ??= {})[one.description] = (counts[status][one.description] ?? 0) + 1
+    }
+  }
+  const most = Object.entries(counts).map(([status, texts]) => [status, ...Object.entries(texts).sort((a, b) => b[1] - a[1])[0]])
+  return Object.fromEntries(most.filter(([, , count]) => count > 9).map(([status, text]) => [status, text]))
+}
+
+function operation(method, path, it, common) {
+  const parameters = (it.parameters ?? []).map(one => [`\`${one.name}\``, one.in, kind(one.schema), one.required ? 'yes' : '', said(one.description, bounds(one.schema ?? {}))])
   const bodies = Object.entries(it.requestBody?.content ?? {}).map(([type, body]) => `${kind(body.schema) || 'bytes'} as \`${type}\``)
-  const answers = Object.entries(it.responses).map(([status, one]) => [status, one.description, Object.values(one.content ?? {}).map(body => kind(body.schema)).filter(Boolean).join(', ')])
+  const own = Object.entries(it.responses).filter(([status, one]) => common[status] !== one.description)
+  const answers = own.map(([status, one]) => [status, one.description, Object.values(one.content ?? {}).map(body => kind(body.schema)).filter(Boolean).join(', ')])
   return [
     `### ${method.toUpperCase()} ${path}\n`,
     `${it.summary}${it.description ? `\n\n${it.description}` : ''}\n`,
@@ -66,7 +82,7 @@ function operation(method, path, it) {
 
 function schema(name, it) {
   const forms = it.oneOf ?? it.anyOf
-  const fields = one => Object.entries(one.properties ?? {}).map(([field, type]) => [`\`${field}\``, kind(type), (one.required ?? []).includes(field) ? 'yes' : '', [type.description, bounds(type)].filter(Boolean).join('; ')])
+  const fields = one => Object.entries(one.properties ?? {}).map(([field, type]) => [`\`${field}\``, kind(type), (one.required ?? []).includes(field) ? 'yes' : '', said(type.description, bounds(type))])
   const shown = one => (one.properties ? table(['field', 'type', 'required', 'what'], fields(one)) : `${kind(one)}${bounds(one) ? `, ${bounds(one)}` : ''}${one.description ? `: ${one.description}` : ''}\n`)
   const body = forms ? forms.map(shown).join('\n') : shown({ ...it, description: undefined })
   return `### ${name}\n\n${it.description ? `${it.description}\n\n` : ''}${body}`
@@ -75,14 +91,15 @@ function schema(name, it) {
 function rest() {
   const { info, paths, components, tags } = document()
   const operations = Object.entries(paths).flatMap(([path, item]) => Object.entries(item).map(([method, it]) => ({ method, path, it })))
+  const common = shared(operations)
   const known = tags.map(tag => tag.name)
   const others = [...new Set(operations.map(one => one.it.tags[0]))].filter(name => !known.includes(name)).map(name => ({ name }))
   const parts = [...tags, ...others].map(({ name, description }) => {
     const own = operations.filter(one => one.it.tags[0] === name)
-    return `## ${name}\n\n${description ? `${description}.\n\n` : ''}${own.map(one => operation(one.method, one.path, one.it)).join('\n')}`
+    return `## ${name}\n\n${description ? `${description}.\n\n` : ''}${own.map(one => operation(one.method, one.path, one.it, common)).join('\n')}`
   })
   const schemas = Object.entries(components.schemas).map(([name, it]) => schema(name, it))
-  return `# REST\n\n${generated('`web/openapi.json`')}\n${info.description}\n\nA running service hands the document out as \`/openapi.json\`.\n\n${parts.join('\n')}\n## Schemas\n\n${schemas.join('\n')}`
+  return `# REST\n\n${generated('`web/openapi.json`')}\n${info.description}\n\nA running service hands the document out as \`/openapi.json\`.\n\nRefusals are [Problem](#problem) documents. What most operations share is not repeated below:\n\n${table(['status', 'when'], Object.entries(common))}\n${parts.join('\n')}\n## Schemas\n\n${schemas.join('\n')}`
 }
 
 // ---- gRPC ----
@@ -112,11 +129,16 @@ function proto(file) {
   return out
 }
 
+/** A message's name leads to it. */
+const linked = (names, text) => text.replace(/`((?:optional |repeated )?)([\w.]+)`/g, (all, before, name) => (names.has(name) ? `${before}[\`${name}\`](#${name.toLowerCase()})` : all))
+
 const HEADS = { service: ['call', 'takes', 'answers', 'what'], message: ['field', 'type', 'number', 'what'], enum: ['value', 'number', 'what'] }
 
 function blocks(file) {
-  const one = it => `### ${it.name}\n\n${it.comment ? `${it.comment}\n\n` : ''}${it.rows.length ? table(HEADS[it.kind], it.rows) : 'Empty.\n'}`
   const all = proto(file)
+  const names = new Set(all.map(it => it.name))
+  const rows = it => it.rows.map(row => row.map((text, i) => (i === 1 || (i === 2 && it.kind === 'service') ? linked(names, text) : text)))
+  const one = it => `### ${it.name}\n\n${it.comment ? `${it.comment}\n\n` : ''}${it.rows.length ? table(HEADS[it.kind], rows(it)) : 'Empty.\n'}`
   const part = (title, kinds) => `## ${title}\n\n${all.filter(it => kinds.includes(it.kind)).map(one).join('\n')}`
   return `${part('Services', ['service'])}\n${part('Messages', ['message'])}\n${part('Enumerations', ['enum'])}`
 }
