@@ -85,6 +85,13 @@ class Arm(arm_pb2_grpc.ArmServicer):
             self.mode, self.latch_cause = pb.MODE_LATCHED, f"the spoon could not be brought back: {error}"[:200]
             raise
 
+    async def returned(self, context):
+        """Bring the spoon back for a caller, who may go meanwhile."""
+        try:
+            await asyncio.shield(asyncio.create_task(self.bring_back(pb.MODE_IDLE)))
+        except Exception as error:
+            await context.abort(StatusCode.INTERNAL, f"the spoon could not be brought back: {error}"[:200])
+
     async def watch_over(self):
         """The dead-man."""
         while True:
@@ -113,14 +120,14 @@ class Arm(arm_pb2_grpc.ArmServicer):
 
     async def Release(self, request, context):
         await self.held(request.lease_id, context)
-        await asyncio.shield(self.bring_back(pb.MODE_IDLE))
+        await self.returned(context)
         return pb.ReleaseResponse()
 
     async def Recover(self, request, context):
         if self.mode not in (pb.MODE_IDLE, pb.MODE_LATCHED):
             await context.abort(StatusCode.FAILED_PRECONDITION, "the arm is not latched")
         if self.mode == pb.MODE_LATCHED:
-            await asyncio.shield(self.bring_back(pb.MODE_IDLE))
+            await self.returned(context)
         return pb.RecoverResponse()
 
     async def Stop(self, request, context):
