@@ -1,4 +1,4 @@
-# FLIP in a container (x86-64). The data folder is the volume /data; README.md says how to run it.
+# FLIP in a container (x86-64). The data folder is the volume /data; docs/how-to/install.md says how to run it.
 #
 #   docker build -t flip .
 #   docker run --rm -v flip-data:/data -p 127.0.0.1:8080:8080 flip

@@ -8,17 +8,18 @@
 # make weighing-gain   a version of the simulator from hidden data, and policies adapted to it, weighing: hours on two cores, stop it and call it again (SEEDS=6)
 # make reliability   every fault of every emulated device at every state of a weighing, 300 kills, a minute of fuzzing for each parser: an hour or more, most of it kills
 # make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll, and while others do their worst (ARGS="-- 200 100 1 none messages silent readers pollers streams lock all")
+# make docs   the documentation as pages, in web/docs-dist; make docs-check: their links, spelling and style; make docs-reference: the generated pages, from the built binary
 # make dist   a tarball and a Debian package that run without Rust, Python or network, each started in an empty root
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test setup web chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop dist lint
+.PHONY: run test setup web docs docs-check docs-reference chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop dist lint
 
 ARGS ?=
 LOGS := target/test
-WEB_SOURCES := $(shell find web -name node_modules -prune -o -name dist -prune -o -type f -print 2>/dev/null)
+WEB_SOURCES := $(shell find web -name node_modules -prune -o -name dist -prune -o -path web/docs -prune -o -name docs-dist -prune -o -type f -print 2>/dev/null)
 
 run: setup
 	cargo build --release --locked
@@ -49,6 +50,23 @@ web/node_modules/.package-lock.json: web/package.json web/package-lock.json
 web/dist/index.html: web/node_modules/.package-lock.json $(WEB_SOURCES)
 	cd web && npm run build
 	touch dist/index.html
+
+docs: docs-check
+
+docs-check: web/docs/node_modules/.package-lock.json
+	rm -rf web/docs-dist
+	cd web/docs
+	npm run --silent build
+	npm run --silent check
+
+docs-reference: web/docs/node_modules/.package-lock.json
+	cargo build --release --locked
+	cd web/docs
+	FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip" npm run --silent reference
+
+web/docs/node_modules/.package-lock.json: web/docs/package.json web/docs/package-lock.json
+	cd web/docs && npm ci --no-fund --no-audit
+	touch node_modules/.package-lock.json
 
 chromium:
 	command -v chromium chromium-browser google-chrome > /dev/null && exit 0

@@ -142,7 +142,7 @@ fn what_another_simulator_does_to_its_grains_is_named() {
     }
 }
 
-/// Whether this campaign is the one that the README shows; with `UPDATE=1` it is made so.
+/// Whether this campaign is the one that the documentation shows; with `UPDATE=1` it is made so.
 fn is_file(name: &str, csv: &str) {
     let path = campaigns().join(format!("{name}.csv"));
     if std::env::var_os("UPDATE").is_some() {
@@ -156,9 +156,9 @@ fn campaigns() -> std::path::PathBuf {
     std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/campaigns")
 }
 
-/// Size of the effects that the README shows, degrees.
+/// Size of the effects that the documentation shows, degrees.
 const SHOWN_DEG: f64 = 1.25;
-/// The campaigns that the README shows, by file: what is hidden in them is known here alone.
+/// The campaigns that the documentation shows, by file: what is hidden in them is known here alone.
 const SHOWN: [(&str, Family, u64); 3] =
     [("humidity", Family::Humidity, 3), ("nothing", Family::NullPlain, 3), ("confounded", Family::Confounded, 3)];
 
