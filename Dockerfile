@@ -3,13 +3,16 @@
 #   docker build -t flip .
 #   docker run --rm -v flip-data:/data -p 127.0.0.1:8080:8080 flip
 
-# The page, which the binary embeds.
+# The page and the documentation, which the binary embeds.
 FROM node:20-bookworm-slim AS page
 WORKDIR /flip/web
 COPY web/package.json web/package-lock.json ./
 RUN npm ci --no-fund --no-audit
+COPY web/docs/package.json web/docs/package-lock.json docs/
+RUN cd docs && npm ci --no-fund --no-audit
 COPY web ./
-RUN npm run build
+COPY docs ../docs
+RUN npm run build && cd docs && npm run build
 
 # The program. libtorch first: it is the largest download and changes least.
 FROM rust:1.95-bookworm AS program
@@ -26,6 +29,7 @@ COPY benches benches
 COPY examples examples
 COPY src src
 COPY --from=page /flip/web/dist web/dist
+COPY --from=page /flip/web/docs-dist web/docs-dist
 RUN cargo build --release --locked --bin flip
 # The binary looks for its libraries in `lib` beside itself before anywhere else.
 RUN mkdir -p /image/lib && cp target/release/flip /image/ && cp .libtorch/lib/*.so* /image/lib/

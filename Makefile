@@ -8,17 +8,18 @@
 # make weighing-gain   a version of the simulator from hidden data, and policies adapted to it, weighing: hours on two cores, stop it and call it again (SEEDS=6)
 # make reliability   every fault of every emulated device at every state of a weighing, 300 kills, a minute of fuzzing for each parser: an hour or more, most of it kills
 # make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll, and while others do their worst (ARGS="-- 200 100 1 none messages silent readers pollers streams lock all")
-# make docs   the documentation as pages, in web/docs-dist; make docs-check: their links, spelling and style; make docs-reference: the generated pages, from the built binary
+# make docs   the documentation as pages, which the service shows below /docs; checks links, spelling and style · make docs-reference   the generated ones, from the built binary
 # make dist   a tarball and a Debian package that run without Rust, Python or network, each started in an empty root
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test setup web docs docs-check docs-reference chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop dist lint
+.PHONY: run test setup web docs docs-reference chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop dist lint
 
 ARGS ?=
 LOGS := target/test
+DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
 WEB_SOURCES := $(shell find web -name node_modules -prune -o -name dist -prune -o -path web/docs -prune -o -name docs-dist -prune -o -type f -print 2>/dev/null)
 
 run: setup
@@ -30,12 +31,13 @@ test: setup chromium
 	cargo test --release --locked 2>&1 | tee $(LOGS)/rust.log
 	binary="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip"
 	(cd web && FLIP_BIN="$$binary" npm test) 2>&1 | tee $(LOGS)/web.log
+	$(MAKE) docs
 	rust=$$(awk '/^test result:/ { n += $$4 } END { print n + 0 }' $(LOGS)/rust.log)
 	web=$$(awk '$$2 == "pass" { n += $$3 } END { print n + 0 }' $(LOGS)/web.log)
 	echo "tests passed: $$((rust + web)) (Rust $$rust, page $$web)"
 
-# What cargo cannot fetch by itself: libtorch (checked by SHA-256) and the built page, which the binary embeds.
-setup: .libtorch/build-version web
+# What cargo cannot fetch by itself: libtorch (checked by SHA-256), and the built page and documentation, which the binary embeds.
+setup: .libtorch/build-version web web/docs-dist/index.html
 
 .libtorch/build-version: .cargo/fetch_libtorch.py .cargo/libtorch-requirements.txt
 	python3 .cargo/fetch_libtorch.py
@@ -51,12 +53,14 @@ web/dist/index.html: web/node_modules/.package-lock.json $(WEB_SOURCES)
 	cd web && npm run build
 	touch dist/index.html
 
-docs: docs-check
-
-docs-check: web/docs/node_modules/.package-lock.json
+web/docs-dist/index.html: web/docs/node_modules/.package-lock.json $(DOCS_SOURCES)
 	rm -rf web/docs-dist
 	cd web/docs
 	npm run --silent build
+	touch ../docs-dist/index.html
+
+docs: web/docs-dist/index.html
+	cd web/docs
 	npm run --silent check
 
 docs-reference: web/docs/node_modules/.package-lock.json
