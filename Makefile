@@ -9,13 +9,14 @@
 # make reliability   every fault of every emulated device at every state of a weighing, 300 kills, a minute of fuzzing for each parser: an hour or more, most of it kills
 # make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll, and while others do their worst (ARGS="-- 200 100 1 none messages silent readers pollers streams lock all")
 # make docs   the documentation as pages, which the service shows below /docs; checks links, spelling and style · make docs-reference   the generated ones, from the built binary
+# make stale   results in docs that are older than the code they speak of
 # make dist   a tarball and a Debian package that run without Rust, Python or network, each started in an empty root
 # make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test setup web docs docs-reference chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop dist lint
+.PHONY: run test setup web docs docs-reference stale chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop dist lint
 
 ARGS ?=
 LOGS := target/test
@@ -62,6 +63,9 @@ web/docs-dist/index.html: web/docs/node_modules/.package-lock.json $(DOCS_SOURCE
 docs: web/docs-dist/index.html
 	cd web/docs
 	npm run --silent check
+
+stale:
+	python3 .ci/stale.py
 
 docs-reference: web/docs/node_modules/.package-lock.json
 	cargo build --release --locked
