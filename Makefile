@@ -16,7 +16,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test setup web docs docs-reference stale chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop dist lint
+.PHONY: run test setup need web docs docs-reference stale chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop dist lint
 
 ARGS ?=
 LOGS := target/test
@@ -38,7 +38,10 @@ test: setup chromium
 	echo "tests passed: $$((rust + web)) (Rust $$rust, page $$web)"
 
 # What cargo cannot fetch by itself: libtorch (checked by SHA-256), and the built page and documentation, which the binary embeds.
-setup: .libtorch/build-version web web/docs-dist/index.html
+setup: need .libtorch/build-version web web/docs-dist/index.html
+
+need:
+	@.ci/need.sh
 
 .libtorch/build-version: .cargo/fetch_libtorch.py .cargo/libtorch-requirements.txt
 	python3 .cargo/fetch_libtorch.py
