@@ -144,7 +144,9 @@ fn descriptors() -> Finding {
 /// The folder, its disk, and what is in it.
 fn data_folder(folder: &Path) -> Result<Vec<Finding>, Failure> {
     let there = folder.is_dir();
-    let on = folder.ancestors().find(|it| it.is_dir()).map_or(Path::new("."), |it| it);
+    let here = Path::new(".");
+    let is_there = |it: &&Path| !it.as_os_str().is_empty() && it.exists();
+    let on = folder.ancestors().find(is_there).unwrap_or(here);
     let mut findings = vec![room(on), writable(folder, on)];
     if there && folder.join("flip.db").exists() {
         findings.push(runtime()?.block_on(database(folder)));
@@ -169,6 +171,9 @@ fn room(on: &Path) -> Finding {
 
 fn writable(folder: &Path, on: &Path) -> Finding {
     let name = folder.display();
+    if !on.is_dir() {
+        return failed("data folder", format!("{name}: {} is no folder; choose another with --data-dir", on.display()));
+    }
     match rustix::fs::access(on, rustix::fs::Access::WRITE_OK | rustix::fs::Access::EXEC_OK) {
         Err(error) => {
             failed("data folder", format!("{name}: {error}; choose another with --data-dir, or give it to this user"))
@@ -239,7 +244,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let verdicts = |path: &Path| data_folder(path).unwrap().iter().map(|it| it.verdict).collect::<Vec<_>>();
         assert!(!verdicts(&folder.path().join("new/deeper")).contains(&Verdict::Failed));
-        assert!(verdicts(Path::new("/proc/no/folder")).contains(&Verdict::Failed));
+        let file = folder.path().join("file");
+        std::fs::write(&file, "x").unwrap();
+        for taken in [file.join("deeper"), file] {
+            assert!(verdicts(&taken).contains(&Verdict::Failed), "{}", taken.display());
+        }
     }
 
     #[test]

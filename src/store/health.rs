@@ -46,9 +46,10 @@ pub struct Health {
 impl Store {
     /// Look at everything that writing needs. Nobody's work waits for it, and after a quarter of a second it takes a locked database for one.
     pub(crate) async fn health(&self) -> Health {
-        let folder = self.place.check();
         // A database elsewhere would be made anew by its name, or answer for the one that is gone.
-        let database = if folder.is_ok() { self.try_to_write().await } else { self.place.check() };
+        let database = if self.place.check().is_ok() { self.try_to_write().await } else { self.place.check() };
+        // Looked at last: where it went away meanwhile, that is why the database fails.
+        let folder = self.place.check();
         Health {
             disk: Check::of(self.lack_of_room()),
             database: Check::from_result(database),

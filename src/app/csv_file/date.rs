@@ -242,6 +242,9 @@ fn is_zone(text: &str) -> bool {
     ["", "z", "utc", "gmt", "am", "pm", "a.m.", "p.m."].contains(&text.as_str()) || offset.is_some_and(is_offset)
 }
 
+/// Longest that a campaign lasts, days: with the year taken for the day of the month it would last for decades.
+pub const CAMPAIGN_MAX_D: i32 = 3653;
+
 /// What numbers of a column of days count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Count {
@@ -256,11 +259,14 @@ pub enum Count {
 }
 
 impl Count {
-    /// What at least half of these numbers count; nothing where they are numbers of another kind.
+    /// What at least half of these numbers count, days of one campaign; nothing where they are numbers of another kind. Any number between 0.9 and 4.1
+    /// thousand millions counts seconds to some day of this century.
     pub fn of(numbers: &[f64]) -> Option<Self> {
         let are_days = |count: &Self| {
-            let days = numbers.iter().filter(|number| count.day(**number).is_some()).count();
-            days > 0 && 2 * days >= numbers.len()
+            let mut days: Vec<i32> = numbers.iter().filter_map(|number| count.day(*number)).map(Date::to_julian_day).collect();
+            days.sort_unstable();
+            let half = numbers.len().div_ceil(2);
+            half > 0 && days.windows(half).any(|some| some[half - 1] - some[0] <= CAMPAIGN_MAX_D)
         };
         [Self::Serial, Self::Seconds, Self::Milliseconds, Self::Digits].into_iter().find(are_days)
     }
@@ -304,6 +310,18 @@ mod tests {
     use time::macros::date;
 
     const THIRD: Date = date!(2026 - 02 - 03);
+
+    #[test]
+    fn numbers_spread_over_a_century_count_no_days_and_one_typo_among_days_changes_nothing() {
+        // Fibonacci hashing: 32 bits, no two alike, three in four of them seconds of a day of this century.
+        let hashes: Vec<f64> = (0..60u64).map(|k| (k.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32) as f64).collect();
+        assert!(hashes.iter().filter(|it| Count::Seconds.day(**it).is_some()).count() > 30);
+        assert_eq!(Count::of(&hashes), None);
+        let mut days: Vec<f64> = (0..9).map(|k| 1_770_111_000.0 + 86_400.0 * f64::from(k)).collect();
+        days.push(17_701_110.0);
+        assert_eq!(Count::of(&days), Some(Count::Seconds));
+        assert_eq!(Count::of(&[]), None);
+    }
 
     #[test]
     fn one_day_in_every_form_is_that_day() {

@@ -10,6 +10,9 @@ use tonic::{Code, Status};
 /// Pitch from which the arm has to come back, degrees.
 const TILTED_DEG: f64 = 20.0;
 
+/// For so long beyond its bound an arm is watched that has not begun to return: what comes next finds it latched, if it latches at all.
+const LATE: Duration = Duration::from_secs(10);
+
 /// Nobody has control and the spoon is at home; so it is afterwards.
 pub(super) fn check(subject: &Subject<'_>, found: &mut Findings) {
     let asked = "renewals end while the spoon is tilted over the vial";
@@ -42,7 +45,7 @@ fn dead_man(subject: &Subject<'_>, lease: &mut Lease<'_>) -> Found {
     let bounds = subject.bounds;
     let returns = |state: &proto::State| matches!(state.mode(), Mode::Returning | Mode::Latched);
     let advice = "an arm whose client dies must level, retract and latch by itself: see the contract's dead-man";
-    let Some(begun) = subject.states.until(last, bounds.return_begins + Duration::from_secs(1), returns) else {
+    let Some(begun) = subject.states.until(last, bounds.return_begins + LATE, returns) else {
         return Found::failed("it stayed where it was", advice);
     };
     let began = begun.at - last;

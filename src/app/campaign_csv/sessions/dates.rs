@@ -1,13 +1,11 @@
 //! What stands first in the dates of a column: of the orders in which each of its dates is a day those that read no campaign of more than ten years,
 //! if these agree; else it is asked for.
 
-use crate::app::csv_file::date::{DateOrder, Written};
+use crate::app::csv_file::date::{CAMPAIGN_MAX_D, DateOrder, Written};
 use crate::app::csv_file::{Refused, at};
 use crate::domain::FieldError;
 use time::Date;
 
-/// Longest that a campaign lasts, days: with the year taken for the day of the month it would last for decades.
-const CAMPAIGN_MAX_D: i32 = 3653;
 
 /// Dates that an order decides, each with its row and its text.
 pub(super) struct Dates<'a>(pub Vec<(&'a Written, usize, &'a str)>);
