@@ -162,16 +162,20 @@ async fn in_laboratory(stops: Vec<u64>, clients: u64, attack: &[Attack]) -> anyh
         (0..clients).map(|k| tokio::spawn(poll(service.clone(), done.clone(), polls.clone(), k))).collect();
     let attackers = attacks::begin(attack, &service).await?;
     let (began, mut stopped) = (Instant::now(), Stopped::default());
-    for stop in stops {
-        one_stop(&service, &laboratory, &clock, stop, &mut stopped).await?;
-    }
+    let all = async {
+        for stop in stops {
+            one_stop(&service, &laboratory, &clock, stop, &mut stopped).await?;
+        }
+        anyhow::Ok(())
+    };
+    let ended = all.await;
     stopped.rate = polls.load(Ordering::Relaxed) as f64 / began.elapsed().as_secs_f64();
     done.store(true, Ordering::Relaxed);
     attackers.shutdown_background();
     for poller in pollers {
         poller.await?;
     }
-    Ok(stopped)
+    ended.map(|()| stopped)
 }
 
 /// An honest client.
