@@ -99,7 +99,7 @@ fn a_settings_file_stands_behind_the_command_line_and_a_mistake_in_it_begins_not
     let file_name = file.to_str().unwrap();
     let run = |text: &str, words: &[&str]| {
         std::fs::write(&file, text).unwrap();
-        Command::new(env!("CARGO_BIN_EXE_flip")).args(words).env("FLIP_CONFIG", &file).output().unwrap()
+        Command::new(env!("CARGO_BIN_EXE_flip")).args(words).env("FLIP_SETTINGS", &file).output().unwrap()
     };
     let settings =
         format!("data_dir = {:?}\njson = true\n[repose]\nfriction = 0.3\ncohesion = 0\n", data.to_str().unwrap());

@@ -189,13 +189,17 @@ impl App {
         Self::of(Store::open_to_read(data_dir).await.map_err(failed)?, None).await.map_err(failed)
     }
 
-    /// Open a data folder to read and change nothing, not even a schema that is older.
+    /// Open a data folder to read and change nothing, not even a schema that is older, after the look that a start takes at it. None where there is nothing
+    /// yet.
     ///
     /// # Errors
     /// [`OpenError::Failed`]
-    pub async fn look_into(data_dir: &Path) -> std::result::Result<Self, OpenError> {
+    pub async fn look_into(data_dir: &Path) -> std::result::Result<Option<Self>, OpenError> {
         let failed = |error| OpenError::of(data_dir, error);
-        Self::of(Store::open_to_read(data_dir).await.map_err(failed)?, None).await.map_err(failed)
+        match Store::examine(data_dir).await.map_err(failed)? {
+            Some(store) => Ok(Some(Self::of(store, None).await.map_err(failed)?)),
+            None => Ok(None),
+        }
     }
 
     /// Open a data folder to change what no bench and no job depends on, such as tokens, also while `flip serve` holds it: its records and ours are

@@ -8,18 +8,34 @@
 //! ```
 //!
 //! A table is a command, a key one of its long options, dashes or underscores. The command line goes before the environment, the environment before the
-//! file, the file before what `--help` gives as default. A file with one mistake sets nothing.
+//! file, the file before what `--help` gives as default: what is typed also puts aside what in the file it cannot stand beside. A file with one mistake sets
+//! nothing. What a person says of this moment, that the bench was looked at or which vial is in, no file can say.
 
 use super::failure::Failure;
 use super::{Cli, Common};
 use crate::domain::FieldError;
-use clap::{Arg, ArgAction, Command, CommandFactory};
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::parser::ValueSource;
+use clap::{Arg, ArgAction, ArgMatches, Command, CommandFactory};
 use serde::Serialize;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Environment variable that names the file where `--config` does not.
-pub(super) const VARIABLE: &str = "FLIP_CONFIG";
+/// Environment variable that names the file where `--settings` does not.
+pub(super) const VARIABLE: &str = "FLIP_SETTINGS";
+/// What a person says each time: who, what was looked at, what is to be given up.
+const SAID: [&str; 10] = [
+    "by",
+    "note",
+    "looked",
+    "vial-ready",
+    "vial",
+    "resume",
+    "spoon-empty",
+    "funnel-empty",
+    "keep-tokens",
+    "idempotency-key",
+];
 /// Names at least this similar (Jaro-Winkler) are offered for one that is not known.
 const SIMILAR: f64 = 0.8;
 
@@ -49,6 +65,9 @@ struct Setting {
     option: String,
     /// Values as on the command line; one, but of options that may be repeated.
     values: Vec<String>,
+    /// It takes no value.
+    #[serde(skip)]
+    is_switch: bool,
 }
 
 /// Check a file.
@@ -64,23 +83,48 @@ fn text(settings: &[Setting]) -> String {
     if lines.is_empty() { "nothing is set".to_owned() } else { lines.join("\n") }
 }
 
-/// The command line, with what the named file sets as its defaults.
+/// What the arguments say, and where they leave something out the file that they or the environment name.
 ///
 /// # Errors
-/// A file that cannot be read or has a mistake.
-pub(super) fn with_defaults(arguments: &[OsString]) -> Result<Command, Failure> {
-    let Some(file) = named(arguments) else { return Ok(Cli::command()) };
-    Ok(read(&file)?.into_iter().fold(Cli::command(), set))
+/// A file that cannot be read or has a mistake. Inside: arguments that clap refuses.
+pub(super) fn matches(arguments: &[OsString]) -> Result<Result<ArgMatches, clap::Error>, Failure> {
+    let Some(file) = named(arguments) else { return Ok(Cli::command().try_get_matches_from(arguments)) };
+    let settings = read(&file)?;
+    // What cannot stand beside what is typed gives way: clap itself compares only what is typed.
+    let typed = Cli::command().ignore_errors(true).try_get_matches_from(arguments);
+    let is_kept = |setting: &Setting| !typed.as_ref().is_ok_and(|typed| gives_way(setting, typed));
+    let kept: Vec<Setting> = settings.into_iter().filter(is_kept).collect();
+    Ok(kept.into_iter().fold(Cli::command(), set).try_get_matches_from(arguments))
+}
+
+/// Something is typed that conflicts with this setting.
+fn gives_way(setting: &Setting, typed: &ArgMatches) -> bool {
+    let mut command = Cli::command();
+    command.build();
+    let (mut command, mut typed) = (&command, typed);
+    for name in setting.command.split_whitespace() {
+        let Some((sub, matches)) = typed.subcommand().filter(|(sub, _)| *sub == name) else { return false };
+        let Some(inner) = command.find_subcommand(sub) else { return false };
+        (command, typed) = (inner, matches);
+    }
+    let Some(option) = option(command, &setting.option) else { return false };
+    let is_typed = |id: &str| {
+        let source = typed.try_contains_id(id).is_ok().then(|| typed.value_source(id)).flatten();
+        matches!(source, Some(ValueSource::CommandLine | ValueSource::EnvVariable))
+    };
+    let refuses = |a: &Arg, b: &Arg| command.get_arg_conflicts_with(a).iter().any(|it| it.get_id() == b.get_id());
+    let mut others = command.get_arguments().filter(|other| is_typed(other.get_id().as_str()));
+    others.any(|other| refuses(option, other) || refuses(other, option))
 }
 
 /// The file that the arguments or the environment name.
 fn named(arguments: &[OsString]) -> Option<PathBuf> {
     let mut arguments = arguments.iter().take_while(|it| *it != "--");
     while let Some(argument) = arguments.next() {
-        if argument == "--config" {
+        if argument == "--settings" {
             return arguments.next().map(PathBuf::from);
         }
-        if let Some(file) = argument.to_str().and_then(|it| it.strip_prefix("--config=")) {
+        if let Some(file) = argument.to_str().and_then(|it| it.strip_prefix("--settings=")) {
             return Some(file.into());
         }
     }
@@ -96,7 +140,28 @@ fn read(file: &Path) -> Result<Vec<Setting>, Failure> {
     command.build();
     let mut found = Found::default();
     found.table(&command, &[], &table);
+    found.together();
     if found.mistakes.is_empty() { Ok(found.settings) } else { Err(Failure::BadInput(found.mistakes)) }
+}
+
+impl Setting {
+    /// As one would type it.
+    fn typed(&self) -> Vec<String> {
+        let one = |value: &String| format!("--{}={value}", self.option);
+        if self.is_switch { vec![format!("--{}", self.option)] } else { self.values.iter().map(one).collect() }
+    }
+}
+
+/// Which options clap finds missing, or in each other's way.
+fn complaint(words: Vec<String>) -> Vec<String> {
+    let Err(error) = Cli::command().try_get_matches_from(words) else { return Vec::new() };
+    let is_ours = matches!(error.kind(), ErrorKind::MissingRequiredArgument | ErrorKind::ArgumentConflict);
+    let told = [ContextKind::InvalidArg, ContextKind::PriorArg].map(|kind| match error.get(kind) {
+        Some(ContextValue::Strings(all)) => all.clone(),
+        Some(ContextValue::String(one)) => vec![one.clone()],
+        _ => Vec::new(),
+    });
+    if is_ours { told.concat() } else { Vec::new() }
 }
 
 #[derive(Debug, Default)]
@@ -119,6 +184,9 @@ impl Found {
                     let commands = command.get_subcommands().map(Command::get_name);
                     self.refuse(field, format!("there is no command `{name}`{}", nearest(&name, commands)));
                 }
+                (_, _, Some(_)) if SAID.contains(&name.as_str()) => {
+                    self.refuse(field, format!("`--{name}` is said by a person each time, and no file can say it"));
+                }
                 (_, _, Some(option)) => self.option(field, path, option, value),
                 (..) => {
                     let options = command.get_arguments().filter_map(Arg::get_long);
@@ -140,8 +208,27 @@ impl Found {
                 command: path.join(" "),
                 option: option.get_long().unwrap_or_default().to_owned(),
                 values,
+                is_switch: matches!(option.get_action(), ArgAction::SetTrue),
             }),
             Err(why) => self.refuse(field, why),
+        }
+    }
+
+    /// Whether the options of each command can be given together.
+    fn together(&mut self) {
+        let mut commands: Vec<String> = self.settings.iter().map(|it| it.command.clone()).collect();
+        commands.dedup();
+        for command in commands {
+            let of = |it: &&Setting| it.command == command || it.command.is_empty();
+            let typed = self.settings.iter().filter(of).flat_map(Setting::typed);
+            let words: Vec<String> =
+                ["flip"].into_iter().chain(command.split_whitespace()).map(str::to_owned).collect();
+            let (alone, all) = (complaint(words.clone()), complaint(words.into_iter().chain(typed).collect()));
+            let new: Vec<String> = all.iter().filter(|it| !alone.contains(it)).cloned().collect();
+            if !new.is_empty() {
+                let field = if command.is_empty() { "flip".to_owned() } else { command.replace(' ', ".") };
+                self.refuse(field, format!("what is set here does not go together: {}", new.join(", ")));
+            }
         }
     }
 
@@ -152,7 +239,7 @@ impl Found {
 
 /// An option that a file may set.
 fn option<'a>(command: &'a Command, name: &str) -> Option<&'a Arg> {
-    let unusual = ["config", "help", "version"];
+    let unusual = ["settings", "help", "version"];
     command.get_arguments().find(|it| it.get_long() == Some(name) && !unusual.contains(&name))
 }
 
@@ -272,9 +359,43 @@ mod tests {
     #[test]
     fn the_file_is_named_by_the_option_in_either_form() {
         let words = |words: &[&str]| named(&words.iter().map(OsString::from).collect::<Vec<_>>());
-        assert_eq!(words(&["flip", "serve", "--config", "a"]), Some("a".into()));
-        assert_eq!(words(&["flip", "--config=b", "serve"]), Some("b".into()));
-        assert_eq!(words(&["flip", "weigh", "--", "--config=b"]), None);
+        assert_eq!(words(&["flip", "serve", "--settings", "a"]), Some("a".into()));
+        assert_eq!(words(&["flip", "--settings=b", "serve"]), Some("b".into()));
+        assert_eq!(words(&["flip", "weigh", "--", "--settings=b"]), None);
+        // The bench file of `flip bench check` is another one.
+        assert_eq!(words(&["flip", "bench", "check", "--config", "bench.toml"]), None);
+    }
+
+    #[test]
+    fn what_is_typed_puts_aside_what_it_cannot_stand_beside() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("flip.toml");
+        std::fs::write(&file, "[calibrate]\npowder = \"salt\"\n").unwrap();
+        let told = |words: &[&str]| {
+            let words = [&["flip", "--settings", file.to_str().unwrap()], words].concat();
+            let words: Vec<OsString> = words.iter().map(OsString::from).collect();
+            let cli = Cli::from_arg_matches(&matches(&words).unwrap().unwrap()).unwrap();
+            format!("{:?}", cli.command)
+        };
+        let typed = told(&["calibrate", "--repose-deg", "30"]);
+        assert!(typed.contains("30.0") && !typed.contains("salt"), "{typed}");
+        assert!(told(&["calibrate"]).contains("salt"));
+        assert!(told(&["calibrate", "--powder", "sand"]).contains("sand"));
+    }
+
+    #[test]
+    fn what_does_not_go_together_is_named_and_what_a_person_says_no_file_says() {
+        let refused = |text: &str| settings(text).unwrap_err().join("; ");
+        let both = refused("[calibrate]\npowder = \"salt\"\nrepose_deg = 30\n");
+        assert!(both.contains("calibrate") && both.contains("--repose-deg"), "{both}");
+        let half = refused("[serve]\ntls_cert = \"c.pem\"\n");
+        assert!(half.contains("serve") && half.contains("--tls-key"), "{half}");
+        for said in ["by = \"a robot\"", "looked = true", "vial_ready = true", "resume = true"] {
+            let why = refused(&format!("[bench.clear]\n{said}\n"));
+            assert!(why.contains("a person"), "{why}");
+        }
+        let devices = "[bench.check]\nconfig = \"bench.toml\"\n";
+        assert_eq!(settings(devices).unwrap().len(), 1, "the bench file may be set");
     }
 
     #[test]

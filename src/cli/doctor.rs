@@ -148,8 +148,8 @@ fn data_folder(folder: &Path) -> Result<Vec<Finding>, Failure> {
     let is_there = |it: &&Path| !it.as_os_str().is_empty() && it.exists();
     let on = folder.ancestors().find(is_there).unwrap_or(here);
     let mut findings = vec![room(on), writable(folder, on)];
-    if there && folder.join("flip.db").exists() {
-        findings.push(runtime()?.block_on(database(folder)));
+    if there {
+        findings.extend(runtime()?.block_on(database(folder)));
     }
     Ok(findings)
 }
@@ -171,6 +171,12 @@ fn room(on: &Path) -> Finding {
 
 fn writable(folder: &Path, on: &Path) -> Finding {
     let name = folder.display();
+    if folder.is_symlink() && !folder.exists() {
+        return failed(
+            "data folder",
+            format!("{name} is a link to nothing; mend it, or choose another with --data-dir"),
+        );
+    }
     if !on.is_dir() {
         return failed("data folder", format!("{name}: {} is no folder; choose another with --data-dir", on.display()));
     }
@@ -183,12 +189,14 @@ fn writable(folder: &Path, on: &Path) -> Finding {
     }
 }
 
-async fn database(folder: &Path) -> Finding {
+/// The database of a folder, if it has one.
+async fn database(folder: &Path) -> Option<Finding> {
     // Only to read: a doctor changes nothing, and a server may hold it.
-    match App::look_into(folder).await {
+    Some(match App::look_into(folder).await {
         Err(OpenError::Held(why)) => warning("database", why),
         Err(error) => failed("database", error.to_string()),
-        Ok(app) => {
+        Ok(None) => return None,
+        Ok(Some(app)) => {
             let audit = app.verify_audit(None).await;
             let _ = app.shutdown().await;
             match audit {
@@ -199,7 +207,7 @@ async fn database(folder: &Path) -> Finding {
                 Err(error) => failed("database", error.to_string()),
             }
         }
-    }
+    })
 }
 
 fn port(address: SocketAddr) -> Finding {
@@ -246,9 +254,22 @@ mod tests {
         assert!(!verdicts(&folder.path().join("new/deeper")).contains(&Verdict::Failed));
         let file = folder.path().join("file");
         std::fs::write(&file, "x").unwrap();
-        for taken in [file.join("deeper"), file] {
+        let link = folder.path().join("link");
+        std::os::unix::fs::symlink(folder.path().join("nowhere"), &link).unwrap();
+        for taken in [file.join("deeper"), file, link] {
             assert!(verdicts(&taken).contains(&Verdict::Failed), "{}", taken.display());
         }
+    }
+
+    #[test]
+    fn a_folder_that_lost_its_database_is_not_taken_for_a_fresh_one() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(data_folder(folder.path()).unwrap().iter().all(|it| it.what != "database"));
+        let blobs = folder.path().join("blobs/ab");
+        std::fs::create_dir_all(&blobs).unwrap();
+        std::fs::write(blobs.join("ab".repeat(32)), b"a trace").unwrap();
+        let found = data_folder(folder.path()).unwrap();
+        assert!(found.iter().any(|it| it.what == "database" && it.verdict == Verdict::Failed), "{found:?}");
     }
 
     #[test]

@@ -71,7 +71,7 @@ struct Common {
     json: bool,
     /// Settings for what is not given here, by command; `flip config check` says what a file sets.
     #[arg(long, global = true, value_name = "FILE", env = config::VARIABLE)]
-    config: Option<PathBuf>,
+    settings: Option<PathBuf>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -122,7 +122,7 @@ enum Command {
     Health(health::Arguments),
     /// Look whether FLIP can do its work on this machine, and say what to mend.
     Doctor(doctor::Arguments),
-    /// Check a settings file, as `--config` takes one.
+    /// Check a settings file, as `--settings` takes one.
     Config(config::Arguments),
     /// Print what a shell needs to complete commands and options.
     Completions(manual::Completions),
@@ -136,11 +136,10 @@ const FIRST_PAGE: PageQuery = PageQuery { limit: Some(LIST_LIMIT_MAX), after: No
 /// Parse the arguments, run the command, and say how it ended by the exit status.
 pub fn main() -> ExitCode {
     let arguments: Vec<OsString> = std::env::args_os().collect();
-    let command = match config::with_defaults(&arguments) {
-        Ok(command) => command,
+    let parsed = match config::matches(&arguments) {
+        Ok(matches) => matches.and_then(|matches| Cli::from_arg_matches(&matches)),
         Err(failure) => return failure.report(arguments.iter().any(|it| it == "--json")),
     };
-    let parsed = command.try_get_matches_from(&arguments).and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = match parsed {
         Ok(cli) => cli,
         Err(error) => return failure::of_arguments(&error),

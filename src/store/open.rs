@@ -59,6 +59,20 @@ impl Store {
         Self::assemble(data_dir, None, None).await
     }
 
+    /// As [`Self::open_to_read`], after the look that each start takes at a database; none where there is nothing yet.
+    ///
+    /// # Errors
+    /// As a start's: [`Error::Lost`], [`Error::Damaged`], [`Error::Newer`].
+    pub async fn examine(data_dir: &Path) -> Result<Option<Self>> {
+        let database = data_dir.join(DATABASE);
+        if !sound::is_there(data_dir, &database, (&artifacts(data_dir), &archives(data_dir)))? {
+            return Ok(None);
+        }
+        let store = Self::open_to_read(data_dir).await?;
+        sound::check(&store.reader, &database).await?;
+        Ok(Some(store))
+    }
+
     /// Open an existing data folder beside the process that holds it: for short transactions that need no worker.
     ///
     /// # Errors

@@ -20,11 +20,7 @@ const OWN_MAX: i64 = 10_000_000_000;
 /// # Errors
 /// [`Error::Lost`]: no database, but files that one names; [`Error::File`].
 pub(super) fn prepare(data_dir: &Path, database: &Path, files: (&Artifacts, &Archives)) -> Result<()> {
-    let size = |path: &Path| fs::metadata(path).map_or(0, |it| it.len());
-    let log = database.with_extension("db-wal");
-    if size(database) == 0 && (size(&log) > 0 || files.0.any()? || files.1.any()) {
-        return Err(Error::Lost(data_dir.to_owned()));
-    }
+    is_there(data_dir, database, files)?;
     let made = OpenOptions::new().create_new(true).write(true).mode(0o600).open(database);
     match made {
         Err(error) if error.kind() != ErrorKind::AlreadyExists => {
@@ -32,6 +28,20 @@ pub(super) fn prepare(data_dir: &Path, database: &Path, files: (&Artifacts, &Arc
         }
         _ => Ok(()),
     }
+}
+
+/// Whether there is a database. `false`: there is nothing yet.
+///
+/// # Errors
+/// [`Error::Lost`]: no database, but files that one names.
+pub(super) fn is_there(data_dir: &Path, database: &Path, files: (&Artifacts, &Archives)) -> Result<bool> {
+    let size = |path: &Path| fs::metadata(path).map_or(0, |it| it.len());
+    let log = database.with_extension("db-wal");
+    let is_empty = size(database) == 0;
+    if is_empty && (size(&log) > 0 || files.0.any()? || files.1.any()) {
+        return Err(Error::Lost(data_dir.to_owned()));
+    }
+    Ok(!is_empty)
 }
 
 /// Make the folder, for this user alone; one that is there stays as it is.

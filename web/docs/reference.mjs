@@ -202,7 +202,7 @@ default and bounds: [REST](rest.md).
 
 ## The settings file
 
-\`--config FILE\` or \`FLIP_CONFIG\` names a file with defaults for the command line. A table is a command; a key is one of its long options, with dashes or
+\`--settings FILE\` or \`FLIP_SETTINGS\` names a file with defaults for the command line. A table is a command; a key is one of its long options, with dashes or
 underscores. The command line goes before the environment, the environment before the file, and the file before what \`--help\` gives as default. A file with
 one mistake sets nothing; \`flip config check FILE\` names every mistake.
 
@@ -217,7 +217,7 @@ bench = "/etc/flip/bench.toml"
 
 | variable | what |
 |---|---|
-| \`FLIP_CONFIG\` | the settings file, where \`--config\` does not name it |
+| \`FLIP_SETTINGS\` | the settings file, where \`--settings\` does not name it |
 | \`FLIP_LOG\` | which log lines \`flip serve\` shows, as \`tracing\` filters: \`FLIP_LOG=flip=debug\` |
 | \`FLIP_SIMD\` | for tests: forces a narrower vector unit of the processor than the widest; results are the same |
 `
