@@ -1,9 +1,10 @@
 //! REST, gRPC and the page on one port, all through [`crate::app`].
 //!
-//! A request passes, from the outside in: [`front`] (connections, on threads of its own), [`edge`] (id, protocol of refusals, headers, counts), a net
-//! for panics, [`auth::same_origin`], [`auth::identify`]; a stop then goes to the bench, and everything else waits for its body and its seat
+//! A request passes, from the outside in: [`front`] (connections, on threads of its own), [`asked`] (before how many stops), [`edge`] (id, protocol of
+//! refusals, headers, counts), a net for panics, [`auth::same_origin`], [`auth::identify`]; a stop then goes to the bench, and everything else waits for its body and its seat
 //! ([`limits`]) and goes on to its route in [`rest`], [`grpc`], [`probes`] or [`page`] on the runtime of the rest.
 
+mod asked;
 mod auth;
 mod complaint;
 mod docs;
@@ -100,6 +101,7 @@ fn main_router(app: &App, closing: CancellationToken) -> Router {
         .merge(probes::metrics(app.clone()))
         .fallback(page::fallback)
         .layer(from_fn(auth::on_behalf))
+        .layer(from_fn(asked::as_of_head))
         .layer(CatchPanicLayer::custom(edge::panicked))
         .layer(from_fn(edge::tell_route))
 }

@@ -99,7 +99,11 @@ fn of_the_bench(bench: &BenchStatus) -> String {
             bench.latch.is_some(),
         ),
         gauge("flip_bench_held", "1 after a stop, until a person resumes.", bench.held.is_some()),
-        gauge("flip_bench_moving", "1 while a weighing moves.", bench.moving.is_some()),
+        gauge(
+            "flip_bench_moving",
+            "1 while a weighing moves or a pile is made.",
+            bench.moving.is_some() || bench.piling.is_some(),
+        ),
     ]
     .concat()
 }

@@ -8,7 +8,7 @@ use crate::domain::bench::BenchKind;
 use crate::domain::bench_check::{CheckKind, Repeatability, ShakeCalibration};
 use crate::domain::vial::Vial;
 use crate::hardware::DeviceError;
-use crate::jobs::bench::{Bench, Change, Standing, Unwritten};
+use crate::jobs::bench::{Bench, Change, PileInMaking, PileStand, Standing, Unwritten};
 use crate::store::audit::{AuditRecord, AuditVerification};
 use crate::store::bench::Latch;
 use crate::store::holds::Held;
@@ -37,6 +37,9 @@ pub struct BenchStatus {
     pub held: Option<Held>,
     /// The weighing that moves.
     pub moving: Option<String>,
+    /// The pile that is being made: the gate may be open. A stop of the bench ends it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub piling: Option<PileInMaking>,
     /// Weighings that wait, in order.
     pub waiting: Vec<Waiting>,
     /// The vial on the pan, as far as it is known.
@@ -107,6 +110,7 @@ impl App {
             latch: store.latch().await?,
             held: store.held().await?,
             moving: None,
+            piling: None,
             waiting: store.waiting_weighings().await?,
             vial: store.pan().await?.vial,
             reservation: store.reservation().await?.filter(|it| !ended(it)),
@@ -149,7 +153,7 @@ impl App {
     /// # Errors
     /// `Invalid`; `Conflict` (`bench_not_held`, `bench_latched`, `stopped_meanwhile`).
     pub async fn resume_bench(&self, request: ResumeRequest) -> Result<BenchStatus> {
-        let stops = self.jobs_or_refuse()?.bench().stops();
+        let stops = self.stops_when_asked()?;
         let mut check = Check::default();
         let by = check_person(&mut check, &request.by, &request.note);
         check.done()?;
@@ -173,7 +177,7 @@ impl App {
     /// `Invalid`; `Conflict` (`bench_not_latched`, `bench_differs`, `arm_not_recovered`, `ending_unwritten`, `stopped_meanwhile`).
     pub async fn clear_bench(&self, request: ClearRequest) -> Result<BenchStatus> {
         let bench = self.jobs_or_refuse()?.bench();
-        let stops = bench.stops();
+        let stops = self.stops_when_asked()?;
         let mut check = Check::default();
         let by = check_person(&mut check, &request.by, &request.note);
         if !request.looked {
@@ -346,6 +350,7 @@ fn status(bench: &Bench) -> BenchStatus {
         latch,
         held,
         moving,
+        piling: bench.stand().and_then(PileStand::piling),
         waiting,
         vial,
         reservation,

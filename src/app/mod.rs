@@ -1,6 +1,7 @@
 //! What FLIP can do, in plain Rust. REST, gRPC, the command line and the demonstration all call this.
 
 mod archive;
+mod asked;
 mod backup;
 mod bench;
 mod calibrations;
@@ -52,7 +53,7 @@ pub use crate::domain::weighing::{Asked, MeasuredMass, OnOverdose};
 pub use crate::emulate::lab::Settings as LaboratorySettings;
 pub use crate::hardware::camera::Upload as FrameUpload;
 pub use crate::hardware::stand::Procedure;
-pub use crate::jobs::bench::{Awaited, Unwritten, devices as file_bench, emulated as emulated_bench};
+pub use crate::jobs::bench::{Awaited, PileInMaking, Unwritten, devices as file_bench, emulated as emulated_bench};
 pub use crate::jobs::calibrate::{
     CalibrationResult, CalibrationSet, EmulatorUse, Marginal, Method as CalibrationMethod, Pair, Posterior, Shortfall,
 };
@@ -87,6 +88,7 @@ pub use crate::store::trials::{Episode, Trial, TrialPhase};
 pub use crate::store::verify::ChangedRow;
 pub use crate::store::weighings::{Waiting, Weighing};
 pub use crate::store::who::{Who, acting};
+pub use asked::asked_after;
 pub use backup::{BackupError, back_up, restore};
 pub use bench::{AUDIT_CSV_HEADER, BenchStatus, ClearRequest, RepeatabilityRequest, ResumeRequest, audit_csv};
 pub use calibrations::{Calibration, CalibrationRequest};

@@ -45,7 +45,7 @@ impl App {
     /// # Errors
     /// `Invalid`; `NotFound`; `Conflict` (`weighing_finished`, `not_its_turn`, `vial_differs`, `stopped_meanwhile`).
     pub async fn vial_ready(&self, id: &str, request: VialReadyRequest) -> Result<Weighing> {
-        let stops = self.jobs_or_refuse()?.bench().stops();
+        let stops = self.stops_when_asked()?;
         let mut check = Check::default();
         for (field, text) in [("by", &request.by), ("vial", &request.vial)] {
             text.iter().for_each(|text| check.text(field, text, NAME_MAX));

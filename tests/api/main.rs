@@ -1,6 +1,7 @@
 //! The product through its sockets: REST, gRPC, events and the page, as its users meet them.
 
 mod archive;
+mod asked;
 mod authorization;
 mod comparison;
 mod document;

@@ -5,6 +5,7 @@ use crate::harness::{Service, fields, problem};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use flip::api::grpc::proto;
+use flip::api::grpc::proto::bench_client::BenchClient;
 use flip::api::grpc::proto::repose_measurements_client::ReposeMeasurementsClient;
 use flip::app::{LaboratorySettings, Role, emulated_bench, file_bench};
 use flip::domain::parameters::ParameterSet;
@@ -253,5 +254,36 @@ async fn a_stop_at_the_bench_and_a_cancelled_measurement_find_the_gate_closed() 
             assert!(resumed.status().is_success());
         }
     }
+    service.stop().await;
+}
+
+#[tokio::test]
+async fn a_pile_that_is_being_made_is_told_as_what_moves_and_a_stop_of_the_bench_ends_it() {
+    let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
+    let laboratory = Laboratory::start(lab::Settings::default(), Clock::fast(20.0), spoon).unwrap();
+    let service = Service::ready_on(file_bench(laboratory.file())).await;
+    let mut bench = BenchClient::new(channel(&service).await);
+    let metrics = async || service.get("/metrics").await.text().await.unwrap();
+    let place = started(&service, &json!({ "powder": "salt", "procedure": { "repeats": 1, "open_s": 300.0 } })).await;
+    let id = place.rsplit('/').next().unwrap();
+    while laboratory.slide.opening() < 1.0 {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    let found = get(&service, "/v1/bench").await;
+    assert_eq!((&found["piling"], &found["moving"]), (&json!({ "job": id, "pile": 1 }), &json!(null)));
+    assert!(metrics().await.contains("flip_bench_moving 1\n"));
+    let piling = bench.get_bench(proto::GetBenchRequest {}).await.unwrap().into_inner().piling.unwrap();
+    assert_eq!((piling.job.as_str(), piling.pile), (id, 1));
+    assert_eq!(post(&service, "/v1/bench/stop", &json!({})).await.status(), 200);
+    until(&service, &place, has_ended).await;
+    assert_eq!((laboratory.slide.opening(), &get(&service, "/v1/bench").await["piling"]), (0.0, &json!(null)));
+    assert!(metrics().await.contains("flip_bench_moving 0\n"));
+
+    // One that rests and waits for its frames does not move.
+    assert_eq!(post(&service, "/v1/bench/resume", &json!({ "by": "the test" })).await.status(), 200);
+    let procedure = json!({ "repeats": 1, "open_s": 1.0, "rest_s": 0.0 });
+    let place = started(&service, &json!({ "powder": "salt", "procedure": procedure })).await;
+    until(&service, &place, |found| found["awaits"]["have"] == 0).await;
+    assert_eq!(get(&service, "/v1/bench").await["piling"], json!(null));
     service.stop().await;
 }

@@ -1,11 +1,14 @@
 /** The bench as it stands now, for every view. */
 import { bench } from './api/calls'
-import type { BenchStatus } from './api/types'
-import { live, ofWeighings } from './live.svelte'
+import type { BenchStatus, Event } from './api/types'
+import { live, ofJobs, ofWeighings } from './live.svelte'
 import { Resource } from './resource.svelte'
 
 /** Asked again this often while something moves, and while no events come: the last event comes just before the bench is free. */
 const MOVING_MS = 2000
+
+/** Of a job: it may be a measurement that makes piles, which no event of the bench tells. */
+const beginsOrGoesOn = (event: Event) => ofJobs(event) && (event.kind === 'state' || event.kind === 'progress')
 
 class BenchNow {
   #status = new Resource(bench)
@@ -14,9 +17,9 @@ class BenchNow {
 
   constructor() {
     $effect.root(() => {
-      $effect(() => live.reloads((event) => event.topic === 'bench' || ofWeighings(event), this.reload))
+      $effect(() => live.reloads((event) => event.topic === 'bench' || ofWeighings(event) || beginsOrGoesOn(event), this.reload))
       $effect(() => {
-        if (!this.value?.moving && live.open) return
+        if (!this.moves && live.open) return
         const timer = setInterval(() => document.visibilityState === 'visible' && this.reload(), MOVING_MS)
         return () => clearInterval(timer)
       })
@@ -36,10 +39,16 @@ class BenchNow {
   }
   reload = () => this.#status.reload()
 
+  /** The one thing that moves, by a name of its own: a dose, or a pile. */
+  get moves(): string | undefined {
+    const { moving, piling } = this.value ?? {}
+    return moving ?? (piling ? `${piling.job} ${piling.pile}` : undefined)
+  }
+
   /** The one word for how it stands. */
   get stands(): 'moving' | 'latched' | 'held' | 'waiting' | 'ready' {
     const it = this.value
-    if (it?.moving) return 'moving'
+    if (this.moves) return 'moving'
     if (it?.latch) return 'latched'
     if (it?.held) return 'held'
     return it?.waiting?.length ? 'waiting' : 'ready'

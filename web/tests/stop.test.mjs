@@ -52,6 +52,19 @@ describe('a stop', () => {
     assert.deepEqual(await accessibilityFaults(page), [])
   })
 
+  it('can be pressed on every view while a pile is made', async () => {
+    front.does = ({ path }) => path === '/v1/bench' ? { status: 200, body: { ...bench, piling: { job: 'a-measurement', pile: 2 } } } : undefined
+    for (const view of ['', 'powders', 'weighings', 'bench', 'jobs']) {
+      await chromium.open(page, view)
+      await page.getByText('Pile 2 of a measurement is made').waitFor()
+      await stop().waitFor()
+    }
+    const sent = page.waitForRequest((request) => request.method() === 'POST' && request.url().endsWith(STOP))
+    await stop().click()
+    await sent
+    await page.getByRole('status').filter({ hasText: 'Stopped after' }).waitFor()
+  })
+
   it('says at once that it is being sent, and after how long it was answered', async () => {
     moving('hang')
     await chromium.open(page, 'bench')

@@ -22,7 +22,7 @@ mod wire;
 pub use connection::Connection;
 
 use super::complaint::Complaint;
-use super::{auth, edge, probes};
+use super::{asked, auth, edge, probes};
 use crate::app::App;
 use answer::Answer;
 use axum::Router;
@@ -135,7 +135,7 @@ impl Drop for Front {
 pub fn router(app: App, loopback: bool, main: Router, closing: CancellationToken) -> Router {
     let gate = auth::Gate { app: app.clone(), loopback };
     stop::router(app.clone(), &Handle::current())
-        .merge(probes::alive(app, closing))
+        .merge(probes::alive(app.clone(), closing))
         .fallback_service(Router::new().fallback(hall).with_state(Hall::new(Handle::current(), main)))
         .layer(from_fn(known))
         .layer(from_fn_with_state(gate, auth::identify))
@@ -144,6 +144,7 @@ pub fn router(app: App, loopback: bool, main: Router, closing: CancellationToken
         .layer(CatchPanicLayer::custom(edge::panicked))
         .layer(from_fn(edge::edge))
         .layer(from_fn(follow))
+        .layer(from_fn_with_state(app, asked::at_head))
 }
 
 /// Tells the connection what is under way on it.

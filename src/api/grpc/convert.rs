@@ -270,6 +270,7 @@ same_fields! {
         vial: b.vial.map(Into::into),
         reservation: b.reservation.map(Into::into),
         unwritten: b.unwritten.map(Into::into),
+        piling: b.piling.map(Into::into),
         kind: b.kind.map(bench_kind),
         devices: b.devices.into_iter().collect(),
         latch: b.latch.map(Into::into),
@@ -304,6 +305,7 @@ same_fields! {
         result: r.result.map(Into::into),
     }
     a: app::Awaited => AwaitedFrames { pile have wanted } {}
+    p: app::PileInMaking => PileInMaking { job pile } {}
     p: app::Pile => Pile { number refusal } {
         at: at(p.at),
         tip: p.measured.map(|it| it.tip.into()),

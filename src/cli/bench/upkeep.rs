@@ -120,6 +120,7 @@ fn text(found: &BenchStatus) -> String {
         found.reservation.iter().map(|it| format!("reserved   for {} until {}, {}", it.owner, it.until, it.id)),
     );
     lines.extend(found.moving.iter().map(|id| format!("moving     {id}")));
+    lines.extend(found.piling.iter().map(|it| format!("piling     pile {} of measurement {}", it.pile, it.job)));
     lines.extend(found.repeatability.iter().map(|check| format!("repeats    SD {:.3} mg", check.sd_mg)));
     lines.join("\n")
 }

@@ -31,7 +31,7 @@ mod turns;
 pub use apparatus::{Apparatus, Pour, Poured, Pouring, devices, devices_by, emulated, simulated};
 pub use condition::{Standing, Unwritten};
 pub(super) use journal::audit_exchanges;
-pub use stand::{Awaited, Inbox, PileStand, Piling, Unpiled};
+pub use stand::{Awaited, Inbox, Making, PileInMaking, PileStand, Piling, Unpiled};
 pub use turns::Change;
 
 use super::spoon::holds_mg;

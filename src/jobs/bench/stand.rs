@@ -65,21 +65,67 @@ pub struct PileStand {
     pub exchanges: Arc<Mutex<Vec<Exchange>>>,
     /// Where uploaded frames arrive; none where the camera is emulated.
     pub inbox: Option<Arc<Inbox>>,
+    /// What is being made.
+    pub making: Making,
+}
+
+impl PileStand {
+    /// The pile that is being made: powder may run. None while one rests and waits for its frames.
+    pub fn piling(&self) -> Option<PileInMaking> {
+        self.making.locked().clone()
+    }
+}
+
+/// A pile that is being made.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
+pub struct PileInMaking {
+    /// The measurement, by its job.
+    pub job: String,
+    /// Which pile, from 1.
+    pub pile: u32,
+}
+
+/// Which pile is being made, for whoever asks meanwhile; cheap to clone.
+#[derive(Debug, Clone, Default)]
+pub struct Making(Arc<Mutex<Option<PileInMaking>>>);
+
+/// Nothing is being made any more when this is dropped, also where making it panics.
+struct UntilMade<'a>(&'a Making);
+
+impl Making {
+    fn begin(&self, piling: &Piling<'_>) -> UntilMade<'_> {
+        *self.locked() = Some(PileInMaking { job: piling.job.to_owned(), pile: piling.number });
+        UntilMade(self)
+    }
+
+    fn locked(&self) -> MutexGuard<'_, Option<PileInMaking>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for UntilMade<'_> {
+    fn drop(&mut self) {
+        *self.0.locked() = None;
+    }
 }
 
 /// A laboratory for each pile, and a camera over a cone as steep as the powder piles.
 pub(super) fn emulated(settings: lab::Settings, wires: Wires) -> PileStand {
     let (exchanges, tap) = recorder();
+    let making = Making::default();
+    let told = making.clone();
     let heap: Heaping = Arc::new(move |piling, go_on| {
         let clock = Clock::fast(SPEED);
         let spoon = Box::new(FormulaSpoon::new(Flow::default(), piling.seed));
         let laboratory = Laboratory::start(settings.clone(), clock.clone(), spoon)
             .map_err(|error| Unpiled::Failed(format!("the emulated laboratory cannot be set up: {error}")))?;
         let _floor = wires.floor();
+        let under_way = told.begin(piling);
         made(&wires, &tap, &laboratory.file(), clock, piling, go_on)?;
+        drop(under_way);
         photographed(piling)
     });
-    PileStand { heap, exchanges, inbox: None }
+    PileStand { heap, exchanges, inbox: None, making }
 }
 
 /// Where exchanges are kept, and what hears them.
@@ -104,13 +150,17 @@ pub(super) fn devices(file: BenchFile, wires: Wires) -> PileStand {
     let (exchanges, tap) = recorder();
     let inbox = Arc::new(Inbox::default());
     let arriving = inbox.clone();
+    let making = Making::default();
+    let told = making.clone();
     let heap: Heaping = Arc::new(move |piling, go_on| {
         // Until the frames have come: the arm must not walk into the picture.
         let _floor = wires.floor();
+        let under_way = told.begin(piling);
         made(&wires, &tap, &file, Clock::wall(), piling, go_on)?;
+        drop(under_way);
         arriving.collect(piling, go_on)
     });
-    PileStand { heap, exchanges, inbox: Some(inbox) }
+    PileStand { heap, exchanges, inbox: Some(inbox), making }
 }
 
 /// Make the pile; the devices are given back when it rests.
