@@ -46,8 +46,9 @@ impl Store {
     /// Move the readings, messages, decisions and phases of weighings that ended before this into files.
     ///
     /// # Errors
-    /// [`Error::ReadOnly`]; [`Error::Archiving`]: another process does this now; [`Error::Corrupt`]: the record is not what was written, and from there on nothing was moved; [`Error::File`],
-    /// [`Error::Full`], [`Error::Locked`]: what was moved is in the files that the record names, all else where it was.
+    /// [`Error::ReadOnly`]; [`Error::Archiving`]: another process does this now, and nothing was moved; [`Error::Corrupt`]: the record is not what
+    /// was written, and from there on nothing was moved; [`Error::File`], [`Error::Full`], [`Error::Locked`]: what was moved is in the files that the
+    /// record names, all else where it was.
     pub(crate) async fn archive_audit(&self, before: Timestamp) -> Result<Archived> {
         let _lock = ArchivingLock::beside(self.place.path())?;
         let mut done = Archived { before: Some(before), ..Archived::default() };

@@ -1,7 +1,7 @@
 //! Is the record what was written, and are the rows what the record says?
 //!
 //! A chain alone proves the records, not the rows that lists and tables show. So each weighing's row is compared with the record of its outcome, or
-//! while it has none with the record of its intent; `said.rs` compares other rows. A row that no record knows was slipped in, whenever it says it was
+//! while it has none with the record of its intent, and what a retry is known by always with the latter; `said.rs` compares other rows. A row that no record knows was slipped in, whenever it says it was
 //! made: those from before there were records are in the record of the stock-taking (`stock.rs`).
 
 use super::archive::{self, Away, LostArchive, Named, Order, aways, hash_at, why_lost};
