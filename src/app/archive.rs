@@ -11,8 +11,8 @@ impl App {
     /// what people did stay where they are; certificates, listings and verification read the files.
     ///
     /// # Errors
-    /// `Invalid`: `before`, as `2026-11-26` (its beginning, UTC) or in RFC 3339; `Internal`, `Unavailable`: whatever was moved is in files
-    /// that the record names, and everything else is where it was.
+    /// `Invalid`: `before`, as `2026-11-26` (its beginning, UTC) or in RFC 3339; `Unavailable`: another archiving is under way; `Internal`, `Unavailable`: whatever
+    /// was moved is in files that the record names, and everything else is where it was.
     pub async fn archive_audit(&self, before: &str) -> Result<Archived> {
         let before = point_in_time(before)?;
         Ok(self.store().archive_audit(before).await?)

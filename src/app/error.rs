@@ -99,6 +99,7 @@ impl From<store::Error> for Error {
                 "the data folder was opened to read only because `flip serve` holds it: ask the server instead".into(),
             ),
             store::Error::Locked
+            | store::Error::Archiving
             | store::Error::Busy
             | store::Error::Full
             | store::Error::Disk(_)

@@ -253,14 +253,16 @@ impl App {
         }
         check.done()?;
         let mut tx = self.store().write().await?;
+        let mut rows = Vec::new();
         for (id, name) in &new {
-            tx.insert_powder(id, name).await?;
+            if let Some(created_at) = tx.insert_powder(id, name).await? {
+                let powder = json!({ "id": id, "name": name, "created_at": created_at });
+                rows.push(Row::of(RowOf::Powder, id, &powder));
+            }
         }
         // Whoever else imports waits for this transaction, so what is stored now is all there is.
         let mut before = StoredBefore::of(&self.measured(None).await?);
         let left_out = entries.extract_if(.., |entry| before.has(entry)).count();
-        let names = new.iter().map(|(id, name)| Row::of(RowOf::Powder, id, &json!({ "id": id, "name": name })));
-        let mut rows: Vec<Row> = names.collect();
         let powders = new.into_iter().map(|(id, _)| id).collect();
         let (measurements, observations) = (Vec::new(), Vec::new());
         let mut imported = Imported { powders, named, measurements, observations, already_stored: left_out };

@@ -64,11 +64,11 @@ impl App {
         check.done()?;
         let id = id.map_or_else(|| id_of_powder("name", &new.name), Ok)?;
         let mut tx = self.store().write().await?;
-        if !tx.insert_powder(&id, &new.name).await? {
+        let Some(created_at) = tx.insert_powder(&id, &new.name).await? else {
             let advice = format!("powder `{id}` exists already: add measurements to it, or choose another id");
             return Err(Error::conflict("powder_exists", advice));
-        }
-        let said = json!({ "powder": { "id": id, "name": new.name } });
+        };
+        let said = json!({ "powder": { "id": id, "name": new.name, "created_at": created_at } });
         tx.audit_deed(None, "new powder", said, now()).await?;
         tx.commit().await?;
         self.existing_powder(&id).await

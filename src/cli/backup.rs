@@ -40,13 +40,24 @@ pub(super) fn run_restore(common: &Common, arguments: &RestoreArguments) -> Resu
 }
 
 fn text(made: &Copied) -> String {
-    let Copied { folder, database_bytes, files, lost, records, last_hash, audit_broken, held, revoked_tokens } = made;
+    let Copied { folder, database_bytes, files, lost, damaged, records, last_hash, audit_broken, held, revoked_tokens } =
+        made;
+    let is_whole = lost.is_empty() && audit_broken.is_none();
+    let copy = if is_whole { "a whole copy" } else { "a copy of what is not whole any more" };
     let mut text = format!(
-        "{} holds a whole copy: {database_bytes} bytes of database, {files} files, {records} records\nlast hash {last_hash}",
+        "{} holds {copy}: {database_bytes} bytes of database, {files} files, {records} records\nlast hash {last_hash}",
         folder.display()
     );
-    if !lost.is_empty() {
-        text += &format!("\n{} files that it names are lost in the original already: {}", lost.len(), lost.join(", "));
+    let gone: Vec<&str> = lost.iter().filter(|file| !damaged.contains(file)).map(String::as_str).collect();
+    if !gone.is_empty() {
+        text += &format!("\n{} files that it names are lost in the original already: {}", gone.len(), gone.join(", "));
+    }
+    if !damaged.is_empty() {
+        text += &format!(
+            "\n{} archives are damaged in the original already and were copied as they are: {}",
+            damaged.len(),
+            damaged.join(", ")
+        );
     }
     if let Some(why) = audit_broken {
         text += &format!("\nits audit trail is kept as it is, and is not what was written: {why}");
@@ -72,5 +83,38 @@ impl From<BackupError> for Failure {
             BackupError::Refused(message) => Self::NotNow(message),
             BackupError::Failed(message) => Self::Failed(anyhow::anyhow!(message)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_copy_of_what_is_damaged_or_gone_is_not_called_whole() {
+        let whole = Copied {
+            folder: "kept".into(),
+            database_bytes: 4096,
+            files: 1,
+            lost: Vec::new(),
+            damaged: Vec::new(),
+            records: 9,
+            last_hash: "00".into(),
+            audit_broken: None,
+            held: None,
+            revoked_tokens: None,
+        };
+        assert!(text(&whole).starts_with("kept holds a whole copy"), "{}", text(&whole));
+        let (gone, bad) = ("audit/1.jsonl.gz".to_owned(), "audit/2.jsonl.gz".to_owned());
+        let poorer = text(&Copied { lost: vec![gone, bad.clone()], damaged: vec![bad], ..whole });
+        assert!(!poorer.contains("a whole copy"), "{poorer}");
+        assert!(
+            poorer.contains("1 files that it names are lost in the original already: audit/1.jsonl.gz\n"),
+            "{poorer}"
+        );
+        assert!(
+            poorer.contains("damaged in the original already and were copied as they are: audit/2.jsonl.gz"),
+            "{poorer}"
+        );
     }
 }

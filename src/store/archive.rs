@@ -101,13 +101,21 @@ impl Archives {
         }
     }
 
+    /// The bytes of a file, whatever they are.
+    ///
+    /// # Errors
+    /// [`Error::File`]; [`Error::Corrupt`]: its name.
+    pub(super) fn bytes(&self, file: &str) -> Result<Vec<u8>> {
+        let path = self.path(file)?;
+        fs::read(&path).map_err(|source| Error::File { path, source })
+    }
+
     /// The bytes of a file, which must have this SHA-256.
     ///
     /// # Errors
     /// [`Error::File`], [`Error::Corrupt`].
     pub(super) fn get(&self, file: &str, sha256: &str) -> Result<Vec<u8>> {
-        let path = self.path(file)?;
-        let bytes = fs::read(&path).map_err(|source| Error::File { path, source })?;
+        let bytes = self.bytes(file)?;
         match sha256_hex(&bytes) == sha256 {
             true => Ok(bytes),
             false => Err(Error::Corrupt(format!("{file} does not hold what was archived"))),
@@ -160,6 +168,11 @@ fn check(records: &[Written], away: &Away) -> std::result::Result<(), String> {
     for (record, seq) in records.iter().zip(away.first..) {
         if let Some(why) = record.flaw(seq, previous) {
             return Err(format!("record {seq}: {why}"));
+        }
+        // The table finds records of a weighing by this: another name there would hide them.
+        if record.weighing.as_ref() != Some(&away.weighing) {
+            let of = record.weighing.as_deref().unwrap_or("no weighing");
+            return Err(format!("record {seq} is of {of}, the table of archives says {}", away.weighing));
         }
         previous = &record.hash;
     }
@@ -256,6 +269,33 @@ pub(super) async fn aways(
 pub(super) async fn are_kept(connection: &mut SqliteConnection) -> Result<bool> {
     let sql = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'audit_away')";
     Ok(sqlx::query_scalar(sql).fetch_one(connection).await?)
+}
+
+/// How many members the table names.
+pub(super) async fn count(connection: &mut SqliteConnection) -> Result<i64> {
+    if !are_kept(connection).await? {
+        return Ok(0);
+    }
+    Ok(sqlx::query_scalar("SELECT count(*) FROM audit_away").fetch_one(connection).await?)
+}
+
+/// What the table says of a file otherwise than the record that names it, also where the file is gone.
+pub(super) async fn not_as_named(
+    connection: &mut SqliteConnection,
+    archive: i64,
+    named: &Named,
+) -> Result<Option<Error>> {
+    let sql = "SELECT coalesce(sum(last - first + 1), 0), count(DISTINCT weighing), coalesce(min(first), 0), coalesce(max(last), 0) \
+               FROM audit_away WHERE archive = ?1 AND first BETWEEN ?2 AND ?3";
+    let query = sqlx::query_as(sql).bind(archive).bind(named.first).bind(named.last);
+    let found: (i64, i64, i64, i64) = query.fetch_one(connection).await?;
+    let said = (named.records, named.weighings, named.first, named.last);
+    let why =
+        |(records, weighings, first, last)| format!("{records} records of {weighings} weighings, {first} to {last}");
+    Ok((found != said).then(|| {
+        let (file, found, said) = (&named.file, why(found), why(said));
+        Error::Corrupt(format!("{file}: the table of archives says {found}; {said} were archived"))
+    }))
 }
 
 /// Hash of the record at this position, wherever it is; none where there is none.

@@ -6,6 +6,7 @@
 use super::archive::{Away, DEED, Named, hash_at, member};
 use super::artifacts::sha256_hex;
 use super::audit::{Written, beginning};
+use super::lock::ArchivingLock;
 use super::row::Columns;
 use super::{Error, Result, Store, Tx, now};
 use crate::domain::timestamp::Timestamp;
@@ -45,9 +46,11 @@ impl Store {
     /// Move the readings, messages, decisions and phases of weighings that ended before this into files.
     ///
     /// # Errors
-    /// [`Error::ReadOnly`]; [`Error::Corrupt`]: the record is not what was written, and from there on nothing was moved; [`Error::File`],
-    /// [`Error::Full`], [`Error::Locked`]: what was moved is in the files that the record names, all else where it was.
+    /// [`Error::ReadOnly`]; [`Error::Archiving`]: another process does this now, and nothing was moved; [`Error::Corrupt`]: the record is not what
+    /// was written, and from there on nothing was moved; [`Error::File`], [`Error::Full`], [`Error::Locked`]: what was moved is in the files that the
+    /// record names, all else where it was.
     pub(crate) async fn archive_audit(&self, before: Timestamp) -> Result<Archived> {
+        let _lock = ArchivingLock::beside(self.place.path())?;
         let mut done = Archived { before: Some(before), ..Archived::default() };
         let (mut after, mut weighings) = (0, HashSet::new());
         loop {
@@ -139,13 +142,15 @@ impl Tx {
         let archive: i64 =
             sqlx::query("SELECT max(seq) AS seq FROM audit").fetch_one(&mut *self.inner).await?.plain("seq")?;
         for away in &packed.aways {
+            // Where the file system has no locks, this is how another's work is seen.
+            let left = "SELECT count(*) FROM audit WHERE seq BETWEEN ?1 AND ?2";
+            let left = sqlx::query_scalar::<_, i64>(left).bind(away.first).bind(away.last);
+            if left.fetch_one(&mut *self.inner).await? != away.last - away.first + 1 {
+                return Err(Error::Archiving);
+            }
             self.insert_away(away, archive).await?;
             let gone = sqlx::query("DELETE FROM audit WHERE seq BETWEEN ?1 AND ?2").bind(away.first).bind(away.last);
-            if gone.execute(&mut *self.inner).await?.rows_affected() as i64 != away.last - away.first + 1 {
-                return Err(Error::Corrupt(
-                    "another process archives the same records: nothing was changed".to_owned(),
-                ));
-            }
+            gone.execute(&mut *self.inner).await?;
         }
         Ok(())
     }

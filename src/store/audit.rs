@@ -11,7 +11,7 @@ use super::archive::LostArchive;
 use super::row::{Columns, json};
 use super::said::ChangedOther;
 use super::verify::ChangedRow;
-use super::weighings::Weighing;
+use super::weighings::{RetryKey, Weighing};
 use super::who::Who;
 use super::{Error, Result, Tx};
 use crate::domain::timestamp::Timestamp;
@@ -77,6 +77,9 @@ pub(super) struct OutcomeRecord {
     /// SHA-256 of the file with the ticks.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trace: Option<String>,
+    /// Of weighings that were found without a record: others have it in that of their intent.
+    #[serde(flatten)]
+    pub key: RetryKey,
 }
 
 /// What an audit record is about.

@@ -4,7 +4,7 @@
 //! beside its place under another name, looked at, and put there in one step.
 
 use super::archive::{self, Archives};
-use super::artifacts::{Artifacts, NAMED};
+use super::artifacts::{Artifacts, NAMED, sha256_hex};
 use super::holds::Held;
 use super::open::{DATABASE, archives, artifacts};
 use super::{Error, Result, Store, new_id, now, sound};
@@ -27,6 +27,9 @@ pub struct Copied {
     /// Files that the database names and the original has no more, or only damaged, by SHA-256, or by name of an archive: what they hold is lost, and
     /// nothing else.
     pub lost: Vec<String>,
+    /// Those of them that are damaged archives: they were copied as they are, and their other parts can still be read.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub damaged: Vec<String>,
     /// Records of the audit trail.
     pub records: i64,
     /// Hash of the last one; `flip audit verify --hash` asks for it.
@@ -135,7 +138,8 @@ async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
     let named: Vec<String> = sqlx::query_scalar(NAMED).fetch_all(copy.reader()).await?;
     let mut lost = copy_files(&named, original.artifacts(), &artifacts(folder))?;
     let named_archives: Vec<(String, String)> = sqlx::query_as(archive::NAMED).fetch_all(copy.reader()).await?;
-    lost.extend(copy_archives(&named_archives, &archives(from), &archives(folder))?);
+    let archives = copy_archives(&named_archives, &archives(from), &archives(folder))?;
+    lost.extend(archives.gone.into_iter().chain(archives.damaged.iter().cloned()));
     let found = copy.verify_audit(None).await?;
     original.close().await;
     copy.close().await;
@@ -144,6 +148,7 @@ async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
         database_bytes: fs::metadata(&database).map_err(failed)?.len(),
         files: named.len() + named_archives.len() - lost.len(),
         lost,
+        damaged: archives.damaged,
         records: found.records,
         last_hash: found.last_hash,
         audit_broken: found.broken.map(|broken| format!("record {}: {}", broken.seq, broken.why)),
@@ -168,20 +173,29 @@ fn copy_files(named: &[String], from: &Artifacts, to: &Artifacts) -> Result<Vec<
     Ok(lost)
 }
 
-/// Copy these archives and read each copy back; those that the original does not have whole.
-fn copy_archives(named: &[(String, String)], from: &Archives, to: &Archives) -> Result<Vec<String>> {
-    let mut lost = Vec::new();
+/// Archives that the original does not have whole.
+#[derive(Debug, Default)]
+struct NotWhole {
+    gone: Vec<String>,
+    damaged: Vec<String>,
+}
+
+/// Copy these archives and read each copy back. One that is damaged is copied as it is: each of its parts is read without the others.
+fn copy_archives(named: &[(String, String)], from: &Archives, to: &Archives) -> Result<NotWhole> {
+    let mut found = NotWhole::default();
     for (file, sha256) in named {
-        match from.get(file, sha256) {
+        match from.bytes(file) {
             Ok(bytes) => {
                 to.put(file, &bytes)?;
-                to.get(file, sha256)?;
+                let copied = sha256_hex(&bytes);
+                to.get(file, &copied)?;
+                found.damaged.extend((copied != *sha256).then(|| file.clone()));
             }
-            Err(error) if error.is_lost_part() => lost.push(file.clone()),
+            Err(error) if error.is_lost_part() => found.gone.push(file.clone()),
             Err(error) => return Err(error),
         }
     }
-    Ok(lost)
+    Ok(found)
 }
 
 /// A folder beside the place that a copy will have; gone when dropped before that.

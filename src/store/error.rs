@@ -8,6 +8,9 @@ pub enum Error {
     /// Another process holds the data folder.
     #[error("flip serve holds this database ({0}): stop it, or ask it through its API")]
     Held(PathBuf),
+    /// One process at a time moves records into archives.
+    #[error("another archiving of the audit trail is under way: wait until it has ended, and ask again")]
+    Archiving,
     /// Somebody else's transaction did not end in time.
     #[error("another program holds the database: close it there (a database browser, a backup) and try again")]
     Locked,

@@ -47,6 +47,30 @@ impl DataLock {
     }
 }
 
+/// The lock of whoever moves records into archives, which a server beside it does not hold; it ends with the process.
+#[derive(Debug)]
+pub(super) struct ArchivingLock {
+    _file: File,
+}
+
+impl ArchivingLock {
+    /// Take the lock of the folder of this database without waiting.
+    ///
+    /// # Errors
+    /// [`Error::Archiving`] while another has it; [`Error::File`].
+    pub(super) fn beside(database: &Path) -> Result<Self> {
+        let path = database.with_file_name("audit.lock");
+        let mut options = OpenOptions::new();
+        let opened = options.create(true).truncate(false).write(true).mode(0o600).open(&path);
+        let file = opened.map_err(|source| Error::File { path, source })?;
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) => Err(Error::Archiving),
+            // Not every file system can (NFS): the transaction that moves records looks whether they are still there.
+            Ok(()) | Err(TryLockError::Error(_)) => Ok(Self { _file: file }),
+        }
+    }
+}
+
 /// Which file this name leads to: device and inode.
 fn inode(path: &Path) -> Option<(u64, u64)> {
     std::fs::metadata(path).ok().map(|it| (it.dev(), it.ino()))

@@ -110,11 +110,12 @@ impl Store {
 }
 
 impl Tx {
-    /// Add a powder; `false` when the id is taken.
-    pub(crate) async fn insert_powder(&mut self, id: &str, name: &str) -> Result<bool> {
+    /// Add a powder; when. `None`: the id is taken.
+    pub(crate) async fn insert_powder(&mut self, id: &str, name: &str) -> Result<Option<Timestamp>> {
+        let at = now();
         let sql = "INSERT INTO powder (id, name, created_at) VALUES (?1, ?2, ?3) ON CONFLICT (id) DO NOTHING";
-        let done = sqlx::query(sql).bind(id).bind(name).bind(now().unix_ms()).execute(&mut *self.inner).await?;
-        Ok(done.rows_affected() == 1)
+        let done = sqlx::query(sql).bind(id).bind(name).bind(at.unix_ms()).execute(&mut *self.inner).await?;
+        Ok((done.rows_affected() == 1).then_some(at))
     }
 
     /// Add a measurement of an existing powder.

@@ -35,6 +35,8 @@ pub enum RowOf {
     Simulator,
     /// A calibrated set, which is named by its values.
     ParameterSet,
+    /// The mark that rows without a record were looked for, and when.
+    Stock,
 }
 
 impl RowOf {
@@ -50,6 +52,7 @@ impl RowOf {
             Self::Hold => "hold",
             Self::Simulator => "simulator",
             Self::ParameterSet => "parameter_set",
+            Self::Stock => "stock",
         }
     }
 }
@@ -93,7 +96,7 @@ pub(super) struct Said {
 }
 
 /// All of them that have a table to be compared with, and the table.
-const TABLES: [(RowOf, &str); 9] = [
+const TABLES: [(RowOf, &str); 10] = [
     (RowOf::Token, "SELECT * FROM token ORDER BY seq"),
     (RowOf::Powder, "SELECT * FROM powder ORDER BY seq"),
     (RowOf::Measurement, "SELECT * FROM measurement ORDER BY seq"),
@@ -103,12 +106,13 @@ const TABLES: [(RowOf, &str); 9] = [
     (RowOf::Hold, "SELECT * FROM bench_hold ORDER BY seq"),
     (RowOf::Simulator, "SELECT * FROM current_simulator ORDER BY seq DESC LIMIT 1"),
     (RowOf::ParameterSet, "SELECT * FROM parameter_set ORDER BY seq"),
+    (RowOf::Stock, "SELECT * FROM stock"),
 ];
 
 impl Said {
     /// What a record says of a row, if it says anything.
     pub(super) fn hear(&mut self, record: &Written) {
-        if !matches!(record.kind.as_str(), "person" | "rows" | "check" | "latch" | "hold") {
+        if !matches!(record.kind.as_str(), "person" | "rows" | "check" | "latch" | "hold" | "stock") {
             return;
         }
         let Ok(body) = serde_json::from_str::<Value>(&record.body) else { return };
@@ -120,6 +124,7 @@ impl Said {
             }
             "latch" => self.say_open(RowOf::Latch, record.seq, &body, true),
             "hold" => self.say_open(RowOf::Hold, record.seq, &body, true),
+            "stock" => self.say(RowOf::Stock, TAKEN.to_owned(), record.seq, &stock_taken(&body)),
             _ => self.hear_deed(record.seq, &body),
         }
     }
@@ -209,6 +214,13 @@ impl Said {
 
 /// Id of the choice that counts.
 const CHOSEN: &str = "current";
+/// Id of the one mark that there is.
+const TAKEN: &str = "taken";
+
+/// What the record of the stock-taking says of its mark: older ones not when it was made.
+fn stock_taken(body: &Value) -> Value {
+    body.get("at").map_or_else(|| json!({}), |at| json!({ "at": at }))
+}
 
 /// What it is, which one, and what it says or why it says nothing.
 type Found = (RowOf, String, std::result::Result<Map<String, Value>, String>);
@@ -235,6 +247,7 @@ fn id_of(what: RowOf, row: &SqliteRow) -> Result<String> {
         RowOf::Check => Ok(check_id(&row.plain::<String>("kind")?.into(), row.plain("at")?)),
         RowOf::Latch | RowOf::Hold => Ok(row.time("at")?.to_string()),
         RowOf::Simulator => Ok(CHOSEN.to_owned()),
+        RowOf::Stock => Ok(TAKEN.to_owned()),
         _ => row.plain("id"),
     }
 }
@@ -249,7 +262,7 @@ fn row_says(what: RowOf, row: &SqliteRow) -> Result<Value> {
     let text = |column: &str| row.plain::<Option<String>>(column);
     Ok(match what {
         RowOf::Token => tokens::says(row)?,
-        RowOf::Powder => json!({ "id": text("id")?, "name": text("name")? }),
+        RowOf::Powder => json!({ "id": text("id")?, "name": text("name")?, "created_at": row.time("created_at")? }),
         RowOf::Measurement => json!({ "id": text("id")?, "powder": text("powder")?, "method": text("method")?,
             "repose_deg": row.plain::<f64>("repose_deg")?, "sd_deg": row.plain::<f64>("sd_deg")?, "n": row.count("n")?,
             "source": text("source")?, "created_at": row.time("created_at")? }),
@@ -265,6 +278,7 @@ fn row_says(what: RowOf, row: &SqliteRow) -> Result<Value> {
             "open": row.maybe_time("resumed_at")?.is_none() }),
         RowOf::Simulator => json!({ "version": text("version")? }),
         RowOf::ParameterSet => json!({ "id": text("id")?, "parameters": row.json::<Value>("parameters")? }),
+        RowOf::Stock => json!({ "at": row.time("at")? }),
     })
 }
 

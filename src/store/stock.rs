@@ -8,6 +8,7 @@ use super::row::Columns;
 use super::said::{Row, Said, every_row};
 use super::weighings::weighing_row;
 use super::{Result, Store, Tx, now};
+use crate::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteConnection;
 
@@ -46,15 +47,16 @@ impl Store {
             return Ok(());
         }
         if !is_recorded(&mut tx.inner).await? {
-            tx.record_stock().await?;
+            tx.record_stock(now()).await?;
         }
-        sqlx::query("INSERT INTO stock (one, at) VALUES (1, ?1)").bind(now().unix_ms()).execute(&mut *tx.inner).await?;
+        let mark = "INSERT INTO stock (one, at) SELECT 1, at FROM audit WHERE weighing IS NULL AND kind = 'stock' ORDER BY seq LIMIT 1";
+        sqlx::query(mark).execute(&mut *tx.inner).await?;
         tx.commit().await
     }
 }
 
 impl Tx {
-    async fn record_stock(&mut self) -> Result<()> {
+    async fn record_stock(&mut self, at: Timestamp) -> Result<()> {
         let mut said = Said::default();
         let mut after = 0;
         loop {
@@ -75,8 +77,8 @@ impl Tx {
             self.audit_found(&Rows { weighings, rows: Vec::new() }).await?;
         }
         self.audit_rows(unsaid).await?;
-        let body = serde_json::json!({ "weighings": count.0, "rows": count.1 });
-        self.audit(About { weighing: None, kind: STOCK }, &body, now()).await
+        let body = serde_json::json!({ "weighings": count.0, "rows": count.1, "at": at });
+        self.audit(About { weighing: None, kind: STOCK }, &body, at).await
     }
 
     /// Rows as they were written: for a deed that makes many, or none.
@@ -102,7 +104,7 @@ impl Tx {
         let rows = sqlx::query(sql).fetch_all(&mut *self.inner).await?;
         // What does not read as a weighing has no place in a record of weighings.
         let found = rows.iter().filter_map(|row| weighing_row(row).ok());
-        Ok(found.map(|it| OutcomeRecord { weighing: it.weighing, trace: it.trace }).collect())
+        Ok(found.map(|it| OutcomeRecord { key: it.key(), weighing: it.weighing, trace: it.trace }).collect())
     }
 }
 

@@ -1,7 +1,7 @@
 //! Is the record what was written, and are the rows what the record says?
 //!
 //! A chain alone proves the records, not the rows that lists and tables show. So each weighing's row is compared with the record of its outcome, or
-//! while it has none with the record of its intent; `said.rs` compares other rows. A row that no record knows was slipped in, whenever it says it was
+//! while it has none with the record of its intent, and what a retry is known by always with the latter; `said.rs` compares other rows. A row that no record knows was slipped in, whenever it says it was
 //! made: those from before there were records are in the record of the stock-taking (`stock.rs`).
 
 use super::archive::{self, Away, LostArchive, Named, Order, aways, hash_at, why_lost};
@@ -47,6 +47,8 @@ struct Walk<'a> {
     said: Said,
     others: Vec<ChangedOther>,
     archives: Vec<LostArchive>,
+    /// Members of archives that were gone through.
+    members: i64,
 }
 
 /// What the record says of a weighing that has no outcome there.
@@ -55,6 +57,17 @@ enum Intent {
     Asked(String),
     /// As it was found when stock was taken.
     Found(Box<OutcomeRecord>),
+}
+
+impl Intent {
+    /// The names of what a retry is known by, where the row has another.
+    fn key_differs(&self, row: &WeighingRow) -> Vec<&'static str> {
+        let said = match self {
+            Self::Asked(body) => serde_json::from_str(body).unwrap_or_default(),
+            Self::Found(found) => found.key.clone(),
+        };
+        row.key().differs(&said)
+    }
 }
 
 impl Store {
@@ -132,6 +145,7 @@ impl<'a> Walk<'a> {
             said: Said::default(),
             others: Vec::new(),
             archives: Vec::new(),
+            members: 0,
         }
     }
 
@@ -168,6 +182,7 @@ impl<'a> Walk<'a> {
     }
 
     fn go_through_member(&mut self, away: &Away) -> Result<()> {
+        self.members += 1;
         match self.store.archives.read(away) {
             Ok(records) => records.iter().for_each(|record| self.take(record)),
             Err(error) if error.is_lost_part() => {
@@ -197,7 +212,7 @@ impl<'a> Walk<'a> {
     /// What a record says of a weighing or another row, or of an archive.
     async fn hear(&mut self, tx: &mut Transaction<'_, Sqlite>, record: Written) -> Result<()> {
         self.said.hear(&record);
-        self.look_at_archive(&record)?;
+        self.look_at_archive(tx, &record).await?;
         if let Some(found) = rows_of(&record) {
             self.find(record.seq, found.weighings);
         }
@@ -209,10 +224,13 @@ impl<'a> Walk<'a> {
             }
             "outcome" => {
                 self.known.insert(id.clone());
-                self.open.remove(&id);
+                let asked = self.open.remove(&id);
                 let row = row_of(tx, &id).await?;
-                let why = row.map_or_else(gone, |row| differs_from_outcome(&row, &record.body));
-                self.note(id, Some(record.seq), why);
+                let why = row.as_ref().map_or_else(gone, |row| differs_from_outcome(row, &record.body));
+                self.note(id.clone(), Some(record.seq), why);
+                if let (Some(row), Some((seq, said))) = (row, asked) {
+                    self.note(id, Some(seq), changed(&named(said.key_differs(&row))));
+                }
             }
             _ => {}
         }
@@ -228,8 +246,8 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// A file that a record names must be what was archived, to the byte.
-    fn look_at_archive(&mut self, record: &Written) -> Result<()> {
+    /// A file that a record names must be what was archived, to the byte, and the table must say of it what the record says.
+    async fn look_at_archive(&mut self, tx: &mut Transaction<'_, Sqlite>, record: &Written) -> Result<()> {
         if record.kind != "person" || !record.body.contains(archive::DEED) {
             return Ok(());
         }
@@ -238,7 +256,19 @@ impl<'a> Walk<'a> {
             Err(error) if error.is_lost_part() => self.lose(&named.file, (named.first, named.last), &error),
             found => drop(found?),
         }
+        if let Some(error) = archive::not_as_named(tx, record.seq, &named).await? {
+            self.lose(&named.file, (named.first, named.last), &error);
+            self.say_too(&named.file, &why_lost(&named.file, &error));
+        }
         Ok(())
+    }
+
+    /// One more thing that is wrong with an archive.
+    fn say_too(&mut self, file: &str, why: &str) {
+        let lost = self.archives.iter_mut().find(|lost| lost.file == file && lost.why != why);
+        if let Some(lost) = lost {
+            lost.why = format!("{}; {why}", lost.why);
+        }
     }
 
     /// Weighings that have not ended, rows that the record does not know, and rows of other kinds.
@@ -246,6 +276,10 @@ impl<'a> Walk<'a> {
         let stock = stock(tx).await?;
         if stock == Stock::Gone {
             let why = "the record of the rows that were there before each had one is gone: records were cut off";
+            return Ok(Some(AuditBreak { seq: self.records, why: why.to_owned() }));
+        }
+        if archive::count(tx).await? != self.members {
+            let why = "the table of archives names parts that are not in the chain: it was changed outside FLIP";
             return Ok(Some(AuditBreak { seq: self.records, why: why.to_owned() }));
         }
         for (id, (seq, said)) in std::mem::take(&mut self.open) {
@@ -306,11 +340,15 @@ fn differs_from_outcome(row: &WeighingRow, body: &str) -> Option<String> {
 /// What a row has otherwise than a record of it.
 fn differs_from(row: &WeighingRow, said: &OutcomeRecord) -> Option<String> {
     let other_trace = said.trace.is_some() && said.trace != row.trace;
-    different(&row.weighing, &said.weighing, other_trace.then_some("trace"))
+    let mut others = row.key().differs(&said.key);
+    others.extend(other_trace.then_some("trace"));
+    others.extend((!row.patch_is_ours).then_some("patch"));
+    different(&row.weighing, &said.weighing, others)
 }
 
 /// What the row of a weighing that has not ended has otherwise than the record of its intent.
 fn differs_from_intent(row: &WeighingRow, said: &Intent) -> Option<String> {
+    let key = said.key_differs(row);
     let said = match said {
         Intent::Asked(body) => serde_json::from_str::<Weighing>(body),
         Intent::Found(found) if found.weighing.outcome.is_some() => return differs_from(row, found),
@@ -319,14 +357,16 @@ fn differs_from_intent(row: &WeighingRow, said: &Intent) -> Option<String> {
     let Ok(said) = said else {
         return Some("the record of its intent does not read as one".to_owned());
     };
+    let mut others = key;
+    others.extend((!row.patch_is_ours).then_some("patch"));
     // What becomes of it before it ends.
     let row = &row.weighing;
     let said = Weighing { state: row.state, bench: row.bench, started_at: row.started_at, ..said };
-    different(row, &said, None)
+    different(row, &said, others)
 }
 
 /// The names of what differs, with both values.
-fn different(row: &Weighing, said: &Weighing, also: Option<&str>) -> Option<String> {
+fn different(row: &Weighing, said: &Weighing, others: Vec<&str>) -> Option<String> {
     let fields = |weighing| match serde_json::to_value(weighing) {
         Ok(serde_json::Value::Object(fields)) => fields,
         _ => serde_json::Map::new(),
@@ -339,6 +379,15 @@ fn different(row: &Weighing, said: &Weighing, also: Option<&str>) -> Option<Stri
         (row != said).then(|| format!("{name} is {row}, {said} was recorded"))
     };
     let mut found: Vec<String> = names.iter().filter_map(|name| one(name)).collect();
-    found.extend(also.map(|name| format!("{name} is another than was recorded")));
+    found.extend(named(others));
+    changed(&found)
+}
+
+/// What differs, where both values say little to a person.
+fn named(others: Vec<&str>) -> Vec<String> {
+    others.into_iter().map(|name| format!("{name} is another than was recorded")).collect()
+}
+
+fn changed(found: &[String]) -> Option<String> {
     (!found.is_empty()).then(|| format!("its row was changed outside FLIP: {}", found.join("; ")))
 }

@@ -93,7 +93,10 @@ pub struct Waiting {
 #[derive(Debug, Clone)]
 pub(crate) struct WeighingRow {
     pub weighing: Weighing,
+    pub idempotency_key: String,
     pub request_sha256: Vec<u8>,
+    /// Its patch is stored as FLIP writes one: an empty one is none.
+    pub patch_is_ours: bool,
     /// SHA-256 of the artifact that holds the ticks.
     pub trace: Option<String>,
 }
@@ -113,7 +116,41 @@ pub(crate) struct Intent {
 struct IntentRecord<'a> {
     #[serde(flatten)]
     weighing: &'a Weighing,
-    idempotency_key: &'a str,
+    #[serde(flatten)]
+    key: RetryKey,
+}
+
+/// What a retry is known by, as far as a record holds it: with another key it would pour again.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct RetryKey {
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub idempotency_key: Option<String>,
+    /// In hexadecimal; older records do not hold it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub request_sha256: Option<String>,
+}
+
+impl RetryKey {
+    fn of(idempotency_key: &str, request_sha256: &[u8]) -> Self {
+        let (key, sha256) = (idempotency_key.to_owned(), hex::encode(request_sha256));
+        Self { idempotency_key: Some(key), request_sha256: Some(sha256) }
+    }
+
+    /// The names of what differs from a record; what it does not hold is compared with nothing.
+    pub(super) fn differs(&self, said: &Self) -> Vec<&'static str> {
+        let key = said.idempotency_key.is_some() && said.idempotency_key != self.idempotency_key;
+        let sha256 = said.request_sha256.is_some() && said.request_sha256 != self.request_sha256;
+        [(key, "idempotency_key"), (sha256, "request_sha256")]
+            .into_iter()
+            .filter_map(|(is, name)| is.then_some(name))
+            .collect()
+    }
+}
+
+impl WeighingRow {
+    pub(super) fn key(&self) -> RetryKey {
+        RetryKey::of(&self.idempotency_key, &self.request_sha256)
+    }
 }
 
 /// How a weighing ended.
@@ -249,7 +286,8 @@ impl Tx {
             .fetch_one(&mut *self.inner)
             .await?;
         let weighing = self.announce_weighing(&row).await?;
-        let said = IntentRecord { weighing: &weighing, idempotency_key: &intent.idempotency_key };
+        let key = RetryKey::of(&intent.idempotency_key, &intent.request_sha256);
+        let said = IntentRecord { weighing: &weighing, key };
         self.audit(About { weighing: Some(&weighing.id), kind: "intent" }, &said, now).await?;
         Ok(weighing)
     }
@@ -344,7 +382,7 @@ impl Tx {
             .await?;
         let Some(row) = row else { return Ok(None) };
         let weighing = self.announce_weighing(&row).await?;
-        let said = OutcomeRecord { weighing, trace: ending.trace.clone() };
+        let said = OutcomeRecord { weighing, trace: ending.trace.clone(), key: RetryKey::default() };
         self.audit(About { weighing: Some(id), kind: "outcome" }, &said, now).await?;
         Ok(Some(said.weighing))
     }
@@ -357,8 +395,12 @@ impl Tx {
 }
 
 pub(super) fn weighing_row(row: &SqliteRow) -> Result<WeighingRow> {
+    let weighing = weighing(row)?;
+    let patch: Option<serde_json::Value> = row.maybe_json("patch")?;
     Ok(WeighingRow {
-        weighing: weighing(row)?,
+        patch_is_ours: patch == (!weighing.patch.is_none()).then(|| serde_json::json!(weighing.patch)),
+        weighing,
+        idempotency_key: row.plain("idempotency_key")?,
         request_sha256: row.plain("request_sha256")?,
         trace: row.plain("trace")?,
     })

@@ -2,7 +2,7 @@
 
 use crate::harness::{Service, problem};
 use crate::toy::database;
-use flip::app::{Archived, back_up};
+use flip::app::{Archived, back_up, restore};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -188,4 +188,102 @@ async fn a_backup_holds_the_archives_and_says_which_are_lost() {
     let made = back_up(service.folder(), &away.path().join("poorer")).await.unwrap();
     assert_eq!(made.lost, done.files);
     assert!(made.audit_broken.unwrap().contains(&done.files[0]));
+}
+
+#[tokio::test]
+async fn records_that_the_table_of_archives_gives_to_another_weighing_are_found() {
+    let service = Service::ready().await;
+    let (one, two) = (weighed(&service, "one").await, weighed(&service, "two").await);
+    archive(&service).await;
+    let pool = database(service.folder()).await;
+    sqlx::query("DROP TRIGGER audit_away_stays").execute(&pool).await.unwrap();
+    let rename = async |from: &str, to: &str| {
+        let rows = sqlx::query("UPDATE audit_away SET weighing = ?2 WHERE weighing = ?1").bind(from).bind(to);
+        assert!(rows.execute(&pool).await.unwrap().rows_affected() > 0);
+    };
+    rename(&one, &two).await;
+    let why = verified(&service).await["broken"]["why"].as_str().unwrap().to_owned();
+    assert!(why.contains(&format!("is of {one}, the table of archives says {two}")), "{why}");
+    let page: Value = service.get(&format!("/v1/audit?weighing={two}&limit=200")).await.json().await.unwrap();
+    let (kinds, of_one) = (page["items"].as_array().unwrap(), json!(one));
+    assert!(kinds.iter().any(|it| it["kind"] == "lost") && !kinds.iter().any(|it| it["weighing"] == of_one), "{page}");
+}
+
+#[tokio::test]
+async fn weighings_that_changed_their_names_in_the_table_of_archives_are_found() {
+    let service = Service::ready().await;
+    let (one, two) = (weighed(&service, "one").await, weighed(&service, "two").await);
+    archive(&service).await;
+    let pool = database(service.folder()).await;
+    sqlx::query("DROP TRIGGER audit_away_stays").execute(&pool).await.unwrap();
+    let swap = "UPDATE audit_away SET weighing = CASE weighing WHEN ?1 THEN ?2 ELSE ?1 END";
+    sqlx::query(swap).bind(one).bind(two).execute(&pool).await.unwrap();
+    assert!(verified(&service).await["broken"]["why"].as_str().unwrap().contains("the table of archives says"));
+}
+
+#[tokio::test]
+async fn what_the_table_of_archives_says_is_compared_with_the_record_also_where_the_file_is_gone() {
+    let service = Service::ready().await;
+    let (one, two) = (weighed(&service, "one").await, weighed(&service, "two").await);
+    let done = archive(&service).await;
+    let (file, pool) = (file_of(service.folder(), &done), database(service.folder()).await);
+    let added =
+        "INSERT INTO audit_away SELECT 1, 1, weighing, before, hash, archive, start, bytes FROM audit_away LIMIT 1";
+    sqlx::query(added).execute(&pool).await.unwrap();
+    let found = verified(&service).await;
+    assert!(found["broken"]["why"].as_str().unwrap().contains("names parts that are not in the chain"), "{found}");
+    for sql in
+        ["DROP TRIGGER audit_away_keeps", "DROP TRIGGER audit_away_stays", "DELETE FROM audit_away WHERE first = 1"]
+    {
+        sqlx::query(sql).execute(&pool).await.unwrap();
+    }
+    assert_eq!(verified(&service).await["broken"], Value::Null);
+    std::fs::remove_file(file).unwrap();
+    let of_two =
+        async || service.get(&format!("/v1/audit.json?weighing={two}")).await.json::<Vec<Value>>().await.unwrap();
+    assert!(of_two().await.iter().any(|it| it["kind"] == "lost"));
+    let renamed = sqlx::query("UPDATE audit_away SET weighing = ?2 WHERE weighing = ?1").bind(&two).bind(&one);
+    renamed.execute(&pool).await.unwrap();
+    let found = verified(&service).await;
+    assert!(found["archives"][0]["why"].as_str().unwrap().contains("weighings"), "{found}");
+}
+
+#[tokio::test]
+async fn a_damaged_archive_is_copied_as_it_is_and_named_and_its_other_parts_still_read() {
+    let service = Service::ready().await;
+    weighed(&service, "one").await;
+    let other = weighed(&service, "two").await;
+    let done = archive(&service).await;
+    let file = file_of(service.folder(), &done);
+    let mut bytes = std::fs::read(&file).unwrap();
+    bytes[40] ^= 1;
+    std::fs::write(&file, &bytes).unwrap();
+    let away = tempfile::tempdir().unwrap();
+    let (kept, back) = (away.path().join("kept"), away.path().join("back"));
+    let copied = back_up(service.folder(), &kept).await.unwrap();
+    let restored = restore(&kept, &back, false).await.unwrap();
+    for (made, folder) in [(copied, &kept), (restored, &back)] {
+        assert_eq!((&made.damaged, &made.lost), (&done.files, &done.files));
+        assert_eq!(std::fs::read(file_of(folder, &done)).unwrap(), bytes);
+        let why = made.audit_broken.unwrap();
+        assert!(why.contains(&done.files[0]) && !why.contains("No such file"), "{why}");
+    }
+    let page: Value = service.get(&format!("/v1/audit?weighing={other}&limit=200")).await.json().await.unwrap();
+    assert!(page["items"].as_array().unwrap().iter().all(|it| it["kind"] != "lost"), "{page}");
+}
+
+#[tokio::test]
+async fn of_three_archivings_at_once_one_moves_the_records_and_the_others_say_that_it_is_under_way() {
+    let service = Service::ready().await;
+    weighed(&service, "one").await;
+    let one = || service.app.archive_audit(LATER);
+    let (a, b, c) = tokio::join!(one(), one(), one());
+    let (done, refused): (Vec<_>, Vec<_>) = [a, b, c].into_iter().partition(Result::is_ok);
+    assert!(done.into_iter().any(|it| it.unwrap().records > 0));
+    for refused in refused {
+        let why = format!("{:?}", refused.unwrap_err());
+        assert!(why.contains("another archiving of the audit trail is under way"), "{why}");
+    }
+    assert_eq!(verified(&service).await["broken"], Value::Null);
+    assert_eq!(archive(&service).await.records, 0, "and then anybody may");
 }

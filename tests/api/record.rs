@@ -272,3 +272,36 @@ async fn a_damaged_policy_is_lost_by_name_and_the_list_goes_on() {
     request.metadata_mut().insert("authorization", format!("Bearer {token}").parse().unwrap());
     assert_eq!(client.download_weights(request).await.unwrap_err().code(), tonic::Code::DataLoss);
 }
+
+#[tokio::test]
+async fn a_key_that_was_changed_so_that_a_retry_would_pour_again_is_noticed() {
+    for (sql, name) in [
+        ("UPDATE weighing SET idempotency_key = 'another'", "idempotency_key"),
+        ("UPDATE weighing SET request_sha256 = zeroblob(32)", "request_sha256"),
+        ("UPDATE weighing SET patch = '{}'", "patch"),
+    ] {
+        let service = Service::ready().await;
+        let id = weighed(&service, "one").await;
+        change(&service, sql).await;
+        let found = verified(&service).await;
+        assert_eq!(found["changed"][0]["weighing"], json!(id), "{sql}: {found}");
+        let why = found["broken"]["why"].as_str().unwrap();
+        assert!(why.contains(&format!("{name} is another than was recorded")), "{sql}: {found}");
+    }
+}
+
+#[tokio::test]
+async fn a_powder_that_was_made_at_another_time_and_a_stock_that_was_not_taken_are_noticed() {
+    let service = Service::ready().await;
+    assert_eq!(verified(&service).await["broken"], Value::Null);
+    for (sql, what) in [
+        ("UPDATE powder SET created_at = created_at + 1", "powder"),
+        ("UPDATE stock SET at = at + 1", "stock"),
+        ("DELETE FROM stock", "stock"),
+    ] {
+        let service = Service::ready().await;
+        change(&service, sql).await;
+        let found = verified(&service).await;
+        assert_eq!(found["others"][0]["what"], what, "{sql}: {found}");
+    }
+}
