@@ -16,7 +16,7 @@ mod summaries;
 mod twice;
 
 use super::check::Check;
-use super::csv_file::date::DateOrder;
+use super::csv_file::date::{DateOrder, day};
 use super::csv_file::words::{self, yes_or_no};
 use super::csv_file::{Cells, Columns, Holds, REFUSALS_MAX, Refused, Table, Told, at, within};
 use super::powder_names::PowderNames;
@@ -55,6 +55,9 @@ const NUMBERS: [(&str, f64, f64, &str); 10] = [
     (FLOW, 1e-3, 1e6, "s"),
     ("vibration_rms_m_s2", 0.0, 1e3, "m/s2"),
 ];
+/// Letters by which a slip of the pen differs from a name, and the fewest letters of one that has room for them.
+const SLIP: usize = 2;
+const SLIP_CHARS_MIN: usize = 5;
 const FLOW: &str = "flow_time_s";
 const ORDER: &str = "order_in_session";
 const ANGLE: &str = "repose_deg";
@@ -106,7 +109,7 @@ impl<'a> Cell<'a> {
 /// # Errors
 /// Every wrong cell by row and column, up to 50; a missing or repeated column by name.
 pub(super) fn read(text: &str, required: &[&str], dates: Option<DateOrder>) -> Result<CampaignRead> {
-    let columns = Columns { required, known, most: COLUMNS_MAX };
+    let columns = Columns { required, known, meant, most: COLUMNS_MAX };
     let table = Table::open(text, &columns, check_header)?;
     let covariates = table.columns.iter().filter(|name| !OWN.contains(&name.as_str()) && !name.is_empty());
     let covariates: Vec<&str> = covariates.map(String::as_str).collect();
@@ -153,6 +156,7 @@ fn conditions(lines: &[Line<'_>], names: &[&str], dates: Option<DateOrder>) -> R
             Err(all) => refusals.extend(all),
         }
     }
+    days_without_session(names, lines, &mut refusals);
     refused(refusals)?;
     let Some(session) = session else { unreachable!("refused above") };
     Ok((session, columns))
@@ -172,7 +176,67 @@ fn known(name: &str) -> Option<Holds> {
     }
 }
 
+/// What laboratories call the columns that are known, in letters and digits alone. A temperature without its unit may be of any.
+fn meant(letters: &str) -> Option<&'static str> {
+    Some(match letters {
+        "date" | "day" | "sessiondate" | "measuredon" | "testdate" | "datum" | "tag" | "messtag" => "session",
+        "rh"
+        | "rhpct"
+        | "rhpercent"
+        | "relrh"
+        | "humidity"
+        | "humiditypct"
+        | "relhumidity"
+        | "relhumiditypct"
+        | "relativehumidity"
+        | "relativehumiditypercent"
+        | "airhumidity"
+        | "roomhumidity"
+        | "rf"
+        | "luftfeuchte"
+        | "luftfeuchtigkeit"
+        | "relativeluftfeuchte"
+        | "relativeluftfeuchtigkeit" => humidity::COLUMN,
+        "tempc" | "temperaturec" | "roomtemperaturec" | "temperaturdegc" | "temperaturedegc" | "temperaturc" => {
+            "temperature_c"
+        }
+        "aor" | "angleofrepose" | "reposeangle" | "angleofreposedeg" | "reposeangledeg" | "aordeg" | "schüttwinkel"
+        | "böschungswinkel" => ANGLE,
+        "material" | "substance" | "pulver" => "powder",
+        _ => return None,
+    })
+}
+
+/// A name that no column has is nearly that of one which the file lacks: taken as it stands it would be another condition.
+fn slips(names: &[String], check: &mut Check) {
+    let columns = || OWN.into_iter().chain(NAMES).chain(NUMBERS.map(|column| column.0));
+    for name in names.iter().filter(|name| known(name).is_none() && name.chars().count() >= SLIP_CHARS_MIN) {
+        let written = name.to_lowercase();
+        let mut missing = columns().filter(|column| !names.iter().any(|name| name == column));
+        if let Some(column) = missing.find(|column| strsim::osa_distance(&written, column) <= SLIP) {
+            let advice =
+                format!("is nearly `{column}`, which the file lacks: write that, or a name that is less like it");
+            check.refuse(name, advice);
+        }
+    }
+}
+
+/// Without a session a column of days would be one more condition, and every difference between days its effect.
+fn days_without_session(names: &[&str], lines: &[Line<'_>], refusals: &mut Vec<FieldError>) {
+    if lines.iter().any(|line| line.session.is_filled()) {
+        return;
+    }
+    for (k, name) in names.iter().enumerate() {
+        let mut filled = lines.iter().map(|line| line.cells[k]).filter(Cell::is_filled).peekable();
+        if filled.peek().is_some() && filled.all(|cell| matches!(cell.told, Told::Text(text) if day(text).is_some())) {
+            let advice = "holds days, and no column is called `session`: call this one so, or differences between days pass for effects";
+            refusals.push(FieldError::new(*name, advice));
+        }
+    }
+}
+
 fn check_header(names: &[String], check: &mut Check) {
+    slips(names, check);
     // As pandas renames what stands twice, and as repeats stand side by side.
     for name in names.iter().filter(|name| is_again(name)) {
         check.refuse(name, "is a column that stands twice, or a repeat beside another one: write one run a row");

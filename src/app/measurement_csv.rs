@@ -110,7 +110,11 @@ struct Group {
 /// Every wrong cell by row and column, up to 50; an unknown, missing or repeated column by name.
 pub(super) fn read(text: &str) -> Result<(Vec<Entry>, PowderNames)> {
     let (mut groups, mut powders) = (Groups::default(), PowderNames::default());
-    let table = Table::open(text, &Columns { required: &["powder"], known, most: COLUMNS.len() }, check_header)?;
+    let table = Table::open(
+        text,
+        &Columns { required: &["powder"], known, meant: |_| None, most: COLUMNS.len() },
+        check_header,
+    )?;
     let mut refusals = table.each(|cells| Row { row: cells.row, cells }.read(&mut groups, &mut powders));
     let entries: Vec<_> =
         groups.list.into_iter().filter_map(|group| group.entry().map_err(|e| refusals.push(e)).ok()).collect();

@@ -71,7 +71,8 @@ pub(super) struct TracesRead {
 /// # Errors
 /// Every wrong cell by row and column, up to 50; a missing or repeated column by name; traces that say nothing.
 pub(super) fn read(text: &str) -> Result<TracesRead> {
-    let table = Table::open(text, &Columns { required: &REQUIRED, known, most: COLUMNS_MAX }, |_, _| {})?;
+    let table =
+        Table::open(text, &Columns { required: &REQUIRED, known, meant: |_| None, most: COLUMNS_MAX }, |_, _| {})?;
     let (mut lines, mut powders) = (Vec::new(), PowderNames::default());
     let refusals = table.each(|cells| {
         lines.push(line(cells, &mut powders)?);

@@ -57,6 +57,8 @@ pub(super) struct Columns<'a> {
     pub required: &'a [&'a str],
     /// What belongs in a column; nothing where it is not known.
     pub known: fn(&str) -> Option<Holds>,
+    /// The column that a laboratory calls so; nothing where the name says nothing.
+    pub meant: fn(&str) -> Option<&'static str>,
     /// Most columns.
     pub most: usize,
 }
@@ -150,7 +152,11 @@ fn name_of(written: &str, columns: &Columns<'_>) -> String {
     let written = text::visible(written);
     let written = written.trim();
     let plain = written.to_lowercase().replace(|c: char| c.is_whitespace() || c == '-', "_");
-    if (columns.known)(&plain).is_some() { plain } else { written.to_owned() }
+    if (columns.known)(&plain).is_some() {
+        return plain;
+    }
+    let letters: String = written.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect();
+    (columns.meant)(&letters).map_or_else(|| written.to_owned(), str::to_owned)
 }
 
 fn check_header(names: &[String], columns: &Columns<'_>, check: &mut Check) {

@@ -9,6 +9,7 @@ const COLUMNS: Columns<'_> = Columns {
         "x_mm" => Some(Holds::Numbers),
         _ => None,
     },
+    meant: |letters| (letters == "length").then_some("x_mm"),
     most: 4,
 };
 

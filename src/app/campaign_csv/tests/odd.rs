@@ -78,9 +78,41 @@ fn a_humidity_in_fractions_and_per_cents_is_refused_whatever_its_column_is_calle
         assert_eq!(refused(&with_column(column, &["45", "0.41", "47", "0.5"])).len(), 2, "{column}");
     }
     let mixed = campaign_of(&with_column("humidity", &["45 %", "0.41", "47 %"]));
-    assert_eq!(column(&mixed, "humidity"), Some(&Values::Numbers(vec![Some(45.0), Some(41.0), Some(47.0)])));
+    assert_eq!(
+        column(&mixed, "relative_humidity_pct"),
+        Some(&Values::Numbers(vec![Some(45.0), Some(41.0), Some(47.0)]))
+    );
     // A share that may be anything.
     assert!(column(&campaign_of(&with_column("fill", &["45", "0.41", "47"])), "fill").is_some());
+}
+
+#[test]
+fn days_under_another_name_are_the_sessions_and_no_condition() {
+    let days = |k: usize| format!("2026-02-{:02}", 1 + k / 2);
+    let plain = campaign_of(&beside("session", days));
+    for header in ["Date", "day", "Datum", "Session date"] {
+        assert_eq!(campaign_of(&beside(header, days)), plain, "{header}");
+    }
+    for header in ["Sesion", "When", "Zeitpunkt"] {
+        assert_eq!(refused(&beside(header, days)), [header], "{header}");
+    }
+    // Beside a session they may be anything: the day on which a batch was made.
+    let both =
+        beside("session", |k| format!("{},2026-01-{:02}", days(k), 1 + k)).replace("session\n", "session,made\n");
+    assert!(column(&campaign_of(&both), "made").is_some());
+}
+
+#[test]
+fn humidity_and_angle_are_known_by_what_laboratories_call_them_and_a_slip_is_asked_about() {
+    let humidity = |k: usize| format!("{}", 40 + k);
+    let plain = campaign_of(&beside("relative_humidity_pct", humidity));
+    for header in ["RH", "RH %", "Humidity", "Relative humidity (%)", "rF", "Luftfeuchte"] {
+        assert_eq!(campaign_of(&beside(header, humidity)), plain, "{header}");
+    }
+    assert_eq!(refused(&beside("relative_humidity_pc", humidity)), ["relative_humidity_pc"]);
+    assert_eq!(refused(&beside("temperature", humidity)), ["temperature"], "of which unit?");
+    let renamed = beside("relative_humidity_pct", humidity).replacen("repose_deg", "Angle of repose", 1);
+    assert_eq!(campaign_of(&renamed), plain);
 }
 
 #[test]
