@@ -24,7 +24,8 @@ fn file_of(path: &str, find: impl Fn(&str) -> Option<EmbeddedFile>) -> Response 
     match find(path) {
         Some(file) => serve(file, "no-cache"),
         None if find("index.html").is_none() => {
-            (StatusCode::NOT_FOUND, "The documentation is not built: run make docs, then build again.\n").into_response()
+            (StatusCode::NOT_FOUND, "The documentation is not built: run make docs, then build again.\n")
+                .into_response()
         }
         None => Problem::not_found("the documentation has no such page; /docs/ lists all").into_response(),
     }

@@ -3,8 +3,8 @@
 //! The page answers browsers, which say that they take HTML. To a program a path that nobody knows is an error, or it would believe that it
 //! had found an interface.
 
-use super::{docs, grpc};
 use super::problem::Problem;
+use super::{docs, grpc};
 use axum::body::Body;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};

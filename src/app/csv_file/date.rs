@@ -263,7 +263,8 @@ impl Count {
     /// thousand millions counts seconds to some day of this century.
     pub fn of(numbers: &[f64]) -> Option<Self> {
         let are_days = |count: &Self| {
-            let mut days: Vec<i32> = numbers.iter().filter_map(|number| count.day(*number)).map(Date::to_julian_day).collect();
+            let mut days: Vec<i32> =
+                numbers.iter().filter_map(|number| count.day(*number)).map(Date::to_julian_day).collect();
             days.sort_unstable();
             let half = numbers.len().div_ceil(2);
             half > 0 && days.windows(half).any(|some| some[half - 1] - some[0] <= CAMPAIGN_MAX_D)

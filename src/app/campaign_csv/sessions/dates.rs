@@ -6,7 +6,6 @@ use crate::app::csv_file::{Refused, at};
 use crate::domain::FieldError;
 use time::Date;
 
-
 /// Dates that an order decides, each with its row and its text.
 pub(super) struct Dates<'a>(pub Vec<(&'a Written, usize, &'a str)>);
 
