@@ -65,4 +65,12 @@ mod tests {
         assert_eq!(names.named().len(), 1);
         assert_eq!(names.id_of(7, "Mean").unwrap_err().field, "row[7].powder");
     }
+
+    #[test]
+    fn a_row_called_overall_or_all_powders_is_no_powder() {
+        for text in ["Overall", "All powders", "All", "ALL POWDERS:"] {
+            let refused = PowderNames::default().id_of(9, text).unwrap_err();
+            assert!(refused.field == "row[9].powder" && refused.message.contains("leave the row out"), "{refused}");
+        }
+    }
 }

@@ -110,6 +110,17 @@ impl Report {
             wall_s: 0.0,
         }
     }
+
+    /// How the files were read, and of columns that were not judged why.
+    pub(crate) fn read_from(&mut self, files: &[FileRead]) {
+        files.clone_into(&mut self.files);
+        let columns = self.files.iter_mut().filter(|file| file.file == "measurements").flat_map(|it| &mut it.columns);
+        for column in columns {
+            let Some(out) = self.left_out.iter().find(|out| out.column == column.column) else { continue };
+            let before = if column.note.is_empty() { "" } else { "; " };
+            column.note = format!("{}{before}left out: {}", column.note, out.reason);
+        }
+    }
 }
 
 /// What is wrong with the simulator without any data.

@@ -49,7 +49,7 @@ pub(super) fn perform(context: &JobContext, spec: &InvestigationSpec) -> Result<
     if let (Some(pourer), Some(extended)) = (&pourer, &mut extended) {
         pourer.fit(extended, &mut report, [JUDGED[1], 1.0])?;
     }
-    report.files.clone_from(&spec.files);
+    report.read_from(&spec.files);
     report.simulator_runs = pourer.map_or(0, |pourer| pourer.poured());
     report.wall_s = began.elapsed().as_secs_f64();
     let body =

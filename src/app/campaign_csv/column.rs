@@ -6,6 +6,7 @@
 //! | more than half numbers | numbers: the others are refused by row and column |
 //! | others | names, unless hardly one stands twice |
 
+mod ends;
 mod names;
 
 use super::{Cell, NAMES, NUMBERS};
@@ -117,6 +118,7 @@ impl Numbers<'_> {
         if self.name == humidity::COLUMN || is_mixed() {
             notes.extend(humidity::to_percent(self.name, &mut values, has_unit, |k| self.rows[k])?.map(str::to_owned));
         }
+        ends::check(self.name, &values, has_unit, |k| self.rows[k])?;
         let filled = values.iter().flatten().count();
         if filled == 0 {
             return Ok(Column::nothing(0, "it holds limits and no number"));

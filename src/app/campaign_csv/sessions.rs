@@ -2,12 +2,13 @@
 //!
 //! | cells | order |
 //! |-------|-------|
-//! | days, half of them at least ([`date`](crate::app::csv_file::date)) | of time; the others are refused |
+//! | days, half of them at least ([`date`](crate::app::csv_file::date)) | of time; the others are refused, and days outside the ten years that hold most of them (`years`) |
 //! | numbers, more than half | of size, but for those that only a name can be, as 1.1 beside 1.10 (`labels`); where half count days (46056), seconds or milliseconds since 1970, or are digits of a date, the day; the others are refused |
 //! | names | in which they first stand in the file |
 
 mod dates;
 mod labels;
+mod years;
 
 use super::Cell;
 use crate::app::csv_file::date::{Count, DateOrder, Written, day, six_digits, time_of};
@@ -95,7 +96,7 @@ impl Column<'_> {
         let numbers = self.cells.iter().filter(|cell| matches!(cell, Read::Number(_))).count();
         if days > 0 && 2 * days >= self.cells.len() {
             let days = self.days(order)?;
-            return Ok(self.of_days(&days));
+            return self.of_days(&days);
         }
         if 2 * numbers > self.cells.len() {
             return self.counted(order);
@@ -116,12 +117,12 @@ impl Column<'_> {
                     "counts no day, as most sessions of the file do: correct it, or leave it empty".to_owned()
                 })
             });
-            return Ok(self.of_days(&days?));
+            return self.of_days(&days?);
         }
         let six: Option<Vec<Read>> = self.texts.iter().map(|text| six_digits(text).map(Read::Day)).collect();
         if let Some(cells) = six {
             let written = Self { rows: self.rows.clone(), texts: self.texts.clone(), cells };
-            return Ok(written.of_days(&written.days(order)?));
+            return written.of_days(&written.days(order)?);
         }
         Ok(match labels::are_labels(&self.texts) {
             true => of_names(&self.texts, LABELS),
@@ -129,7 +130,8 @@ impl Column<'_> {
         })
     }
 
-    fn of_days(&self, days: &[Date]) -> (Vec<usize>, String) {
+    fn of_days(&self, days: &[Date]) -> Refused<(Vec<usize>, String)> {
+        years::check(days, &self.rows, &self.texts)?;
         let (places, order) = ranked(days, Date::cmp);
         let several = match self.days_of_several_times(days) {
             0 => String::new(),
@@ -137,7 +139,7 @@ impl Column<'_> {
                 "; {days} of them have runs at several times of day, which are one session: name sessions to keep them apart, 2026-02-03 a"
             ),
         };
-        (places, span("days", &order) + &several)
+        Ok((places, span("days", &order) + &several))
     }
 
     fn numbers(&self) -> Refused<Vec<f64>> {

@@ -24,7 +24,19 @@ fn is_error(cell: &str) -> bool {
 /// Whether a cell names what was computed of the rows above it, as the last rows of a table do: `Mean`, `SD`, `Total`, `salt average`.
 pub fn is_summary(cell: &str) -> bool {
     /// Alone.
-    const WORDS: [&str; 39] = [
+    const WORDS: [&str; 51] = [
+        "all",
+        "all powders",
+        "all samples",
+        "all materials",
+        "all runs",
+        "all data",
+        "alle",
+        "alle pulver",
+        "ensemble",
+        "combined",
+        "pooled",
+        "insgesamt",
         "mean",
         "mean value",
         "average",
@@ -66,8 +78,19 @@ pub fn is_summary(cell: &str) -> bool {
         "moyenne",
     ];
     /// Also beside a name: nobody calls a powder so.
-    const BESIDE: [&str; 10] =
-        ["mean", "average", "avg", "median", "total", "subtotal", "mittelwert", "summe", "gesamt", "moyenne"];
+    const BESIDE: [&str; 11] = [
+        "overall",
+        "mean",
+        "average",
+        "avg",
+        "median",
+        "total",
+        "subtotal",
+        "mittelwert",
+        "summe",
+        "gesamt",
+        "moyenne",
+    ];
     let text = plain(cell);
     let mut words = text.split(|c: char| c.is_whitespace() || "()_,-".contains(c)).filter(|word| !word.is_empty());
     let (first, last) = (words.next().unwrap_or_default(), words.next_back());
@@ -163,6 +186,10 @@ mod tests {
             "% RSD",
             "n",
             "Mittelwert",
+            "Overall",
+            "overall:",
+            "All powders",
+            "All",
         ] {
             assert!(is_summary(word), "{word}");
         }
@@ -176,6 +203,8 @@ mod tests {
             "totally",
             "NaCl",
             "n-hexatriacontane",
+            "allantoin",
+            "all-purpose flour",
             "",
         ] {
             assert!(!is_summary(powder), "{powder}");

@@ -19,11 +19,14 @@
 //! | name | it is called after the heap, or after nothing but a length |
 //! | together | columns with such names explain together what none does alone: height and base of heaps of different volume |
 //! | classes | names of the column are ranges of the angle, whatever the powder |
+//! | order | it has runs in the order of their angles less the mean of their powder, as no condition has: deviation, z score, flag of what is above the mean (`order`) |
 //!
-//! None of it where powders of different angles have the same of it on average: what knows nothing of powders was there before the heap.
+//! But for `order` and `repeats` (and that to a quarter of the scatter) nothing where powders of different angles have the same of it on average: what
+//! knows nothing of powders was there before the heap, or is the angle less its powder's mean.
 //!
 //! Never asked of columns that causes of the catalogue act through: those are conditions by what the file format says of them.
 
+mod order;
 mod words;
 
 use super::campaign::{Campaign, Covariate, Quantity, Values};
@@ -58,6 +61,8 @@ const NEARLY_DEG: f64 = 6.0;
 const NEAR_ALL: f64 = 0.9;
 const REPEATS_TO: f64 = 0.4;
 const FLOW_REPEATS_TO: f64 = 2.0;
+/// Part of what repeats scatter by that is left, by rounding, of a column that is the angle less a mean.
+const ROUNDING: f64 = 0.25;
 /// Share explained by columns together.
 const TOGETHER: f64 = 0.7;
 /// Variance of powders' means over that of chance, below which a column knows nothing of powders.
@@ -142,13 +147,17 @@ fn follows(campaign: &Campaign, rows: &[Row], covariate: &Covariate) -> Option<C
         Values::Levels { of, .. } => are_classes(rows, of)
             .then(|| "follows from the angle: its names are ranges of it, whatever the powder".to_owned()),
     };
+    let reason =
+        reason.or_else(|| order::follows(campaign.quantity, rows, campaign.measured().len(), &covariate.values));
     Some(ColumnLeftOut { column: covariate.name.clone(), reason: reason? })
 }
 
 fn of_numbers(quantity: Quantity, rows: &[Row], name: &str, values: &[Option<f64>]) -> Option<String> {
     let course = Course::of(rows, values)?;
     let (share, t) = (course.share(), course.t());
-    if t < NAMED_T || course.is_blind_to_powders() {
+    let (left, least) = (course.left(), if quantity == Quantity::Repose { REPEATS_TO } else { FLOW_REPEATS_TO });
+    let is_rounded = share >= NEAR_ALL && left < ROUNDING * least;
+    if t < NAMED_T || (course.is_blind_to_powders() && !is_rounded) {
         return None;
     }
     let is_strong = t >= STRONG_T && share >= STRONG_SHARE;
@@ -157,7 +166,6 @@ fn of_numbers(quantity: Quantity, rows: &[Row], name: &str, values: &[Option<f64
         "follows from the {of_what}: explains {:.0} % of how far runs of one powder on one day are apart",
         100.0 * share
     );
-    let (left, least) = (course.left(), if quantity == Quantity::Repose { REPEATS_TO } else { FLOW_REPEATS_TO });
     if is_strong && course.is_of_powders() {
         Some(format!("{explains}, and is as much more or less for powders that are steeper"))
     } else if is_strong && quantity == Quantity::Repose && course.reads_the_angle() {
@@ -359,5 +367,7 @@ fn are_classes(rows: &[Row], of: &[Option<usize>]) -> bool {
     misplaced as f64 <= MISPLACED * known.len() as f64
 }
 
+#[cfg(test)]
+mod residual_tests;
 #[cfg(test)]
 mod tests;

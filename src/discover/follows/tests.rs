@@ -16,16 +16,16 @@ const POWDERS: [(&str, f64, f64); 5] = [
     ("soda", 42.38, 2.48),
 ];
 
-struct Laboratory {
+pub(super) struct Laboratory {
     rng: Pcg64,
-    campaign: Campaign,
+    pub(super) campaign: Campaign,
     /// Volume of each run's heap over the usual one.
     volume: Vec<f64>,
 }
 
 impl Laboratory {
     /// Powders of which nothing but noise is measured, twice a day.
-    fn new(seed: u64, powders: usize, days: usize, repeat_share: f64) -> Self {
+    pub(super) fn new(seed: u64, powders: usize, days: usize, repeat_share: f64) -> Self {
         let mut new = Self { rng: Pcg64::seed_from_u64(seed), campaign: Campaign::default(), volume: Vec::new() };
         new.campaign.powders = POWDERS[..powders].iter().map(|it| it.0.to_owned()).collect();
         for session in 0..days {
@@ -42,7 +42,7 @@ impl Laboratory {
         new
     }
 
-    fn normal(&mut self) -> f64 {
+    pub(super) fn normal(&mut self) -> f64 {
         normal::quantile(self.rng.random::<f64>().clamp(1e-12, 1.0 - 1e-12))
     }
 
@@ -60,7 +60,7 @@ impl Laboratory {
     }
 
     /// A condition, and what it does to the angle.
-    fn condition(&mut self, name: &str, of: impl Fn(&mut Self, &Run) -> f64, effect: impl Fn(f64) -> f64) {
+    pub(super) fn condition(&mut self, name: &str, of: impl Fn(&mut Self, &Run) -> f64, effect: impl Fn(f64) -> f64) {
         let runs = self.campaign.runs.clone();
         let values: Vec<f64> = runs.iter().map(|run| of(self, run)).collect();
         for (run, value) in self.campaign.runs.iter_mut().zip(&values) {
@@ -70,7 +70,7 @@ impl Laboratory {
         self.campaign.covariates.push(Covariate { name: name.to_owned(), values });
     }
 
-    fn left_out(&self) -> Vec<String> {
+    pub(super) fn left_out(&self) -> Vec<String> {
         without(&self.campaign).1.into_iter().map(|it| it.column).collect()
     }
 }
@@ -224,7 +224,7 @@ fn a_typing_error_and_a_summary_do_not_hide_what_follows() {
     assert_eq!(laboratory.left_out(), ["k17"]);
 }
 
-fn investigated(campaign: &Campaign) -> Report {
+pub(super) fn investigated(campaign: &Campaign) -> Report {
     let settings = Settings { seed: 1, simulations: 99 };
     investigate(Some(campaign), None, "base", &settings, |_| ControlFlow::Continue(())).unwrap().unwrap()
 }

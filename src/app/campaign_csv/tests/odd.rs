@@ -207,3 +207,55 @@ fn tables_that_are_more_or_less_than_one_are_refused_where_they_begin_to_be() {
         assert_eq!(refused(&text), fields, "{text}");
     }
 }
+
+#[test]
+fn a_humidity_of_0_or_100_among_laboratory_air_is_a_loggers_missing_value() {
+    let tenth = |end: &'static str, usual: usize| {
+        move |k: usize| if k % 10 == 3 { end.to_owned() } else { (usual + k).to_string() }
+    };
+    for (column, end, usual) in [
+        ("relative_humidity_pct", "0", 38),
+        ("relative_humidity_pct", "100", 38),
+        ("room_humidity", "0.0", 38),
+        ("temperature_c", "0", 15),
+        ("temperature_c", "-40.0", 15),
+        ("temperature_c", "85", 15),
+        ("temp_sensor_2", "127", 15),
+    ] {
+        let refused = refused(&beside(column, tenth(end, usual)));
+        assert_eq!(refused, [format!("row[5].{column}"), format!("row[15].{column}")], "{end}");
+    }
+    let fractions = |k: usize| if k == 4 { "0".to_owned() } else { format!("0.{}", 40 + k) };
+    assert_eq!(refused(&beside("relative_humidity_pct", fractions)), ["row[6].relative_humidity_pct"]);
+    // With its unit it means what it says, and near others it was measured.
+    for (column, end, usual) in [
+        ("relative_humidity_pct", "0 %", 38),
+        ("relative_humidity_pct", "0", 3),
+        ("relative_humidity_pct", "100", 80),
+        ("temperature_c", "0", 2),
+        ("rest_min", "0", 38),
+    ] {
+        assert_eq!(campaign_of(&beside(column, tenth(end, usual))).runs.len(), 14, "{column} {end}");
+    }
+    // Half of the cells: somebody dried the air.
+    assert_eq!(campaign_of(&beside("relative_humidity_pct", |k| (45 * (k % 2)).to_string())).runs.len(), 14);
+}
+
+#[test]
+fn a_year_typo_among_days_is_refused_by_row() {
+    for typo in ["2062-02-07", "1926-02-07", "2206-02-07"] {
+        let text = beside("session", |k| if k == 5 { typo.to_owned() } else { format!("2026-02-{:02}", 1 + k) });
+        assert_eq!(refused(&text), ["row[7].session"], "{typo}");
+    }
+    let counted = |k: usize| if k == 5 { "56056".to_owned() } else { (46_056 + k).to_string() };
+    assert_eq!(refused(&beside("session", counted)), ["row[7].session"]);
+    // A campaign may last nine years.
+    assert_eq!(campaign_of(&beside("session", |k| format!("20{}-02-03", 18 + k % 9))).sessions(), 9);
+}
+
+#[test]
+fn a_row_called_overall_or_all_powders_is_no_run() {
+    let runs = beside("session", |k| k.to_string());
+    let with = read_of(&format!("{runs}Overall,33.6,\nAll powders,33.6,\nAll,33.6,\n"));
+    assert_eq!((with.campaign, with.read.left_out[0].rows.as_slice()), (campaign_of(&runs), [16, 17, 18].as_slice()));
+}
