@@ -1,6 +1,7 @@
 //! Functions of the angle less its powder's mean, and conditions as strong as any.
 
 use super::super::campaign::Run;
+use super::super::reading::{ColumnRead, FileRead, TakenAs};
 use super::super::report::Verdict;
 use super::tests::{Laboratory, investigated};
 use super::*;
@@ -136,7 +137,19 @@ fn conditions_stay_conditions_however_much_they_explain() {
 fn a_deviation_from_the_mean_is_named_and_left_out_and_explains_nothing() {
     let mut laboratory = with_functions_of_the_residual(Laboratory::new(3, 3, 20, 1.0));
     laboratory.campaign.covariates.truncate(2);
-    let report = investigated(&laboratory.campaign);
+    let mut report = investigated(&laboratory.campaign);
     assert_eq!(report.verdict, Verdict::NoDiscrepancy, "{}", report.sentence);
     assert_eq!(report.left_out.iter().map(|it| it.column.as_str()).collect::<Vec<_>>(), NAMES[..2]);
+    // And where it is said how the file was read.
+    let column = ColumnRead {
+        column: NAMES[0].to_owned(),
+        taken_as: TakenAs::Numbers,
+        filled: 120,
+        missing: 0,
+        note: String::new(),
+    };
+    let (file, columns) = ("measurements".to_owned(), vec![column]);
+    report.read_from(&[FileRead { file, rows: 120, columns, powders: vec![], left_out: vec![], notes: vec![] }]);
+    let note = &report.files[0].columns[0].note;
+    assert!(note.starts_with("left out: follows from the angle"), "{note}");
 }
