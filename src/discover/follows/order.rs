@@ -6,8 +6,8 @@
 //!
 //! ```text
 //! groups     runs of a powder by their angles | all runs by their angle less the mean of powder and day | days by their mean of angles less powders'
-//! class      runs of a group with the same of the column; m its median angle, c the middle of the gap to the next class
-//! s          scatter in the class, 1.4826 median |y - m|, and not less than heaps repeat to
+//! class      runs of a group with the same of the column; m its median angle, c the middle between it and the next class's
+//! s          scatter in the classes of all groups, 1.4826 median |y - m|, and not less than heaps repeat to
 //! P          product over runs of Phi((c_above - m) / s) - Phi((c_below - m) / s): that each stays in its class, were its class all that it is due to
 //! ```
 //!
@@ -144,7 +144,8 @@ impl Look {
             let kept: Vec<Vec<Point>> = groups.into_values().map(in_order).collect();
             let n = self.points.len();
             let out = n - kept.iter().map(Vec::len).sum::<usize>();
-            let ln_chance = kept.iter().map(|group| ln_chance(group, self.repeats_to)).sum::<f64>();
+            let scatter = scatter(&kept).max(self.repeats_to);
+            let ln_chance = kept.iter().map(|group| ln_chance(group, scatter)).sum::<f64>();
             let ln_chance = ln_chance * self.freedom as f64 / n as f64 + out as f64 * libm::log(n as f64) + ln_orders;
             (out as f64 <= MISPLACED * n as f64 && ln_chance < libm::log(CHANCE)).then_some(out)
         })
@@ -169,17 +170,30 @@ fn in_order(mut points: Vec<Point>) -> Vec<Point> {
     kept
 }
 
-/// Logarithm of the chance that every point of a group in order stays in its class.
-fn ln_chance(points: &[Point], repeats_to: f64) -> f64 {
-    let classes: Vec<&[Point]> = points.chunk_by(|a, b| a.x.to_bits() == b.x.to_bits()).collect();
-    let gap = |k: usize| f64::midpoint(classes[k][classes[k].len() - 1].y, classes[k + 1][0].y);
-    let of_class = |(k, class): (usize, &&[Point])| {
+/// Points of a group in order, by their value of the column.
+fn classes(points: &[Point]) -> Vec<&[Point]> {
+    points.chunk_by(|a, b| a.x.to_bits() == b.x.to_bits()).collect()
+}
+
+/// Robust SD within the classes of all groups.
+fn scatter(groups: &[Vec<Point>]) -> f64 {
+    let departures = |class: &[Point]| -> Vec<f64> {
         let middle = median(class.iter().map(|it| it.y).collect());
-        // 1.4826: SD of a normal distribution over its median absolute deviation.
-        let scatter = 1.4826 * median(class.iter().map(|it| (it.y - middle).abs()).collect());
-        let scatter = scatter.max(repeats_to);
-        let below = if k == 0 { 0.0 } else { normal::cdf((gap(k - 1) - middle) / scatter) };
-        let above = if k + 1 == classes.len() { 1.0 } else { normal::cdf((gap(k) - middle) / scatter) };
+        class.iter().map(|it| (it.y - middle).abs()).collect()
+    };
+    // 1.4826: SD of a normal distribution over its median absolute deviation.
+    1.4826 * median(groups.iter().flat_map(|group| classes(group)).flat_map(departures).collect())
+}
+
+/// Logarithm of the chance that every point of a group in order stays in its class.
+fn ln_chance(points: &[Point], scatter: f64) -> f64 {
+    let classes = classes(points);
+    let middles: Vec<f64> = classes.iter().map(|class| median(class.iter().map(|it| it.y).collect())).collect();
+    let cut = |k: usize| f64::midpoint(middles[k], middles[k + 1]);
+    let of_class = |(k, class): (usize, &&[Point])| {
+        let middle = middles[k];
+        let below = if k == 0 { 0.0 } else { normal::cdf((cut(k - 1) - middle) / scatter) };
+        let above = if k + 1 == classes.len() { 1.0 } else { normal::cdf((cut(k) - middle) / scatter) };
         class.len() as f64 * libm::log((above - below).max(f64::MIN_POSITIVE))
     };
     classes.iter().enumerate().map(of_class).sum()
@@ -188,5 +202,8 @@ fn ln_chance(points: &[Point], repeats_to: f64) -> f64 {
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let half = values.len() / 2;
+    if values.is_empty() {
+        return 0.0;
+    }
     if values.len() % 2 == 1 { values[half] } else { f64::midpoint(values[half - 1], values[half]) }
 }
