@@ -157,7 +157,7 @@ class Arm(arm_pb2_grpc.ArmServicer):
             it = self.robot
             yield pb.State(mode=self.mode, station=it.station, pitch_deg=it.pitch_deg, shake_displacement_mm=it.shake_mm,
                            last_shake=self.last_shake, measured_at_s=time.monotonic())
-            await asyncio.sleep(0.005 if self.mode in (pb.MODE_MOVING, pb.MODE_RETURNING) else 0.05)
+            await asyncio.sleep(0.005 if self.mode != pb.MODE_IDLE else 0.05)
 
 
 async def serve(port):
