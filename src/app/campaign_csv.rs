@@ -210,7 +210,8 @@ fn meant(letters: &str) -> Option<&'static str> {
 /// A name that no column has is nearly that of one which the file lacks: taken as it stands it would be another condition.
 fn slips(names: &[String], check: &mut Check) {
     let columns = || OWN.into_iter().chain(NAMES).chain(NUMBERS.map(|column| column.0));
-    for name in names.iter().filter(|name| known(name).is_none() && name.chars().count() >= SLIP_CHARS_MIN) {
+    let is_unknown = |name: &&String| known(name).is_none() && !is_again(name);
+    for name in names.iter().filter(is_unknown).filter(|name| name.chars().count() >= SLIP_CHARS_MIN) {
         let written = name.to_lowercase();
         let mut missing = columns().filter(|column| !names.iter().any(|name| name == column));
         if let Some(column) = missing.find(|column| strsim::osa_distance(&written, column) <= SLIP) {

@@ -7,8 +7,8 @@
 //! bench = "/etc/flip/bench.toml"
 //! ```
 //!
-//! A table is a command, a key one of its long options, dashes or underscores. The command line goes before the environment, the environment before the
-//! file, the file before what `--help` gives as default: what is typed also puts aside what in the file it cannot stand beside. A file with one mistake sets
+//! A table is a command, a key one of its long options, dashes or underscores. What the file says is put behind what is typed, if that leaves it out: the
+//! command line goes before the environment, the environment before the file, the file before what `--help` gives as default: what is typed also puts aside what in the file it cannot stand beside. A file with one mistake sets
 //! nothing. What a person says of this moment, that the bench was looked at or which vial is in, no file can say.
 
 use super::failure::Failure;
@@ -83,38 +83,33 @@ fn text(settings: &[Setting]) -> String {
     if lines.is_empty() { "nothing is set".to_owned() } else { lines.join("\n") }
 }
 
-/// What the arguments say, and where they leave something out the file that they or the environment name.
+/// The arguments, and behind them what the file that they or the environment name says of the same command and they leave out.
 ///
 /// # Errors
-/// A file that cannot be read or has a mistake. Inside: arguments that clap refuses.
-pub(super) fn matches(arguments: &[OsString]) -> Result<Result<ArgMatches, clap::Error>, Failure> {
-    let Some(file) = named(arguments) else { return Ok(Cli::command().try_get_matches_from(arguments)) };
-    let settings = read(&file)?;
-    // What cannot stand beside what is typed gives way: clap itself compares only what is typed.
-    let typed = Cli::command().ignore_errors(true).try_get_matches_from(arguments);
-    let is_kept = |setting: &Setting| !typed.as_ref().is_ok_and(|typed| gives_way(setting, typed));
-    let kept: Vec<Setting> = settings.into_iter().filter(is_kept).collect();
-    Ok(kept.into_iter().fold(Cli::command(), set).try_get_matches_from(arguments))
+/// A file that cannot be read or has a mistake.
+pub(super) fn completed(arguments: Vec<OsString>) -> Result<Vec<OsString>, Failure> {
+    match named(&arguments) {
+        Some(file) => Ok(with(&read(&file)?, arguments)),
+        None => Ok(arguments),
+    }
 }
 
-/// Something is typed that conflicts with this setting.
-fn gives_way(setting: &Setting, typed: &ArgMatches) -> bool {
+fn with(settings: &[Setting], mut arguments: Vec<OsString>) -> Vec<OsString> {
+    // Help and versions need no settings.
+    let Ok(typed) = Cli::command().ignore_errors(true).try_get_matches_from(&arguments) else { return arguments };
     let mut command = Cli::command();
     command.build();
-    let (mut command, mut typed) = (&command, typed);
-    for name in setting.command.split_whitespace() {
-        let Some((sub, matches)) = typed.subcommand().filter(|(sub, _)| *sub == name) else { return false };
-        let Some(inner) = command.find_subcommand(sub) else { return false };
-        (command, typed) = (inner, matches);
-    }
-    let Some(option) = option(command, &setting.option) else { return false };
-    let is_typed = |id: &str| {
-        let source = typed.try_contains_id(id).is_ok().then(|| typed.value_source(id)).flatten();
-        matches!(source, Some(ValueSource::CommandLine | ValueSource::EnvVariable))
-    };
-    let refuses = |a: &Arg, b: &Arg| command.get_arg_conflicts_with(a).iter().any(|it| it.get_id() == b.get_id());
-    let mut others = command.get_arguments().filter(|other| is_typed(other.get_id().as_str()));
-    others.any(|other| refuses(option, other) || refuses(other, option))
+    let added = settings.iter().filter(|it| it.is_wanted(&command, &typed)).flat_map(Setting::typed);
+    let added: Vec<OsString> = added.map(OsString::from).collect();
+    let end = arguments.iter().position(|it| it == "--").unwrap_or(arguments.len());
+    arguments.splice(end..end, added);
+    arguments
+}
+
+/// What was given for this option, by the command line or the environment.
+fn is_given(typed: &ArgMatches, id: &str) -> bool {
+    let source = typed.try_contains_id(id).is_ok().then(|| typed.value_source(id)).flatten();
+    matches!(source, Some(ValueSource::CommandLine | ValueSource::EnvVariable))
 }
 
 /// The file that the arguments or the environment name.
@@ -145,6 +140,23 @@ fn read(file: &Path) -> Result<Vec<Setting>, Failure> {
 }
 
 impl Setting {
+    /// It is of the command that is called, and nothing given stands in its way: itself, or what it cannot stand beside.
+    fn is_wanted(&self, mut command: &Command, mut typed: &ArgMatches) -> bool {
+        let is_everybodys = self.command.is_empty();
+        let mut words = self.command.split_whitespace();
+        while let Some((name, matches)) = typed.subcommand() {
+            if !is_everybodys && words.next() != Some(name) {
+                return false;
+            }
+            let Some(inner) = command.find_subcommand(name) else { return false };
+            (command, typed) = (inner, matches);
+        }
+        let Some(option) = option(command, &self.option).filter(|_| words.next().is_none()) else { return false };
+        let refuses = |a: &Arg, b: &Arg| command.get_arg_conflicts_with(a).iter().any(|it| it.get_id() == b.get_id());
+        let mut given = command.get_arguments().filter(|it| is_given(typed, it.get_id().as_str()));
+        !given.any(|it| it.get_id() == option.get_id() || refuses(option, it) || refuses(it, option))
+    }
+
     /// As one would type it.
     fn typed(&self) -> Vec<String> {
         let one = |value: &String| format!("--{}={value}", self.option);
@@ -284,26 +296,10 @@ fn nearest<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> String {
     }
 }
 
-/// The setting as the option's default: what is typed and the environment go before it.
-fn set(command: Command, setting: Setting) -> Command {
-    let path: Vec<String> = setting.command.split_whitespace().map(str::to_owned).collect();
-    within(command, &path, &setting)
-}
-
-fn within(command: Command, path: &[String], setting: &Setting) -> Command {
-    if let Some((first, rest)) = path.split_first() {
-        return command.mut_subcommand(first, |sub| within(sub, rest, setting));
-    }
-    command.mut_args(|arg| {
-        let is_it = arg.get_long() == Some(&setting.option);
-        if is_it { arg.required(false).default_values(setting.values.clone()) } else { arg }
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::FromArgMatches;
+    use clap::Parser;
 
     fn settings(text: &str) -> Result<Vec<Setting>, Vec<String>> {
         let folder = tempfile::tempdir().unwrap();
@@ -316,8 +312,8 @@ mod tests {
     }
 
     fn parsed(text: &str, words: &[&str]) -> Cli {
-        let command = settings(text).unwrap().into_iter().fold(Cli::command(), set);
-        Cli::from_arg_matches(&command.try_get_matches_from(words).unwrap()).unwrap()
+        let words = with(&settings(text).unwrap(), words.iter().map(OsString::from).collect());
+        Cli::try_parse_from(words).unwrap()
     }
 
     #[test]
@@ -368,19 +364,14 @@ mod tests {
 
     #[test]
     fn what_is_typed_puts_aside_what_it_cannot_stand_beside() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("flip.toml");
-        std::fs::write(&file, "[calibrate]\npowder = \"salt\"\n").unwrap();
-        let told = |words: &[&str]| {
-            let words = [&["flip", "--settings", file.to_str().unwrap()], words].concat();
-            let words: Vec<OsString> = words.iter().map(OsString::from).collect();
-            let cli = Cli::from_arg_matches(&matches(&words).unwrap().unwrap()).unwrap();
-            format!("{:?}", cli.command)
-        };
-        let typed = told(&["calibrate", "--repose-deg", "30"]);
+        let told = |words: &[&str]| format!("{:?}", parsed("[calibrate]\npowder = \"salt\"\n", words).command);
+        let typed = told(&["flip", "calibrate", "--repose-deg", "30"]);
         assert!(typed.contains("30.0") && !typed.contains("salt"), "{typed}");
-        assert!(told(&["calibrate"]).contains("salt"));
-        assert!(told(&["calibrate", "--powder", "sand"]).contains("sand"));
+        assert!(told(&["flip", "calibrate"]).contains("salt"));
+        assert!(told(&["flip", "calibrate", "--powder", "sand"]).contains("sand"));
+        // What is said of a command is not said of those below it.
+        let below = parsed("[discover]\nbudget_runs = 3\n", &["flip", "discover", "versions"]);
+        assert!(matches!(below.command, super::super::Command::Discover(_)));
     }
 
     #[test]

@@ -40,7 +40,7 @@ mod weigh;
 
 use crate::app::{LIST_LIMIT_MAX, PageQuery};
 use crate::telemetry;
-use clap::{Args, FromArgMatches, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand};
 use failure::Failure;
 use serde::Serialize;
 use std::ffi::OsString;
@@ -136,11 +136,12 @@ const FIRST_PAGE: PageQuery = PageQuery { limit: Some(LIST_LIMIT_MAX), after: No
 /// Parse the arguments, run the command, and say how it ended by the exit status.
 pub fn main() -> ExitCode {
     let arguments: Vec<OsString> = std::env::args_os().collect();
-    let parsed = match config::matches(&arguments) {
-        Ok(matches) => matches.and_then(|matches| Cli::from_arg_matches(&matches)),
-        Err(failure) => return failure.report(arguments.iter().any(|it| it == "--json")),
+    let asks_json = arguments.iter().any(|it| it == "--json");
+    let arguments = match config::completed(arguments) {
+        Ok(arguments) => arguments,
+        Err(failure) => return failure.report(asks_json),
     };
-    let cli = match parsed {
+    let cli = match Cli::try_parse_from(arguments) {
         Ok(cli) => cli,
         Err(error) => return failure::of_arguments(&error),
     };

@@ -184,8 +184,8 @@ fn wrong_cells_are_refused_by_row_and_column() {
         (&with_column("relative_humidity_pct", &["41", "0.41"]), &["row[3].relative_humidity_pct"]),
         (&with_column("flow_time_s", &["<5"]), &["row[2].flow_time_s"]),
         (&with_column("temperature_c", &["75 °F"]), &["row[2].temperature_c"]),
-        (&with_column("rh", &["41", "42", "wet"]), &["row[4].rh"]),
-        (&with_column("rh", &["41", "42", "43", "~43", "40-50"]), &["row[5].rh", "row[6].rh"]),
+        (&with_column("gas", &["41", "42", "wet"]), &["row[4].gas"]),
+        (&with_column("gas", &["41", "42", "43", "~43", "40-50"]), &["row[5].gas", "row[6].gas"]),
         (&with_column("gap", &["5 mm", "0.6 cm"]), &["row[3].gap"]),
         (&with_column("mass", &["\"1,125\"", "2.5"]), &["row[2].mass"]),
         (&with_column("session", &["12", "Monday", "12", "9"]), &["row[3].session"]),
@@ -271,7 +271,7 @@ fn a_day_that_may_be_two_is_asked_for() {
 
 #[test]
 fn one_cell_without_a_number_does_not_make_names_of_a_column() {
-    let numbers = |cells: &[&str]| match column(&campaign_of(&with_column("rh", cells)), "rh") {
+    let numbers = |cells: &[&str]| match column(&campaign_of(&with_column("gas", cells)), "gas") {
         Some(Values::Numbers(values)) => values.clone(),
         other => panic!("{cells:?}: {other:?}"),
     };
@@ -294,7 +294,7 @@ fn what_is_left_out_is_told_with_its_reason() {
     };
     assert_eq!(left_out("remark", &["a", "b", "c", "c"]), "hardly a name stands twice");
     assert_eq!(left_out("remark", &["", ""]), "no cell of it is filled");
-    assert_eq!(left_out("rh", &["<5", "<5"]), "it holds limits and no number");
+    assert_eq!(left_out("gas", &["<5", "<5"]), "it holds limits and no number");
     assert_eq!(left_out("lab", &["a", "a", "b", "b"]), "");
     assert_eq!(told("lab", &["a", "a", "1", "1"]).note, "2 of its cells are numbers and count as names");
     let fractions = told("relative_humidity_pct", &["0.41", "0.5", "NA"]);
