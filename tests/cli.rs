@@ -119,7 +119,15 @@ fn a_settings_file_stands_behind_the_command_line_and_a_mistake_in_it_begins_not
         &["serve", "--data-dir", data.to_str().unwrap()],
     );
     expect_status(&half, 2);
-    assert!(stderr(&half).contains("tls_cert"), "{}", stderr(&half));
+    assert!(stderr(&half).contains("--tls-key"), "{}", stderr(&half));
+    // The bench file of `flip bench check --config` is not the settings file.
+    let check = run("", &["bench", "check", "--config", "/no/such/bench.toml", "--data-dir", data.to_str().unwrap()]);
+    expect_status(&check, 2);
+    assert!(
+        stderr(&check).contains("/no/such/bench.toml") && !stderr(&check).contains("settings"),
+        "{}",
+        stderr(&check)
+    );
 }
 
 #[test]

@@ -55,9 +55,9 @@ const NUMBERS: [(&str, f64, f64, &str); 10] = [
     (FLOW, 1e-3, 1e6, "s"),
     ("vibration_rms_m_s2", 0.0, 1e3, "m/s2"),
 ];
-/// Letters by which a slip of the pen differs from a name, and the fewest letters of one that has room for them.
-const SLIP: usize = 2;
-const SLIP_CHARS_MIN: usize = 5;
+/// A slip of the pen is one letter in so many, and two at most: `sesion` for `session`, but not `bench` for `batch`.
+const SLIP_CHARS: usize = 5;
+const SLIPS_MAX: usize = 2;
 const FLOW: &str = "flow_time_s";
 const ORDER: &str = "order_in_session";
 const ANGLE: &str = "repose_deg";
@@ -210,11 +210,11 @@ fn meant(letters: &str) -> Option<&'static str> {
 /// A name that no column has is nearly that of one which the file lacks: taken as it stands it would be another condition.
 fn slips(names: &[String], check: &mut Check) {
     let columns = || OWN.into_iter().chain(NAMES).chain(NUMBERS.map(|column| column.0));
-    let is_unknown = |name: &&String| known(name).is_none() && !is_again(name);
-    for name in names.iter().filter(is_unknown).filter(|name| name.chars().count() >= SLIP_CHARS_MIN) {
+    for name in names.iter().filter(|name| known(name).is_none() && !is_again(name)) {
         let written = name.to_lowercase();
+        let slips = (written.chars().count() / SLIP_CHARS).min(SLIPS_MAX);
         let mut missing = columns().filter(|column| !names.iter().any(|name| name == column));
-        if let Some(column) = missing.find(|column| strsim::osa_distance(&written, column) <= SLIP) {
+        if let Some(column) = missing.find(|column| strsim::osa_distance(&written, column) <= slips) {
             let advice =
                 format!("is nearly `{column}`, which the file lacks: write that, or a name that is less like it");
             check.refuse(name, advice);

@@ -111,6 +111,7 @@ fn humidity_and_angle_are_known_by_what_laboratories_call_them_and_a_slip_is_ask
     }
     assert_eq!(refused(&beside("relative_humidity_pc", humidity)), ["relative_humidity_pc"]);
     assert_eq!(refused(&beside("temperature", humidity)), ["temperature"], "of which unit?");
+    assert!(column(&campaign_of(&beside("bench", |k| format!("{}", k % 3))), "bench").is_some(), "no slip for batch");
     let renamed = beside("relative_humidity_pct", humidity).replacen("repose_deg", "Angle of repose", 1);
     assert_eq!(campaign_of(&renamed), plain);
 }
