@@ -191,7 +191,6 @@ fn meant(letters: &str) -> Option<&'static str> {
         | "relativehumidity"
         | "relativehumiditypercent"
         | "airhumidity"
-        | "roomhumidity"
         | "rf"
         | "luftfeuchte"
         | "luftfeuchtigkeit"

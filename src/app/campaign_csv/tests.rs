@@ -281,7 +281,7 @@ fn one_cell_without_a_number_does_not_make_names_of_a_column() {
     for number in ["47.1", "\"47,1\"", "47.1 %", "\"47,1 %\"", "4.71e1"] {
         assert_eq!(numbers(&["47", number, "46.5"]), [Some(47.0), Some(47.1), Some(46.5)], "{number}");
     }
-    let limits = told("rh", &["47", "<5", "", "46"]);
+    let limits = told("gas", &["47", "<5", "", "46"]);
     assert_eq!((limits.taken_as, limits.filled, limits.missing), (TakenAs::Numbers, 2, 2));
     assert!(limits.note.contains("limits such as <5 and count as missing: rows 3"), "{}", limits.note);
 }
