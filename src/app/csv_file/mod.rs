@@ -93,12 +93,15 @@ impl Table {
             return Err(FieldError::new("file", advice).into());
         }
         let bare = text::bare(text)?;
-        let is_known = |name: &str| (columns.known)(&name_of(name, columns)).is_some();
+        let is_known = |name: &str| {
+            let name = name_of(name, columns);
+            (columns.known)(&name).is_some() || columns.meant_by(&name).is_some()
+        };
         let separator = bare.separator.unwrap_or_else(|| separator::separator(bare.text, is_known));
         let mut reader =
             csv::ReaderBuilder::new().delimiter(separator).flexible(true).from_reader(bare.text.as_bytes());
         let header = reader.headers().map_err(|error| unreadable(1, &error))?.clone();
-        let names: Vec<String> = header.iter().map(|name| name_of(name, columns)).collect();
+        let names = names_of(&header, columns);
         let mut refusals = Check::default();
         check_header(&names, columns, &mut refusals);
         check(&names, &mut refusals);
@@ -147,16 +150,32 @@ impl Table {
     }
 }
 
+impl Columns<'_> {
+    /// The known column that a laboratory calls so.
+    fn meant_by(&self, name: &str) -> Option<&'static str> {
+        let letters: String = name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect();
+        (self.meant)(&letters)
+    }
+}
+
+/// The names of a header: a column that is called as laboratories do is the known one, if the file has none that is called so itself.
+fn names_of(header: &csv::StringRecord, columns: &Columns<'_>) -> Vec<String> {
+    let mut names: Vec<String> = header.iter().map(|name| name_of(name, columns)).collect();
+    for k in 0..names.len() {
+        let meant = columns.meant_by(&names[k]).filter(|_| (columns.known)(&names[k]).is_none());
+        if let Some(meant) = meant.filter(|meant| names.iter().all(|name| name != meant)) {
+            names[k] = meant.to_owned();
+        }
+    }
+    names
+}
+
 /// The name of a column: as it is known, else as it is written.
 fn name_of(written: &str, columns: &Columns<'_>) -> String {
     let written = text::visible(written);
     let written = written.trim();
     let plain = written.to_lowercase().replace(|c: char| c.is_whitespace() || c == '-', "_");
-    if (columns.known)(&plain).is_some() {
-        return plain;
-    }
-    let letters: String = written.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect();
-    (columns.meant)(&letters).map_or_else(|| written.to_owned(), str::to_owned)
+    if (columns.known)(&plain).is_some() { plain } else { written.to_owned() }
 }
 
 fn check_header(names: &[String], columns: &Columns<'_>, check: &mut Check) {

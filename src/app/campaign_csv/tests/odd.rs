@@ -98,8 +98,8 @@ fn days_under_another_name_are_the_sessions_and_no_condition() {
     }
     // Beside a session they may be anything: the day on which a batch was made.
     let both =
-        beside("session", |k| format!("{},2026-01-{:02}", days(k), 1 + k % 3)).replace("session\n", "session,made\n");
-    assert!(column(&campaign_of(&both), "made").is_some());
+        beside("session", |k| format!("{},2026-01-{:02}", days(k), 1 + k % 3)).replace("session\n", "session,date\n");
+    assert!(column(&campaign_of(&both), "date").is_some());
 }
 
 #[test]
