@@ -21,10 +21,30 @@ fn is_error(cell: &str) -> bool {
     name.is_some_and(|name| name.len() >= 3 && name.chars().all(|c| c.is_uppercase() || "/0".contains(c)))
 }
 
+/// Words that are little else than what was computed of other rows.
+const SURELY: [&str; 16] = [
+    "mean",
+    "mean value",
+    "average",
+    "avg",
+    "median",
+    "sd",
+    "s.d",
+    "std",
+    "std dev",
+    "stdev",
+    "standard deviation",
+    "rsd",
+    "sem",
+    "mittelwert",
+    "stabw",
+    "standardabweichung",
+];
+
 /// Whether a cell names what was computed of the rows above it, as the last rows of a table do: `Mean`, `SD`, `Total`, `salt average`.
 pub fn is_summary(cell: &str) -> bool {
-    /// Alone.
-    const WORDS: [&str; 51] = [
+    /// Alone, beside those that surely are.
+    const WORDS: [&str; 35] = [
         "all",
         "all powders",
         "all samples",
@@ -37,21 +57,9 @@ pub fn is_summary(cell: &str) -> bool {
         "combined",
         "pooled",
         "insgesamt",
-        "mean",
-        "mean value",
-        "average",
-        "avg",
-        "median",
-        "sd",
-        "s.d",
-        "std",
-        "std dev",
         "std. dev",
-        "stdev",
         "st dev",
         "st. dev",
-        "standard deviation",
-        "rsd",
         "rsd%",
         "% rsd",
         "%rsd",
@@ -60,7 +68,6 @@ pub fn is_summary(cell: &str) -> bool {
         "cv%",
         "% cv",
         "variance",
-        "sem",
         "min",
         "minimum",
         "max",
@@ -71,9 +78,6 @@ pub fn is_summary(cell: &str) -> bool {
         "sum",
         "total",
         "subtotal",
-        "mittelwert",
-        "stabw",
-        "standardabweichung",
         "summe",
         "moyenne",
     ];
@@ -94,32 +98,15 @@ pub fn is_summary(cell: &str) -> bool {
     let text = plain(cell);
     let mut words = text.split(|c: char| c.is_whitespace() || "()_,-".contains(c)).filter(|word| !word.is_empty());
     let (first, last) = (words.next().unwrap_or_default(), words.next_back());
-    WORDS.contains(&text.as_str())
+    SURELY.contains(&text.as_str())
+        || WORDS.contains(&text.as_str())
         || last.is_some_and(|last| BESIDE.contains(&first) || BESIDE.contains(&last))
         || BESIDE.contains(&text.as_str())
 }
 
 /// Whether it is one of the words that are little else: in a column of names there may be a `max` or a `total`.
 pub fn is_surely_summary(cell: &str) -> bool {
-    const WORDS: [&str; 16] = [
-        "mean",
-        "mean value",
-        "average",
-        "avg",
-        "median",
-        "sd",
-        "s.d",
-        "std",
-        "std dev",
-        "stdev",
-        "standard deviation",
-        "rsd",
-        "sem",
-        "mittelwert",
-        "stabw",
-        "standardabweichung",
-    ];
-    WORDS.contains(&plain(cell).as_str())
+    SURELY.contains(&plain(cell).as_str())
 }
 
 fn plain(cell: &str) -> String {
