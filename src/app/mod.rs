@@ -61,7 +61,7 @@ pub use crate::jobs::evaluate::EvaluationResult;
 pub use crate::jobs::observe::{Observed, Simulated};
 pub use crate::jobs::repose::ReposeResult;
 pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
-pub use crate::jobs::{Conditions, Functions, Workers};
+pub use crate::jobs::{Conditions, Functions, Workers, give_way_to_the_bench};
 pub use crate::pile::{Compared, Limits as PileLimits, Rig};
 pub use crate::policy::{Done, Observation};
 pub use crate::store::archive::LostArchive;
