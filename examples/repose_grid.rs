@@ -1,5 +1,6 @@
-//! A friction-cohesion grid of simulated angles of repose, as CSV and, where a third argument names a file, as a picture:
-//! `cargo run --release --example repose_grid -- 9 4 docs/repose_grid.svg > docs/repose_grid.csv`.
+//! A friction-cohesion grid of simulated angles of repose, as CSV and, if a third argument names a
+//! file, as a picture: `cargo run --release --example repose_grid -- 9 4 docs/repose_grid.svg >
+//! docs/repose_grid.csv`.
 
 use flip::domain::parameters::ParameterSet;
 use flip::sim::repose::{Settings, repose};

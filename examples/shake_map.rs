@@ -1,4 +1,5 @@
-//! What repeated shakes give at fixed pitches: `cargo run --release --example shake_map -- FRICTION COHESION`.
+//! Masses dispensed by repeated shakes at fixed pitches: `cargo run --release --example shake_map
+//! -- FRICTION COHESION`.
 
 use flip::domain::bench::Action;
 use flip::domain::parameters::ParameterSet;
