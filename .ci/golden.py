@@ -30,7 +30,7 @@ EPOCH = re.compile(r"\b1[7-9]\d{11}\b")
 # Hashes of the audit trail hold times; those of sets and policies (16 and 12 digits in their names) do not.
 CHAIN = re.compile(r"\b[0-9a-f]{64}\b")
 # Measured with a clock.
-CLOCKED = re.compile(r'("(?:[a-z_]*elapsed_s|wall_s|seconds|took_s|cpu_s|[a-z_]*duration_s|per_second|steps_per_s)": ?)[-+.\de]+')
+CLOCKED = re.compile(r'(\\?"(?:seconds|wall_s)\\?": ?|<dt>Time it took</dt><dd>)[-+.\de]+')
 
 
 def masked(text, folder):
@@ -70,23 +70,24 @@ def outputs(folder):
         return done.stdout if read is None else pathlib.Path(read).read_text()
 
     yield "repose", flip("repose", "--seed", "1", "--json")
-    yield "repose_rotation", flip("repose", "--seed", "2", "--extension", "rotation=1", "--json")
+    yield "repose_mechanism", flip("repose", "--seed", "2", "--extension", "size_spread=0.2", "--json")
     yield "observe", flip("observe", "shake_mass:pitch_deg=30,shake_mm=4", "flow_time:mass_g=20,orifice_mm=2.54", "--json")
     yield "calibrate", flip("calibrate", "--powder", "sand", "--method", "sequential", "--sets", "2", "--seed", "3", "--json")
     yield "calibrate_paper", flip("calibrate", "--powder", "salt", "--method", "paper", "--sets", "1", "--seed", "1", "--json")
-    yield "policies", flip("policy", "list", "--json")
-    yield "infer", flip("policy", "infer", "--reading-mg", "3", "--target-mg", "15", "--pitch-deg", "20", "--json")
+    policies = flip("policy", "list", "--json")
+    yield "policies", policies
+    shipped = json.loads(policies)["items"][0]["id"]
+    yield "infer", flip("policy", "infer", "--policy", shipped, "--reading-mg", "0", "--target-mg", "15", "--pitch-deg", "0", "--json")
     controllers = ["--controllers", "paced,pid,fuzzy,fixed,dispenser", "--powders", "sand", "--targets-mg", "5"]
     yield "evaluate", flip("evaluate", *controllers, "--repeats", "1", "--seed", "4", "--json")
     trained = flip("train", "--powders", "sand", "--episodes", "40", "--surrogate-episodes", "32", "--seed", "1", "--json")
     yield "train", trained
     policy = json.loads(trained)["policy"]
     flip("policy", "export", "--policy", policy, "--out", str(folder / "policy"))
-    yield "train_policy", hashlib.sha256((folder / "policy").read_bytes()).hexdigest()
-    weighed = flip("weigh", "--powder", "sand", "--target-mg", "10", "--seed", "5", "--json")
-    yield "weigh", weighed
-    one = json.loads(weighed)
-    weighing = one.get("id") or one["weighing"]["id"]
+    yield "train_policy", hashlib.sha256((folder / "policy").read_bytes()).hexdigest()[:32]
+    yield "weigh", flip("weigh", "--powder", "sand", "--target-mg", "10", "--seed", "5", "--json")
+    with sqlite3.connect(data / "flip.db") as connection:
+        ((weighing,),) = connection.execute("SELECT id FROM weighing").fetchall()
     yield "certificate", flip("audit", "certificate", "--weighing", weighing, "--out", str(folder / "page"), read=folder / "page")
     flip("audit", "export", "--format", "csv", "--out", str(folder / "audit.csv"))
     yield "audit", (folder / "audit.csv").read_text()
@@ -95,7 +96,7 @@ def outputs(folder):
         flip("discover", *asked, "--out", str(folder / name))
         for file in ["report.json", "report.html", "predict.csv"]:
             yield f"discover_{name}_{file}", (folder / name / file).read_text()
-    yield "measurements", flip("measurements", "export", "--out", str(folder / "m.csv"), read=folder / "m.csv")
+    yield "measurements", flip("measurements", "export")
     yield "stored", stored(data / "flip.db")
 
 
