@@ -4,7 +4,7 @@
 //! It follows the committed events, as every live view does, so that no way to begin, end or latch can be forgotten here.
 
 use crate::app::{App, BENCH_TOPIC, Event, Topic, Weighing};
-use crate::domain::weighing::{Outcome, WeighingState};
+use flip_core::domain::weighing::{Outcome, WeighingState};
 use futures::StreamExt;
 use metrics::{counter, histogram};
 use serde_json::Value;

@@ -1,7 +1,7 @@
 //! Copies of a data folder, and data folders of copies.
 
-use crate::store::Error as StoreError;
-use crate::store::backup::{self, Copied};
+use flip_store::Error as StoreError;
+use flip_store::backup::{self, Copied};
 use std::path::Path;
 
 /// Why nothing was copied.

@@ -1,7 +1,7 @@
 //! Checking a request: every wrong field is named, not only the first.
 
 use super::{Error, Result};
-use crate::domain::FieldError;
+use flip_core::domain::FieldError;
 
 /// Collects what is wrong with a request.
 #[derive(Debug, Default)]

@@ -1,7 +1,7 @@
 //! How much there is of what.
 
 use super::{App, Result};
-use crate::store::counts::Counts;
+use flip_store::counts::Counts;
 
 impl App {
     /// Jobs by kind and state, weighings by state and outcome.

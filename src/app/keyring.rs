@@ -3,9 +3,9 @@
 //! The table stays the truth. It is looked at again each second, after every change made here, and when a secret is not known: another process
 //! may have made it a moment ago. Guesses share one look at a time, no more than twenty a second, on a connection that nobody else waits for.
 
-use crate::domain::timestamp::Timestamp;
-use crate::store::tokens::{HashedToken, Role};
-use crate::store::{self, Store, now};
+use flip_core::domain::timestamp::Timestamp;
+use flip_store::tokens::{HashedToken, Role};
+use flip_store::{self as store, Store, now};
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -163,7 +163,7 @@ impl Key {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::tokens::TokenEntry;
+    use flip_store::tokens::TokenEntry;
 
     const SECRET: &str = "flip_00_11";
 

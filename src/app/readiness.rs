@@ -1,7 +1,7 @@
 //! Whether FLIP could weigh now, for those who watch over it.
 
 use super::App;
-use crate::store::health::{Check, Health};
+use flip_store::health::{Check, Health};
 use serde::Serialize;
 use std::time::{Duration, Instant};
 use tokio::sync::Mutex;

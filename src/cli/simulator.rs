@@ -1,7 +1,7 @@
 //! Which version of the simulator, and under which conditions: flags that several commands share.
 
-use crate::domain::FieldError;
-use crate::domain::conditions::{Condition, Conditions, Under};
+use flip_core::domain::FieldError;
+use flip_core::domain::conditions::{Condition, Conditions, Under};
 use std::fmt::Write;
 
 /// A version of the simulator as typed.

@@ -3,7 +3,7 @@
 //! The steps of a training follow one another, so one leaves cores idle. A calibration, an evaluation or an investigation fills every core by
 //! itself, and a calibration leaves an emulator that the next one needs.
 
-use crate::domain::job::JobKind;
+use flip_core::domain::job::JobKind;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 

@@ -40,14 +40,14 @@ pub use spec::{
     TrainingSpec,
 };
 
-use crate::domain::observable::Observable;
-use crate::domain::parameters::ParameterSet;
-use crate::sim::repose::{self as heap, Refusal, Repose};
-use crate::store::jobs::Job;
-use crate::store::ledger::Lease;
-use crate::store::pan::Refused;
-use crate::store::{self, Store, Tx, new_id, now};
 use bench::Bench;
+use flip_core::domain::observable::Observable;
+use flip_core::domain::parameters::ParameterSet;
+use flip_sim::repose::{self as heap, Refusal, Repose};
+use flip_store::jobs::Job;
+use flip_store::ledger::Lease;
+use flip_store::pan::Refused;
+use flip_store::{self as store, Store, Tx, new_id, now};
 use lanes::Lanes;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -59,7 +59,7 @@ use tokio_util::sync::CancellationToken;
 /// The heap experiment as calibrations call it: [`heap::repose`] in the product, a formula in tests.
 pub type Simulate = Arc<dyn Fn(&ParameterSet, &heap::Settings, u64) -> Result<Repose, Refusal> + Send + Sync>;
 
-/// The experiments beside the heap, reduced: [`observe::observe`](crate::sim::observe::observe) in the product.
+/// The experiments beside the heap, reduced: [`observe::observe`](flip_sim::observe::observe) in the product.
 pub type Observe = Arc<dyn Fn(&Observable, &ParameterSet, u64) -> Result<f64, Refusal> + Send + Sync>;
 
 /// What jobs and weighings compute with.
@@ -81,7 +81,7 @@ impl Default for Functions {
     fn default() -> Self {
         Self {
             simulate: Arc::new(heap::repose),
-            observe: Arc::new(crate::sim::observe::observe),
+            observe: Arc::new(flip_sim::observe::observe),
             train: train::simulated(),
             pour: bench::simulated(),
             bench: None,

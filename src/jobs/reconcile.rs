@@ -1,7 +1,7 @@
 //! The ledger knows what is to be done; the queue may have lost a delivery. This puts it right.
 
 use super::{Shared, queue};
-use crate::store::{self, Store, now};
+use flip_store::{self as store, Store, now};
 use std::sync::Arc;
 use std::time::Duration;
 

@@ -6,24 +6,24 @@
 use super::context::{JobContext, JobError};
 use super::evaluate::load_policy;
 use super::spec::TrainingSpec;
-use crate::domain::job::Progress;
-use crate::policy::{self, Actor, Controller};
-use crate::store;
-use crate::store::trials::Episode;
-use crate::train::{EpisodeRecord, Event, Flow, Start, TrainError, Trained};
+use flip_core::domain::job::Progress;
+use flip_learn::train::{EpisodeRecord, Event, Flow, Start, TrainError, Trained};
+use flip_policy::{self as policy, Actor, Controller};
+use flip_store as store;
+use flip_store::trials::Episode;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-pub use crate::train::{Extended, FineTuning, Level, Order, PAPER_LEVELS_DEG, Preset, Settings};
+pub use flip_learn::train::{Extended, FineTuning, Level, Order, PAPER_LEVELS_DEG, Preset, Settings};
 
 /// Parameter sets in a level: the paper's number. The others of a calibration are left for weighings and evaluations.
 pub const SETS_PER_LEVEL: usize = 7;
 /// Episodes whose mean error is shown as progress.
 const RECENT: usize = 20;
 
-/// A training as jobs call it: [`crate::train::train`] in the product, a formula in tests.
+/// A training as jobs call it: [`flip_learn::train::train`] in the product, a formula in tests.
 pub type Train = Arc<
     dyn Fn(&[Level], &Settings, Start<'_>, &Flow<'_>, &mut Listener<'_>) -> Result<Trained, TrainError> + Send + Sync,
 >;
@@ -31,8 +31,17 @@ pub type Train = Arc<
 pub type Listener<'a> = dyn FnMut(Event) -> ControlFlow<()> + 'a;
 
 /// The simulator's training.
+#[cfg(feature = "learn")]
 pub fn simulated() -> Train {
-    Arc::new(|levels, settings, start, flow, listener| crate::train::train(levels, settings, start, flow, listener))
+    Arc::new(|levels, settings, start, flow, listener| {
+        flip_learn::train::train(levels, settings, start, flow, listener)
+    })
+}
+
+/// A training where there is none to be had.
+#[cfg(not(feature = "learn"))]
+pub fn simulated() -> Train {
+    Arc::new(|_, _, _, _, _| Err(TrainError::Unavailable))
 }
 
 /// What a training produced.

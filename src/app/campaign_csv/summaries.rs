@@ -6,8 +6,8 @@
 use super::{Cells, NUMBERS, Table};
 use crate::app::Result;
 use crate::app::csv_file::words::{is_summary, is_surely_summary};
-use crate::discover::reading::LeftOut;
-use crate::domain::FieldError;
+use flip_core::domain::FieldError;
+use flip_discover::reading::LeftOut;
 
 /// Rows to each that a summary is made of, with it.
 const ONE_IN: usize = 4;

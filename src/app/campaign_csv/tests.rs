@@ -1,8 +1,8 @@
 //! What a file becomes, and what it is refused for.
 
 use super::*;
-use crate::discover::{LEVELS_MAX, Values};
-use crate::stats::summary::{mean, sd};
+use flip_core::stats::summary::{mean, sd};
+use flip_discover::{LEVELS_MAX, Values};
 use proptest::prelude::*;
 
 mod odd;

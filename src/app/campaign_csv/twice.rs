@@ -16,7 +16,7 @@
 //! The factor of 3: angles of one day lie closer together than those of all. Copies count once, whichever of them chance would have made.
 
 use super::Line;
-use crate::discover::reading::LeftOut;
+use flip_discover::reading::LeftOut;
 use std::collections::HashMap;
 use std::hash::Hash;
 

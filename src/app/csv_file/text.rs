@@ -1,6 +1,6 @@
 //! From the bytes of a file to its text, and from the text to what is left when its wrapping is taken off.
 
-use crate::domain::FieldError;
+use flip_core::domain::FieldError;
 use std::borrow::Cow;
 
 /// What Windows and old loggers end a file with: Ctrl-Z, or zeros to fill a block.

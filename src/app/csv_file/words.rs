@@ -1,6 +1,6 @@
 //! Words that laboratories write in cells: what is missing, yes and no, who measured, whether a balance stood.
 
-use crate::domain::powder::Method;
+use flip_core::domain::powder::Method;
 
 /// A cell that says that there is nothing to say, as R, pandas, spreadsheets and people write it.
 const MISSING: [&str; 28] = [

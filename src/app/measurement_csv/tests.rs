@@ -1,7 +1,7 @@
 //! What a file says, what it is refused for, and that it comes back as it was.
 
 use super::*;
-use crate::store::now;
+use flip_store::now;
 
 fn refused(text: &str) -> Vec<String> {
     match read(text) {

@@ -1,9 +1,9 @@
 //! How a report writes names and numbers. Everything that comes from a file passes through [`text`], names too: they come unescaped.
 
-pub use crate::discover::names::{cause, column, form, level, lower, parameter, with_unit, words};
+pub use flip_discover::names::{cause, column, form, level, lower, parameter, with_unit, words};
 
-use crate::discover::numerics::{Dependence, Varied};
-use crate::discover::report::Numerics;
+use flip_discover::numerics::{Dependence, Varied};
+use flip_discover::report::Numerics;
 
 /// Begins large, for the beginning of a sentence.
 pub fn upper(phrase: &str) -> String {

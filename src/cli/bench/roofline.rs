@@ -2,8 +2,8 @@
 
 use super::clock::{Spread, core_s};
 use super::ours::Windows;
-use crate::sim::column;
-use crate::sim::law::SUBSTEP_S;
+use flip_sim::column;
+use flip_sim::law::SUBSTEP_S;
 use serde::Serialize;
 
 /// Sizes read for the bandwidths, bytes: within a core's first and second cache, and beyond most caches.

@@ -1,8 +1,8 @@
 //! Stops that are not written down yet: the arm has been told, and the record follows when the database lets it.
 
 use super::condition::Halted;
-use crate::store::who::acting_maybe;
-use crate::store::{self, Store};
+use flip_store::who::acting_maybe;
+use flip_store::{self as store, Store};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;

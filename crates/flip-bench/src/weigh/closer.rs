@@ -1,0 +1,119 @@
+//! Looking closer: the display wanders, so what counts is its mean while nothing moves, over as long as its wander asks.
+//!
+//! A dose is watched closely three times: after the tare, where the mean is what all readings count from; before it ends, because whoever stops at the first
+//! number that is high enough stops short; and when all is over.
+
+use super::guard::{Halt, Limits};
+use super::{ASK_EVERY_S, Event, Halted, Loop, uncertainty};
+use crate::hardware::Bench;
+use flip_core::domain::bench::{Moment, Reading};
+use flip_core::domain::rest::Rest;
+use std::ops::ControlFlow;
+
+/// The mean of a watch is sure enough at this share of the display's step,
+const SURE_STEPS: f64 = 0.25;
+/// or of the band between the tolerances.
+const SURE_BAND: f64 = 0.05;
+/// A tare below this is no vial, mg: what it weighed could have fallen from a spoon.
+const TARE_MG_MIN: f64 = 500.0;
+/// Parts of the display's step that a mean is told in.
+const PARTS: f64 = 100.0;
+
+impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
+    /// Watch the display with nothing moving until its mean is sure enough or the time for it is spent; a stop is heard.
+    pub(super) fn rest(&mut self) -> Result<Rest, Halted> {
+        let order = self.order;
+        let band_mg = order.tolerance_lower_mg + order.tolerance_upper_mg;
+        let sure_mg = (SURE_STEPS * order.readability_mg).max(SURE_BAND * band_mg);
+        let (mut seen, mut found): (Vec<Moment>, Option<Rest>) = (Vec::new(), None);
+        let until_s = self.bench.elapsed_s() + self.settings.rest_max_s.max(self.settings.rest_s);
+        loop {
+            self.go_on()?;
+            seen.extend(self.bench.readings(ASK_EVERY_S)?);
+            found = Rest::of(&seen).or(found);
+            let is_long = |rest: &Rest| rest.seconds >= self.settings.rest_s;
+            let is_sure = |rest: &Rest| uncertainty::of_mean_mg(rest).is_some_and(|u_mg| u_mg <= sure_mg);
+            let is_spent = self.bench.elapsed_s() >= until_s;
+            match found {
+                Some(rest) if is_spent || (is_long(&rest) && is_sure(&rest)) => return Ok(rest),
+                None if is_spent => return Err(Halted::Guard(Halt::NotANumber)),
+                _ => {}
+            }
+        }
+    }
+
+    /// What the tared display shows in the mean: readings count from there.
+    pub(super) fn find_zero(&mut self) -> Result<(), Halted> {
+        if !self.looks_closer() {
+            return Ok(());
+        }
+        let rest = self.rest()?;
+        let shown = self.bench.read()?;
+        let furthest_mg = if shown.mass_mg.abs() > rest.mean_mg.abs() { shown.mass_mg } else { rest.mean_mg };
+        let halt = match furthest_mg {
+            _ if !shown.stable => Halt::NotStable,
+            mg if !(mg.is_finite() && shown.mass_mg.is_finite()) => Halt::NotANumber,
+            mg if -mg > Limits::FALL_MG_MAX => Halt::VialMoved { fell_mg: -mg },
+            mg if mg > Limits::FALL_MG_MAX => Halt::Rose { rose_mg: mg },
+            _ => {
+                self.watched.zero = Some(rest);
+                return Ok(());
+            }
+        };
+        Err(Halted::Guard(halt))
+    }
+
+    /// Whether means are taken at all.
+    pub(super) fn looks_closer(&self) -> bool {
+        self.settings.rest_s > 0.0
+    }
+
+    /// The same reading by the mean of a longer watch; the display itself where it has moved meanwhile.
+    pub(super) fn look_closer(&mut self) -> Result<Reading, Halted> {
+        let rest = self.rest()?;
+        let shown = self.bench.read()?;
+        let now = self.net(shown);
+        let mean_mg = self.net_mg(rest.mean_mg);
+        let has_moved = (now.mass_mg - mean_mg).abs() > Limits::FALL_MG_MAX;
+        Ok(Reading { mass_mg: if has_moved { now.mass_mg } else { mean_mg }, ..now })
+    }
+
+    /// A reading from the zero that was found.
+    pub(super) fn net(&self, shown: Reading) -> Reading {
+        Reading { mass_mg: self.net_mg(shown.mass_mg), ..shown }
+    }
+
+    /// What is shown less the zero that was found, mg, in hundredths of the display's step.
+    pub(super) fn net_mg(&self, shown_mg: f64) -> f64 {
+        let Some(zero) = self.watched.zero else { return shown_mg };
+        let part_mg = self.order.readability_mg / PARTS;
+        let parts = ((shown_mg - zero.mean_mg) / part_mg).round();
+        // Rounding in decimal keeps 9.7 from being told as 9.700000000000001.
+        (parts * part_mg * 1e9).round() / 1e9
+    }
+
+    /// A reading to whole steps of the display, as the frame of a policy knows them.
+    pub(super) fn whole_mg(&self, reading_mg: f64) -> f64 {
+        let step_mg = self.order.readability_mg;
+        if self.watched.zero.is_some() { (reading_mg / step_mg).round() * step_mg } else { reading_mg }
+    }
+
+    /// The display shows the vial again, as after a restart or a lost tare.
+    pub(super) fn is_tared(&mut self, before: Reading, now: Reading) -> Result<(), Halted> {
+        let tare_mg = self.tare.and_then(|tare| tare.tare_mg).unwrap_or(0.0);
+        let rose_mg = now.mass_mg - before.mass_mg;
+        // What is not a number is the guard's to refuse.
+        let is_lost = tare_mg >= TARE_MG_MIN && rose_mg >= tare_mg / 2.0;
+        if !is_lost {
+            return Ok(());
+        }
+        self.must_look = true;
+        Err(Halted::Guard(Halt::TareLost { rose_mg }))
+    }
+}
+
+/// The display went back to nothing, by more than it wanders: a key was pressed, or the balance began anew.
+pub(super) fn is_zeroed(before: Reading, now: Reading, step_mg: f64) -> bool {
+    let nothing_mg = step_mg.max(1.0) / 2.0;
+    now.mass_mg.abs() <= nothing_mg + 1e-9 && before.mass_mg - now.mass_mg >= 3.0 * nothing_mg - 1e-9
+}
