@@ -4,7 +4,7 @@ use crate::Service;
 use axum::body::Body;
 use futures::StreamExt;
 use futures::stream;
-use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use rustix::process::{Resource, Rlimit, getrlimit, setpriority_process, setrlimit};
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
 use std::sync::Arc;
 use std::time::Duration;
@@ -66,9 +66,16 @@ pub fn raise_the_limit_of_files() -> anyhow::Result<()> {
     Ok(setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum })?)
 }
 
+/// Threads for what would run on other machines: here they share the cores, and give way so that the service is what is measured.
+pub fn elsewhere() -> std::io::Result<Runtime> {
+    let mut builder = tokio::runtime::Builder::new_multi_thread();
+    builder.on_thread_start(|| assert!(setpriority_process(None, 15).is_ok()));
+    builder.worker_threads(2).enable_all().build()
+}
+
 /// Begins the attacks, on threads of their own, which end with what is returned.
 pub async fn begin(attacks: &[Attack], service: &Arc<Service>) -> anyhow::Result<Runtime> {
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    let runtime = elsewhere()?;
     if attacks.contains(&Attack::Readers) {
         fill(service).await?;
     }

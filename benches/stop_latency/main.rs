@@ -158,8 +158,9 @@ async fn in_laboratory(stops: Vec<u64>, clients: u64, attack: &[Attack]) -> anyh
     calibrate(&service).await?;
 
     let (done, polls) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
+    let machines = attacks::elsewhere()?;
     let pollers: Vec<_> =
-        (0..clients).map(|k| tokio::spawn(poll(service.clone(), done.clone(), polls.clone(), k))).collect();
+        (0..clients).map(|k| machines.spawn(poll(service.clone(), done.clone(), polls.clone(), k))).collect();
     let attackers = attacks::begin(attack, &service).await?;
     let (began, mut stopped) = (Instant::now(), Stopped::default());
     let all = async {
@@ -175,6 +176,7 @@ async fn in_laboratory(stops: Vec<u64>, clients: u64, attack: &[Attack]) -> anyh
     for poller in pollers {
         poller.await?;
     }
+    machines.shutdown_background();
     ended.map(|()| stopped)
 }
 

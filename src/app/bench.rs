@@ -22,60 +22,60 @@ use std::collections::BTreeMap;
 /// Longest name and note of a person.
 const WORDS_MAX: usize = 2000;
 
-/// What the bench is and whether it may be used.
+/// The bench, and whether it may be used.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct BenchStatus {
-    /// What it is made of; absent where another process has it.
+    /// Kind of bench; absent if another process has it.
     pub kind: Option<BenchKind>,
-    /// Devices by role, as they say themselves.
+    /// Devices by role, as they identify themselves.
     pub devices: BTreeMap<String, String>,
-    /// Each dose has an empty vial without anybody's help; absent where another process has the bench.
+    /// Each dose gets an empty vial without human help; absent if another process has the bench.
     pub exchanges_vials: Option<bool>,
-    /// Why it may not be used, until a person has cleared it.
+    /// Why it may not be used until a person clears it.
     pub latch: Option<Latch>,
-    /// After a stop: nothing begins until a person resumes.
+    /// After a stop: nothing starts until a person resumes.
     pub held: Option<Held>,
-    /// The weighing that moves.
+    /// The weighing in motion.
     pub moving: Option<String>,
-    /// The pile that is being made: the gate may be open. A stop of the bench ends it.
+    /// The pile being made: the gate may be open. Stopping the bench ends it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub piling: Option<PileInMaking>,
-    /// Weighings that wait, in order.
+    /// Waiting weighings, in order.
     pub waiting: Vec<Waiting>,
-    /// The vial on the pan, as far as it is known.
+    /// The vial on the pan, as far as known.
     pub vial: Option<Vial>,
-    /// Who has the bench for himself.
+    /// The current reservation of the bench.
     pub reservation: Option<Reservation>,
-    /// The end of a dose that could not be written down yet: nothing begins before it is.
+    /// The end of a dose that could not be recorded yet: nothing starts until it is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unwritten: Option<Unwritten>,
-    /// The newest check of how well the balance repeats.
+    /// The newest repeatability check of the balance.
     pub repeatability: Option<Repeatability>,
 }
 
-/// A person has looked at the bench, and says so.
+/// A person confirms having checked the bench.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ClearRequest {
-    /// Who looked.
+    /// Name of the person who checked.
     pub by: String,
     /// What was found and done.
     #[serde(default)]
     pub note: String,
-    /// The bench was looked at. Must be true.
+    /// Confirms that the bench was checked. Must be true.
     pub looked: bool,
-    /// The vial is empty or new, and the balance will be tared. Must be true.
+    /// Confirms that the vial is empty or new and that the balance will be tared. Must be true.
     pub vial_ready: bool,
-    /// Weighings that wait may begin at once, also after a stop; otherwise the bench is held until a person resumes.
+    /// Waiting weighings may start at once, even after a stop; otherwise the bench is held until a person resumes.
     #[serde(default)]
     pub resume: bool,
 }
 
-/// A person lets weighings begin again.
+/// A person lets weighings start again.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ResumeRequest {
-    /// Who does.
+    /// Name of the person resuming.
     pub by: String,
     /// What was found and done.
     #[serde(default)]
@@ -86,9 +86,9 @@ pub struct ResumeRequest {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RepeatabilityRequest {
-    /// Readings, the weight put on anew for each, mg; at least ten.
+    /// Readings, mg, the weight reloaded for each; at least ten.
     pub readings_mg: Vec<f64>,
-    /// Step of the display, mg.
+    /// Readability (display step) of the balance, mg.
     pub readability_mg: f64,
 }
 

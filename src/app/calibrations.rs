@@ -28,32 +28,32 @@ pub struct CalibrationRequest {
     pub sd_deg: Option<f64>,
     /// Repeats behind `repose_deg`, 1 to 10000; default 1.
     pub n: Option<u32>,
-    /// How sets are looked for; default `emulator`.
+    /// How to search for sets; default `emulator`.
     pub method: Option<Method>,
     /// Parameter sets to find, 1 to 100; default 10.
     pub sets: Option<u32>,
     /// Accepted difference between simulated and measured angle, 0.1 to 10 degrees; default 0.5, with the other methods 1.5.
     pub tolerance_deg: Option<f64>,
-    /// Grains in a simulated heap, 100 to 100000; default 2000.
+    /// Grains per simulated heap, 100 to 100000; default 2000.
     pub particles: Option<u32>,
-    /// Most simulations, search and verification together, 1 to 20000; default three times what the verification of all sets takes, with the
-    /// other methods 150. With the published method, which verifies afterwards, of the search alone.
+    /// Maximum simulations, search and verification together, 1 to 20000; default three times what verifying all sets takes, with the other methods
+    /// 150. For the published method, which verifies afterwards, it limits the search alone.
     pub trials_max: Option<u32>,
-    /// Heaps by which each set is verified, 1 to 50; default 8, with the method `sequential` 2.
+    /// Heaps simulated to verify each set, 1 to 50; default 8, with the method `sequential` 2.
     pub verify_repeats: Option<u32>,
-    /// Readings of each of these heaps, 1 to 64; default 4, with the method `sequential` 1.
+    /// Readings per verification heap, 1 to 64; default 4, with the method `sequential` 1.
     pub readings: Option<u32>,
     /// Seed; default 1.
     pub seed: Option<u64>,
-    /// What else was measured, up to 8 observations, for the method `emulator`; default what is registered for the powder.
+    /// Other measurements, up to 8 observations, for the method `emulator`; default those registered for the powder.
     pub observations: Option<Vec<Observation>>,
-    /// Grains of the heaps that verify the sets, 100 to 100000; default as many as in the others. Not for the method `sequential`.
+    /// Grains per verification heap, 100 to 100000; default as many as in the other heaps. Not for the method `sequential`.
     pub verify_particles: Option<u32>,
-    /// Extended version of the simulator, `sv-…`; default the base.
+    /// Extended simulator version, `sv-…`; default the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulator: Option<String>,
-    /// Under which the target was measured, as `{"relative_humidity_pct": 55}`; it is carried over to the version's reference. Default: the angle
-    /// that the version predicts there, of a powder of its campaign.
+    /// Conditions under which the target was measured, as `{"relative_humidity_pct": 55}`; the target is converted to the version's reference.
+    /// Default: the angle that the version predicts there, for a powder of its campaign.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Conditions,
 }
@@ -61,24 +61,24 @@ pub struct CalibrationRequest {
 /// Most observations of a calibration.
 const OBSERVATIONS_MAX: usize = 8;
 
-/// A calibration: its job, what it aims at, and once it has succeeded what it found.
+/// A calibration: its job, its target, and its result once it has succeeded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Calibration {
     /// The job; the calibration has the same id.
     pub job: Job,
     /// Powder id; absent for a bare angle.
     pub powder: Option<String>,
-    /// What it aims at.
+    /// Target.
     pub target: Flowability,
-    /// The extended version of the simulator, and the conditions that were given; absent of the base.
+    /// The extended simulator version and the conditions given; absent for the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub under: Option<Under>,
-    /// What else was measured.
+    /// Other measurements.
     pub observations: Vec<Observation>,
     /// Every setting of the search and of the heap experiment.
     #[schema(value_type = Object)]
     pub settings: serde_json::Value,
-    /// What it found; absent until it has succeeded.
+    /// Result; absent until it has succeeded.
     pub result: Option<CalibrationResult>,
 }
 

@@ -6,35 +6,35 @@ use flip_core::domain::parameters::{COUNT, PARAMETERS};
 use flip_core::domain::powder::{Flowability, mean_and_sd};
 use serde::{Deserialize, Serialize};
 
-/// Two calibrations beside each other.
+/// Two calibrations compared.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Comparison {
-    /// The one that was asked for.
+    /// The requested calibration.
     pub calibration: ComparedCalibration,
-    /// The one it is compared with.
+    /// The calibration it is compared with.
     pub with: ComparedCalibration,
     /// Mean verified angle of the first minus that of the second, degrees; absent if one of them has no sets.
     pub difference_deg: Option<f64>,
     /// Standard error of that difference, degrees: the root of the sum of both squared standard errors; absent if one of them is.
     pub standard_error_deg: Option<f64>,
-    /// Whether the mean verified angles agree: their difference is at most two of its standard errors. Absent where that is not known.
+    /// Whether the mean verified angles agree: their difference is at most two of its standard errors. Absent if unknown.
     pub agree: Option<bool>,
 }
 
-/// What one calibration aimed at, cost and found.
+/// Target, cost and result of one calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ComparedCalibration {
     /// Id of the calibration.
     pub id: String,
     /// Powder id; absent for a bare angle.
     pub powder: Option<String>,
-    /// What it aimed at.
+    /// Target.
     pub target: Flowability,
-    /// How it looked for sets.
+    /// Search method.
     pub method: Method,
     /// Simulations of the search, without those of a shared emulator.
     pub evaluations: u32,
-    /// Simulations with fresh seeds that checked candidates.
+    /// Simulations with fresh seeds to check candidates.
     pub verification_runs: u32,
     /// The emulator it used; absent with a method that has none.
     pub emulator: Option<EmulatorUse>,
@@ -44,10 +44,10 @@ pub struct ComparedCalibration {
     pub verified_error_deg: Option<f64>,
     /// Standard deviation of that over the sets, degrees; absent for fewer than two.
     pub verified_sd_deg: Option<f64>,
-    /// Mean over the sets of their simulated angles, degrees; absent without sets.
+    /// Mean of the sets' simulated angles, degrees; absent without sets.
     pub repose_deg: Option<f64>,
-    /// Standard error of that mean, degrees: the root of the sum of the sets' squared standard errors over their number, where a set's
-    /// is `repose_sd_deg` / sqrt(`runs`). Absent without sets, and if one of them ran only once: nothing is known of its spread.
+    /// Standard error of that mean, degrees: the root of the sum of the sets' squared standard errors over their number, where a set's is
+    /// `repose_sd_deg` / sqrt(`runs`). Absent without sets, or if one of them ran only once, as its spread is then unknown.
     pub standard_error_deg: Option<f64>,
     /// Each parameter over the sets; empty without sets.
     pub parameters: Vec<ParameterSpread>,

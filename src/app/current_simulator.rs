@@ -13,20 +13,20 @@ pub const BASE: &str = "base";
 /// Whichever version is current.
 pub const CURRENT: &str = "current";
 
-/// The version that is taken where none is named.
+/// The version used where none is named.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CurrentSimulator {
     /// `base`, or a version, `sv-…`.
     pub simulator: String,
-    /// Name of the base, as versions that extend it have it.
+    /// Name of the base, as used by versions that extend it.
     pub base: String,
-    /// When it was chosen; absent while nobody has, and the base is current.
+    /// When it was chosen; absent if none was ever chosen and the base is current.
     pub chosen_at: Option<Timestamp>,
-    /// What was current before, and can be chosen again; absent while nobody has chosen.
+    /// The previously current version, which can be chosen again; absent if none was ever chosen.
     pub before: Option<String>,
 }
 
-/// Which version to take from now on where none is named.
+/// Version to use from now on where none is named.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ChosenSimulator {

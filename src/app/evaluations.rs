@@ -28,44 +28,44 @@ const LIST_MAX: usize = 20;
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EvaluationRequest {
-    /// Policy id; default the newest, which is the shipped one as long as nothing was trained.
+    /// Policy id; default the newest, or the shipped one until a policy is trained.
     pub policy: Option<String>,
-    /// Some of `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid`, `fuzzy`, `paced`; default all. A policy that is named by its id
-    /// is always among them.
+    /// Any of `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid`, `fuzzy`, `paced`; default all. A policy named by its id is always
+    /// included.
     pub controllers: Option<Vec<String>>,
     /// Powder ids; default the five published ones.
     pub powders: Option<Vec<String>>,
-    /// Targets, mg, each within what the spoon holds; default 15 and 20.
+    /// Target masses, mg, each within what the spoon holds; default 15 and 20.
     pub targets_mg: Option<Vec<f64>>,
-    /// Weighings in a cell, 1 to 100; default 5.
+    /// Weighings per powder and target, 1 to 100; default 5.
     pub repeats: Option<u32>,
-    /// Step of the balance's display, 0.01 to 10 mg; default 1.
+    /// Readability (display step) of the balance, 0.01 to 10 mg; default 1.
     pub readability_mg: Option<f64>,
-    /// Steps of a weighing, 1 to 100; default 10.
+    /// Maximum steps per weighing, 1 to 100; default 10.
     pub max_shakes: Option<u32>,
-    /// Grains on the spoon, 500 to 4000; default 2500, some 37 mg. Their mass is the powder's, so a target has to be within it.
+    /// Grains on the spoon, 500 to 4000; default 2500, about 37 mg. Their mass is all the powder there is, so a target must lie within it.
     pub particles: Option<u32>,
-    /// Mechanisms that the base simulator leaves out, by name with their amplitudes, as `{"rotation": 1}`; default none. A policy has
-    /// met none of them in training.
+    /// Mechanisms missing from the base simulator, by name with their amplitudes, as `{"rotation": 1}`; default none. No policy has met them in
+    /// training.
     #[serde(default)]
     pub extensions: BTreeMap<String, f64>,
-    /// Shake as the bench's arm was measured to (`flip bench calibrate-shake`); default as the simulator does.
+    /// Shake as the bench's arm was measured to shake (`flip bench calibrate-shake`); default as in the simulator.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub as_calibrated: bool,
-    /// The spoon that doses; default FLIP's own, which holds some 40 mg.
+    /// The spoon used for dosing; default FLIP's own, which holds about 40 mg.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spoon: Option<Spoon>,
     /// Seed; default 1.
     pub seed: Option<u64>,
-    /// Extended version of the simulator, `sv-…`; default the base.
+    /// Extended simulator version, `sv-…`; default the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulator: Option<String>,
-    /// Of the version on the bench, each within what its campaign saw, as `{"relative_humidity_pct": 65}`.
+    /// Conditions of the version on the bench, each within the range of its campaign, as `{"relative_humidity_pct": 65}`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Day,
 }
 
-/// An evaluation: its job, what it runs, and once it has succeeded the errors.
+/// An evaluation: its job, its settings, and the errors once it has succeeded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Evaluation {
     /// The job; the evaluation has the same id.
@@ -76,17 +76,17 @@ pub struct Evaluation {
     pub controllers: Vec<String>,
     /// Powder ids.
     pub powders: Vec<String>,
-    /// Targets, mg.
+    /// Target masses, mg.
     pub targets_mg: Vec<f64>,
-    /// Weighings in a cell.
+    /// Weighings per powder and target.
     pub repeats: u32,
-    /// Step of the balance's display, mg.
+    /// Readability (display step) of the balance, mg.
     pub readability_mg: f64,
-    /// Steps of a weighing.
+    /// Maximum steps per weighing.
     pub max_shakes: u32,
     /// What was on the spoon.
     pub conditions: Conditions,
-    /// The extended version of the simulator, and the conditions that were given; absent of the base.
+    /// The extended simulator version and the conditions given; absent for the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub under: Option<Under>,
     /// Seed.

@@ -36,63 +36,63 @@ const UNCALIBRATED: [[f64; 2]; 7] =
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct InvestigationRequest {
-    /// The runs as CSV text, one a row; default every stored measurement of an angle of repose, or none beside `traces_csv`.
+    /// The runs as CSV text, one per row; default every stored measurement of an angle of repose, or none if `traces_csv` is given.
     ///
-    /// Columns: `powder` (id or name) and `repose_deg`, with `repose_sd_deg` and `n` a summary of n runs; of what was recorded, `session` (the
+    /// Columns: `powder` (id or name) and `repose_deg`; with `repose_sd_deg` and `n`, the row is a summary of n runs. Conditions: `session` (the
     /// day), `order_in_session`, `method` (camera, manual), `operator`, `batch`, `plate`, `relative_humidity_pct`, `temperature_c`, `rest_min`,
-    /// `container_age_d`, `funnel_height_mm`, `base_diameter_mm`, `poured_mass_g`, `flow_time_s`, `vibration_rms_m_s2`, `ioniser_on`, and any
-    /// other column. Separated by commas, semicolons or tabs, numbers with a point or a comma, at most 20000 rows and 8 MiB. An empty cell, `NA`
-    /// and the like are missing values. A refusal names the cell, such as `row[2].repose_deg`; the header is row 1. The report's `files` tells
-    /// what each column was taken as.
+    /// `container_age_d`, `funnel_height_mm`, `base_diameter_mm`, `poured_mass_g`, `flow_time_s`, `vibration_rms_m_s2`, `ioniser_on`, and any other
+    /// column. Separators are commas, semicolons or tabs; decimals take a point or a comma; at most 20000 rows and 8 MiB. Empty cells, `NA` and the
+    /// like are missing values. A refusal names the cell, such as `row[2].repose_deg`; the header is row 1. The report's `files` lists how each
+    /// column was interpreted.
     pub measurements_csv: Option<String>,
-    /// Balance readings of weighings as CSV text, one a row; default none.
+    /// Balance readings of weighings as CSV text, one per row; default none.
     ///
-    /// Columns: `weighing_id`, `t_s` and `balance_mg`; of what was recorded, `stable`, `powder`, `session` (the day), `shake_index` (shakes so
-    /// far), `shake_mm`, `spoon_pitch_deg`, `spoon_fill_mg`, `target_mg`, `relative_humidity_pct`, `vibration_rms_m_s2`, and `kind`: `dose`, or of
-    /// a control log `zero` (the empty pan) or `standard` (a standard mass). Forms and limits are those of `measurements_csv`.
+    /// Columns: `weighing_id`, `t_s` and `balance_mg`. Conditions: `stable`, `powder`, `session` (the day), `shake_index` (shakes so far),
+    /// `shake_mm`, `spoon_pitch_deg`, `spoon_fill_mg`, `target_mg`, `relative_humidity_pct`, `vibration_rms_m_s2`, and `kind`: `dose`, or for a
+    /// control log `zero` (empty pan) or `standard` (a standard mass). Formats and limits are those of `measurements_csv`.
     pub traces_csv: Option<String>,
-    /// What stands first in dates such as 2/3/2026 and 26/02/21, `day_first`, `month_first` or `year_first`; needed where the column does not tell.
+    /// Order of dates such as 2/3/2026 and 26/02/21, `day_first`, `month_first` or `year_first`; needed where the column is ambiguous.
     pub dates: Option<DateOrder>,
-    /// Campaigns in which nothing is wrong to compare with, 99 to 9999; default 499.
+    /// Null campaigns, in which nothing is wrong, to compare with, 99 to 9999; default 499.
     pub simulations: Option<u32>,
-    /// Most heaps to simulate, 0 to 10000; default 60. They criticise the simulator's own numerics and, where an extension is accepted, find and verify
-    /// its amplitude; with 0 that is read off a table and not verified.
+    /// Maximum heaps to simulate, 0 to 10000; default 60. They check the simulator's own numerics and, if an extension is accepted, find and verify
+    /// its amplitude; with 0 the amplitude is read from a table and not verified.
     pub budget_runs: Option<u32>,
     /// Seed; default 1.
     pub seed: Option<u64>,
 }
 
-/// An investigation: its job, what it looks at, and once it has succeeded what it found.
+/// An investigation: its job, its data, and its findings once it has succeeded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Investigation {
     /// The job; the investigation has the same id.
     pub job: Job,
     /// Powder ids, in the order of the files.
     pub powders: Vec<String>,
-    /// Runs, the repeats behind summaries counted.
+    /// Number of runs, including the repeats behind summaries.
     pub runs: u32,
-    /// Days of the runs.
+    /// Number of days on which runs were made.
     pub sessions: u32,
-    /// Weighings whose balance readings it looks at, controls counted.
+    /// Weighings whose balance readings it uses, including controls.
     #[serde(default)]
     pub weighings: u32,
-    /// What was recorded. The report's `files` tell which columns were left out, and why.
+    /// Recorded conditions. The report's `files` lists the columns left out, and why.
     pub covariates: Vec<String>,
-    /// Campaigns in which nothing is wrong that it compares with.
+    /// Number of null campaigns, in which nothing is wrong, that it compares with.
     pub simulations: u32,
-    /// Most heaps that it may simulate.
+    /// Maximum heaps it may simulate.
     pub budget_runs: u32,
     /// Seed.
     pub seed: u64,
-    /// Version of the simulator that is judged.
+    /// Simulator version under test.
     pub simulator: String,
-    /// Whether anything is wrong, and whether it has a name; absent until it has succeeded, like what follows.
+    /// Whether anything is wrong, and whether its cause can be named; absent until it has succeeded, like the following fields.
     pub verdict: Option<Verdict>,
-    /// Chance of evidence as strong for any cause if nothing is wrong.
+    /// Probability of equally strong evidence for any cause if nothing is wrong.
     pub p_value: Option<f64>,
-    /// What was found, in plain words.
+    /// The finding, in plain words.
     pub sentence: Option<String>,
-    /// Everything that was found; absent from lists too.
+    /// The full report; also absent from lists.
     pub report: Option<Report>,
 }
 

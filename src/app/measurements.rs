@@ -29,23 +29,23 @@ pub struct NewMeasurement {
     pub method: Method,
     /// Mean angle of repose, 5 to 85 degrees.
     pub repose_deg: Option<f64>,
-    /// Standard deviation over the repeats, 0 to 45 degrees; of a single value nobody knows it, and it is left out.
+    /// Standard deviation over the repeats, 0 to 45 degrees; left out for a single value, whose spread is unknown.
     pub sd_deg: Option<f64>,
-    /// Number of repeats, 1 to 10000; 1 where neither it nor `sd_deg` is given.
+    /// Number of repeats, 1 to 10000; 1 if neither it nor `sd_deg` is given.
     pub n: Option<u32>,
-    /// Angle of repose of each of 1 to 10000 repeats, 5 to 85 degrees; mean, sample SD (0 for a single one) and number follow.
+    /// Angle of repose of each of 1 to 10000 repeats, 5 to 85 degrees; mean, sample SD (0 for a single one) and number are computed.
     pub repeats_deg: Option<Vec<f64>>,
-    /// Height of each of 1 to 10000 heaps above the base that it covers, mm. The angle of each is atan(2 h / d), 5 to 85 degrees.
+    /// Height of each of 1 to 10000 heaps above the base it covers, mm. The angle of each is atan(2 h / d), 5 to 85 degrees.
     pub heights_mm: Option<Vec<f64>>,
     /// Diameter of the base, 5 to 500 mm: one for each height, or one for all.
     pub base_diameters_mm: Option<Vec<f64>>,
-    /// Height of the funnel's tip above the base, 0.1 to 3000 mm; a height above it is refused.
+    /// Height of the funnel's tip above the base, 0.1 to 3000 mm; a heap higher than this is refused.
     pub funnel_height_mm: Option<f64>,
     /// Where the numbers come from; up to 500 characters.
     pub source: Option<String>,
 }
 
-/// An observation beside the angle of repose to register.
+/// A measurement to register, other than the angle of repose.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewObservation {
@@ -61,19 +61,19 @@ pub struct NewObservation {
     pub source: Option<String>,
 }
 
-/// What a file of measurements added.
+/// Result of importing a file of measurements.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Imported {
-    /// Ids of the powders that were registered because the file names them.
+    /// Ids of the powders registered because the file names them.
     pub powders: Vec<String>,
-    /// Powders that the file has by their names, with the ids that these make or stand for.
+    /// Powders given by name in the file, with the ids made or found for them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub named: Vec<NamedPowder>,
     /// The measurements, in the order of the file.
     pub measurements: Vec<Measurement>,
-    /// The observations beside the angle, in the order of the file.
+    /// The observations other than the angle, in the order of the file.
     pub observations: Vec<PowderObservation>,
-    /// What the file has and was stored already, with the same powder, values and source: it was left out.
+    /// Entries of the file that were stored already, with the same powder, values and source, and were skipped.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub already_stored: usize,
 }

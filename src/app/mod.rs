@@ -47,7 +47,7 @@ pub use crate::jobs::evaluate::EvaluationResult;
 pub use crate::jobs::observe::{Observed, Simulated};
 pub use crate::jobs::repose::ReposeResult;
 pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
-pub use crate::jobs::{Conditions, Functions, Workers};
+pub use crate::jobs::{Conditions, Functions, Workers, give_way_to_the_bench};
 pub use asked::asked_after;
 pub use backup::{BackupError, back_up, restore};
 pub use bench::{AUDIT_CSV_HEADER, BenchStatus, ClearRequest, RepeatabilityRequest, ResumeRequest, audit_csv};

@@ -18,22 +18,21 @@ use serde_json::json;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewPowder {
-    /// A lower-case letter, then up to 63 of a-z, 0-9 and _; made from the name where it is left out or empty: `Lactose 200M` is
-    /// `lactose_200m`.
+    /// A lower-case letter, then up to 63 of a-z, 0-9 and _; made from the name if omitted or empty: `Lactose 200M` is `lactose_200m`.
     #[serde(default)]
     pub id: String,
     /// Name for people, 1 to 100 characters.
     pub name: String,
 }
 
-/// A powder with everything that is known about it.
+/// A powder with all data on it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct PowderDetail {
     /// The powder.
     pub powder: Powder,
     /// Its measurements, oldest first.
     pub measurements: Vec<Measurement>,
-    /// What is known of it beside its angle: the newest observation of each equal observable.
+    /// Other measurements: the newest observation of each observable.
     pub observations: Vec<Observation>,
     /// Its calibrated sets, oldest first.
     pub sets: Vec<CalibratedSet>,

@@ -28,51 +28,51 @@ const RUNS_MAX: u32 = 1_000_000;
 /// Frames decoded at once: one of a few kB may unfold to 28 MB.
 static DECODERS: Semaphore = Semaphore::const_new(2);
 
-/// A measurement by camera to carry out. Everything but the powder has a default.
+/// A measurement by camera to make. Everything but the powder has a default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ReposeRequest {
     /// Powder id.
     pub powder: String,
-    /// Which measurement of this powder it is, from 1; the same again is answered with the same one, and makes no other piles. Default the next.
+    /// Which measurement of this powder, from 1; repeating a number returns the existing measurement and makes no new piles. Default the next.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub run: Option<u32>,
-    /// How piles are made and looked at.
+    /// How piles are made and imaged.
     #[serde(default)]
     pub procedure: Procedure,
-    /// The rig, as it was measured with a ruler or calipers.
+    /// The rig, as measured with a ruler or calipers.
     #[serde(default)]
     pub rig: Rig,
     /// What frames must show.
     #[serde(default)]
     pub limits: Limits,
-    /// The reservation of the bench under which it is asked, `rs-…`, if there is one.
+    /// The bench reservation under which the request is made, `rs-…`, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reservation: Option<String>,
 }
 
-/// A measurement by camera: its job, its piles, and once it has succeeded its angle.
+/// A measurement by camera: its job, its piles, and the angle once it has succeeded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ReposeMeasurement {
     /// The job; the measurement has the same id.
     pub job: Job,
     /// Powder id.
     pub powder: String,
-    /// Which measurement of this powder it is.
+    /// Which measurement of this powder.
     pub run: u32,
-    /// What makes the piles.
+    /// The bench that makes the piles.
     pub bench: BenchKind,
-    /// How.
+    /// How piles are made and imaged.
     pub procedure: Procedure,
     /// The rig.
     pub rig: Rig,
     /// What frames must show.
     pub limits: Limits,
-    /// The pile that waits for frames now.
+    /// The pile waiting for frames now.
     pub awaits: Option<Awaited>,
-    /// Piles so far, with those that have no angle; left out of lists.
+    /// Piles so far, including those without an angle; left out of lists.
     pub piles: Vec<Pile>,
-    /// What came out; absent until it has succeeded.
+    /// Result; absent until it has succeeded.
     pub result: Option<ReposeResult>,
 }
 

@@ -13,11 +13,11 @@ use flip_store::page::{Page, PageQuery};
 use flip_store::simulators::SimulatorVersion;
 use serde::{Deserialize, Serialize};
 
-/// Rows whose angles are asked for.
+/// Rows whose angles are to be predicted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PredictionRequest {
-    /// The rows as CSV text, as investigations take them; `repose_deg` may be left out, and is not looked at.
+    /// The rows as CSV text, in the format of investigations; `repose_deg` is optional and ignored.
     pub measurements_csv: String,
 }
 

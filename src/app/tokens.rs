@@ -21,18 +21,18 @@ const LOOK: Duration = Duration::from_secs(1);
 /// Looks between two notes of when tokens were last used.
 const LOOKS_A_NOTE: u32 = 60;
 
-/// A token to make.
+/// A token to create.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewToken {
-    /// Who will hold it, for the record.
+    /// Holder of the token, for the record.
     pub name: String,
-    /// What its holder may do.
+    /// What the holder may do.
     pub role: Role,
-    /// Whether its holder may clear a latched bench; an admin always may.
+    /// Whether the holder may clear a latched bench; an admin always may.
     #[serde(default)]
     pub may_clear: bool,
-    /// Seconds until it ends by itself; default never.
+    /// Seconds until it expires; default never.
     #[serde(default, alias = "expires_in", skip_serializing_if = "Option::is_none")]
     pub expires_in_s: Option<u64>,
 }

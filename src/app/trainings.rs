@@ -36,55 +36,55 @@ pub struct TrainingRequest {
     /// Order of the levels.
     #[serde(default)]
     pub order: Order,
-    /// Collection of settings.
+    /// Preset of settings.
     #[serde(default)]
     pub preset: Preset,
-    /// Episodes, 1 to 20000; default the preset's: 4800 of ours, 4000 of the paper's.
+    /// Episodes, 1 to 20000; default the preset's: 4800 for `flip`, 4000 for `paper`.
     pub episodes: Option<u32>,
-    /// Of these, the first on a fast model of the spoon instead of the simulator, 0 to all; default four fifths of ours, none of the paper's.
+    /// Number of these run first on a fast model of the spoon instead of the simulator, 0 to all; default four fifths for `flip`, none for `paper`.
     pub surrogate_episodes: Option<u32>,
     /// Powders whose calibrated sets are the levels; default `sand`, `sugar`, `salt`. Not with the `paper` preset.
     pub powders: Option<Vec<String>>,
-    /// Learnt policy of the same preset that it goes on from, e.g. to suit a version of the simulator; default one that cannot do anything. Then 720
-    /// episodes are the default, none of them on the surrogate.
+    /// Learnt policy of the same preset to continue from, e.g. to adapt it to a simulator version; default an untrained one. With it the default is
+    /// 720 episodes, none of them on the surrogate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<String>,
     /// Seed; default 1.
     pub seed: Option<u64>,
-    /// Extended version of the simulator, `sv-…`; default the base.
+    /// Extended simulator version, `sv-…`; default the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulator: Option<String>,
-    /// Held in every episode; the others are drawn for each as the version's campaign saw them.
+    /// Conditions held fixed in every episode; the others are drawn for each as seen in the version's campaign.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Conditions,
-    /// Shake as the bench's arm was measured to (`flip bench calibrate-shake`); default as the simulator does. The surrogate does not know the difference.
+    /// Shake as the bench's arm was measured to shake (`flip bench calibrate-shake`); default as in the simulator. The surrogate ignores it.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub as_calibrated: bool,
-    /// The spoon that doses; default FLIP's own, which holds some 40 mg. The surrogate does not know the difference.
+    /// The spoon used for dosing; default FLIP's own, which holds about 40 mg. The surrogate ignores it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spoon: Option<Spoon>,
 }
 
-/// A training: its job, its levels, and once it has succeeded its policy.
+/// A training: its job, its levels, and its policy once it has succeeded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Training {
     /// The job; the training has the same id.
     pub job: Job,
     /// Order of the levels.
     pub order: Order,
-    /// Collection of settings it started from.
+    /// Preset it started from.
     pub preset: Preset,
     /// Episodes it may use.
     pub episodes: u32,
     /// The levels.
     pub levels: Vec<TrainingLevel>,
-    /// The extended version of the simulator, and the conditions that were given; absent of the base.
+    /// The extended simulator version and the conditions given; absent for the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub under: Option<Under>,
     /// Every setting.
     #[schema(value_type = Object)]
     pub settings: serde_json::Value,
-    /// What came out; absent until it has succeeded.
+    /// Result; absent until it has succeeded.
     pub result: Option<TrainingResult>,
 }
 

@@ -14,27 +14,27 @@ const NAME_MAX: usize = 200;
 /// Longest reservation, s: a day.
 const SECONDS_MAX: u32 = 24 * 60 * 60;
 
-/// Somebody says that the vial of a weighing is in, and empty.
+/// A person confirms that the vial of a weighing is in, and empty.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct VialReadyRequest {
-    /// Who says so.
+    /// Name of the person confirming.
     #[serde(default)]
     pub by: Option<String>,
-    /// What is written on the vial; where the weighing names one, it must be that.
+    /// Label on the vial; if the weighing names a vial, it must match.
     #[serde(default)]
     pub vial: Option<String>,
 }
 
-/// Somebody wants the bench for himself.
+/// A request to reserve the bench.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ReservationRequest {
-    /// Who.
+    /// Who reserves the bench.
     pub owner: String,
-    /// For how long from now, s, 1 to 86400. It ends by itself then.
+    /// Duration from now, s, 1 to 86400; the reservation then expires.
     pub seconds: u32,
-    /// One's own reservation, to have it for longer.
+    /// Your own reservation, to extend it.
     #[serde(default)]
     pub id: Option<String>,
 }

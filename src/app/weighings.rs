@@ -38,27 +38,27 @@ const SET_CHOICE: u64 = 1;
 pub struct WeighingRequest {
     /// Powder id.
     pub powder: String,
-    /// Mass wanted.
+    /// Target mass.
     pub target: Target,
     /// Accepted error.
     pub tolerance: Tolerance,
-    /// Policy id; default the one with the smallest error in evaluations on the powder, the shipped one if there are none.
+    /// Policy id; default the one with the smallest evaluated error for the powder, or the shipped one if there is none.
     pub policy: Option<String>,
-    /// Seed of the simulated bench; default one of its own for each weighing.
+    /// Seed of the simulated bench; by default each weighing gets its own.
     pub seed: Option<u64>,
-    /// Extended version of the simulator, `sv-…`; default the base.
+    /// Extended simulator version, `sv-…`; default the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulator: Option<String>,
-    /// Of the version on the simulated bench, each within what its campaign saw, as `{"relative_humidity_pct": 65}`.
+    /// Conditions of the version on the simulated bench, each within the range of its campaign, as `{"relative_humidity_pct": 65}`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Conditions,
-    /// What it is for: lot, vial, operator, air, and what follows an overdose.
+    /// Purpose and circumstances: lot, vial, operator, air, and what follows an overdose.
     #[serde(default, skip_serializing_if = "Asked::is_nothing")]
     pub asked: Asked,
-    /// Whether somebody has to say that the vial is in (POST /v1/weighings/{id}/vial-ready), where the bench cannot exchange it.
+    /// Whether a person must confirm that the vial is in (POST /v1/weighings/{id}/vial-ready), where the bench cannot exchange vials.
     #[serde(default, skip_serializing_if = "VialCheck::is_confirm")]
     pub vial_check: VialCheck,
-    /// The reservation of the bench under which it is asked, `rs-…`, if there is one.
+    /// The bench reservation under which the request is made, `rs-…`, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reservation: Option<String>,
 }
@@ -67,34 +67,34 @@ pub struct WeighingRequest {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Target {
-    /// How much: at least one step of the balance's display, and within what the spoon holds.
+    /// Value: at least one display step of the balance, and within what the spoon holds.
     pub value: f64,
     /// `mg` or `g`.
     #[schema(examples("mg"))]
     pub unit: String,
 }
 
-/// How far a dose may be off.
+/// Permitted deviation of a dose.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Tolerance {
     /// Accepted shortfall, >= 0 and less than the target.
     pub lower: f64,
-    /// Accepted excess, >= 0; together they are more than 0 and at least one step of the balance's display.
+    /// Accepted excess, >= 0; together they are more than 0 and at least one display step of the balance.
     pub upper: f64,
     /// `mg`, `g`, or `%` of the target.
     #[schema(examples("mg"))]
     pub unit: String,
 }
 
-/// A weighing with its ticks, also while it runs.
+/// A weighing with its ticks, even while it runs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct WeighingDetail {
     /// The weighing.
     pub weighing: Weighing,
-    /// What the bench did and the balance showed, in order.
+    /// Actions of the bench and balance readings, in order.
     pub ticks: Vec<Tick>,
-    /// Why there are no ticks where there should be some: their file is gone or damaged. The weighing itself is not affected.
+    /// Why ticks are missing: their file is missing or damaged. The weighing itself is not affected.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trace_lost: Option<String>,
 }

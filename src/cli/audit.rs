@@ -17,36 +17,36 @@ pub(super) struct Arguments {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
-    /// Go through the whole chain: is every record what was written?
+    /// Check the whole hash chain: is every record as it was written?
     Verify {
-        /// A hash that was kept elsewhere, as a certificate prints it: does the chain still hold it?
+        /// Hash kept elsewhere, as printed on a certificate: check that it is still in the chain.
         #[arg(long, value_name = "HASH")]
         hash: Option<String>,
     },
-    /// Write the records, oldest first.
+    /// Export the records, oldest first.
     Export {
-        /// Of this weighing alone.
+        /// Only records of this weighing.
         #[arg(long, value_name = "ID")]
         weighing: Option<String>,
-        /// As what.
+        /// Output format.
         #[arg(long, value_enum, default_value_t = Format::Json)]
         format: Format,
         /// File to write.
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
     },
-    /// Move what was recorded of old weighings from the database into files of the data folder, also while a server runs.
+    /// Move the records of old weighings from the database to files in the data folder; works while a server runs.
     ///
-    /// Readings, messages, decisions and phases go into `audit/….jsonl.gz`, are read back, and are named in the record by file and hash. Intents, outcomes
-    /// and what people did stay. Certificates, lists, exports and `verify` read the files, and `flip backup` copies them.
+    /// Readings, messages, decisions and phases are written to `audit/….jsonl.gz`, read back, and referenced in the record by file and hash. Intents,
+    /// outcomes and people's actions stay. Certificates, lists, exports and `verify` read the files, and `flip backup` copies them.
     Archive {
-        /// Of weighings that had ended before this day (its beginning, UTC) or point in time.
+        /// Archive weighings that ended before this day (from its start, UTC) or point in time.
         #[arg(long, value_name = "DATE")]
         before: String,
     },
-    /// Write the certificate of a weighing: an HTML page to print.
+    /// Write a weighing's certificate, an HTML page to print.
     Certificate {
-        /// The weighing.
+        /// Weighing id.
         #[arg(long, value_name = "ID")]
         weighing: String,
         /// File to write.

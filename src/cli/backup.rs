@@ -9,7 +9,7 @@ use std::path::PathBuf;
 /// Arguments of `flip backup`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Folder to make: it must not be there yet, or be empty.
+    /// Folder to create; must not exist yet, or be empty.
     #[arg(value_name = "DIR")]
     to: PathBuf,
 }
@@ -17,11 +17,10 @@ pub(super) struct Arguments {
 /// Arguments of `flip restore`.
 #[derive(Debug, clap::Args)]
 pub(super) struct RestoreArguments {
-    /// A folder that `flip backup` made. `--data-dir` names the data folder to make of it: it must not be there yet, or be empty.
+    /// Backup made by `flip backup`. It is restored to `--data-dir`, which must not exist yet, or be empty.
     #[arg(value_name = "BACKUP")]
     from: PathBuf,
-    /// Leave the tokens as the backup has them, also those that were revoked since it was made. Without it all are revoked, and `flip token create`
-    /// makes new ones.
+    /// Keep the tokens as they are in the backup, even those revoked since. Without it all are revoked; `flip token create` makes new ones.
     #[arg(long)]
     keep_tokens: bool,
 }

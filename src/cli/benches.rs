@@ -11,8 +11,8 @@ use std::path::Path;
 /// Which bench.
 #[derive(Debug, Clone, clap::Args)]
 pub(super) struct BenchArguments {
-    /// What weighs: `simulated` (the simulator itself), `emulated` (devices that speak their true protocols, around the simulator), or the file
-    /// of a real bench.
+    /// Bench to use: `simulated` (the simulator itself), `emulated` (devices with their real protocols around the simulator), or the file of a real
+    /// bench.
     #[arg(long, value_name = "BENCH", default_value = "simulated")]
     bench: String,
 }

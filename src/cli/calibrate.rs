@@ -30,21 +30,21 @@ pub(super) struct Arguments {
     /// Powder id, or `all` for every powder.
     #[arg(long, value_name = "ID", required_unless_present_any = ["repose_deg", "data_set"], conflicts_with_all = ["repose_deg", "data_set"])]
     powder: Option<String>,
-    /// Angle of repose to aim at instead of a powder's, degrees; several, separated by commas, make a data set of flowabilities.
+    /// Target angle of repose instead of a powder's, degrees; several, comma-separated, make a data set of flowabilities.
     #[arg(long, value_name = "DEG", value_delimiter = ',', allow_negative_numbers = true)]
     repose_deg: Vec<f64>,
-    /// Standard deviation of the repeats behind `--repose-deg`, degrees; left out, the angle is exact.
+    /// Standard deviation of the repeats behind `--repose-deg`, degrees; if omitted, the angle is taken as exact.
     #[arg(long, value_name = "DEG", requires = "repose_deg", allow_negative_numbers = true)]
     sd_deg: Option<f64>,
-    /// Repeats behind `--repose-deg`.
+    /// Number of repeats behind `--repose-deg`.
     #[arg(long, value_name = "N", requires = "repose_deg", allow_negative_numbers = true)]
     n: Option<u32>,
-    /// A data set of flowabilities for training: 28, 33 and 37 deg unless `--repose-deg` says otherwise, 7 sets of each, verified by heaps of twice
-    /// the grains.
+    /// Make a data set of flowabilities for training: 28, 33 and 37 deg (or those of `--repose-deg`), 7 sets each, verified with heaps of twice the
+    /// grains.
     #[arg(long)]
     data_set: bool,
-    /// What else was measured: an experiment as `flip observe` has it with `mean`, `sd` and `n`, as in
-    /// `flow_time:mass_g=50,orifice_mm=2.54,mean=62,sd=2,n=5`; may be repeated. Left out, what is registered for the powder.
+    /// Other measurement: an experiment as in `flip observe` plus `mean`, `sd` and `n`, for example
+    /// `flow_time:mass_g=50,orifice_mm=2.54,mean=62,sd=2,n=5`; may be repeated [default: those registered for the powder].
     #[arg(long, value_name = "KIND:SETTING=VALUE,...")]
     observation: Vec<String>,
     #[command(flatten)]
@@ -53,43 +53,42 @@ pub(super) struct Arguments {
     search: Search,
 }
 
-/// How sets are looked for, as typed.
+/// How to search for sets, as typed.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub(super) enum MethodFlag {
-    /// Read off one emulator of the angle that all calibrations share, then verified.
+    /// Read off one emulator of the angle, shared by all calibrations, then verified.
     Emulator,
     /// Algorithm 1 of the publication.
     Paper,
-    /// Bayesian optimisation of the angle for one powder alone.
+    /// Bayesian optimisation of the angle for this powder alone.
     Sequential,
 }
 
-/// How far a calibration looks. What is left out has the method's default.
+/// How far a calibration searches. What is left out takes the method's default.
 #[derive(Debug, Clone, clap::Args)]
 pub(super) struct Search {
-    /// How sets are looked for; by default `emulator` here, `sequential` on the way to a demonstration.
+    /// How to search for sets [default: `emulator` for `flip calibrate`, `sequential` for `flip demo`].
     #[arg(long, value_enum)]
     method: Option<MethodFlag>,
-    /// Parameter sets to find for each powder, 1 to 100; by default 10, of a data set 7.
+    /// Parameter sets to find per powder, 1 to 100 [default: 10, for a data set 7].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     sets: Option<u32>,
-    /// Accepted difference between simulated and measured angle, degrees; by default 0.5, with the other methods 1.5.
+    /// Accepted difference between simulated and measured angle, degrees [default: 0.5, with the other methods 1.5].
     #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
     tolerance_deg: Option<f64>,
-    /// Grains in a simulated heap.
+    /// Grains per simulated heap.
     #[arg(long, value_name = "N", default_value_t = 2000, allow_negative_numbers = true)]
     particles: u32,
-    /// Most simulations for each powder; by default three times what the verification of all sets takes, with the other methods 150.
+    /// Maximum simulations per powder [default: three times what verifying all sets takes, with the other methods 150].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     trials_max: Option<u32>,
-    /// Heaps by which each set is verified; by default 8, with the method `sequential` 2.
+    /// Heaps simulated to verify each set [default: 8, with the method `sequential` 2].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     verify_repeats: Option<u32>,
-    /// Grains of these heaps, when they are to be of another size than the search's; by default of a data set twice as many. Not with the method
-    /// `sequential`.
+    /// Grains per verification heap, if different from the search [default for a data set: twice as many]. Not with the method `sequential`.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     verify_particles: Option<u32>,
-    /// Readings of each of these heaps; by default 4, with the method `sequential` 1.
+    /// Readings per verification heap [default: 4, with the method `sequential` 1].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     readings: Option<u32>,
 }

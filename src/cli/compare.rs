@@ -9,10 +9,10 @@ use crate::app::{ComparedCalibration, Comparison};
 /// Arguments of `flip compare`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// A calibration that has succeeded; `flip jobs` lists them.
+    /// Id of a calibration that succeeded; `flip jobs` lists them.
     #[arg(value_name = "CALIBRATION")]
     calibration: String,
-    /// The one it is compared with.
+    /// Id of the calibration to compare it with.
     #[arg(value_name = "OTHER")]
     with: String,
 }

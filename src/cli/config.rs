@@ -48,9 +48,9 @@ pub(super) struct Arguments {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
-    /// Read a settings file and say what it sets, or name every mistake in it.
+    /// Read a settings file and report what it sets, or every mistake in it.
     Check {
-        /// The file.
+        /// Settings file.
         #[arg(value_name = "FILE")]
         file: PathBuf,
     },

@@ -31,10 +31,10 @@ const TOLERANCE_MG: f64 = 1.0;
 /// Arguments of `flip demo`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// End after the table instead of serving on.
+    /// Exit after the table instead of going on serving.
     #[arg(long)]
     exit: bool,
-    /// Episodes of the training [default: as `flip train` has it].
+    /// Training episodes [default: as for `flip train`].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     episodes: Option<u32>,
     #[command(flatten)]

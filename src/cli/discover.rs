@@ -34,18 +34,18 @@ pub(super) struct Arguments {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    /// Angles of new rows by an extended simulator, as CSV on the standard output.
+    /// Predict the angles of new rows with an extended simulator, as CSV on standard output.
     Predict {
-        /// Version of the simulator, `sv-…`, that an investigation made; without it the current one.
+        /// Simulator version, `sv-…`, made by an investigation; if omitted, the current one.
         #[arg(long, value_name = "VERSION", default_value = CURRENT)]
         simulator: String,
-        /// Rows as a CSV file: powder, and what the version's causes act through.
+        /// CSV file of the rows to predict: powder, and the columns through which the version's causes act.
         #[arg(long, value_name = "FILE")]
         measurements: PathBuf,
     },
-    /// List the simulator's versions, newest first, and say which one is current.
+    /// List the simulator's versions, newest first, and show which one is current.
     Versions,
-    /// Make a version current, which is taken where none is named; or roll back to another one or to the base.
+    /// Make a version current (used where none is named), or roll back to another one or to the base.
     Use {
         /// Version, `sv-…`, or `base`.
         #[arg(value_name = "VERSION")]
@@ -56,37 +56,38 @@ enum Action {
 /// What to investigate.
 #[derive(Debug, clap::Args)]
 struct CampaignArguments {
-    /// Angles of repose as a CSV file, one run a row, with what was recorded beside each.
+    /// Angles of repose as a CSV file, one run per row, with the conditions recorded for each.
     ///
-    /// Columns: powder and repose_deg, with repose_sd_deg and n a summary of n runs; of what was recorded, session (the day),
-    /// order_in_session, method (camera, manual), operator, batch, plate, relative_humidity_pct, temperature_c, rest_min, container_age_d,
-    /// funnel_height_mm, base_diameter_mm, poured_mass_g, flow_time_s, vibration_rms_m_s2, ioniser_on, and any other column. An empty cell is
-    /// a missing value.
+    /// Columns: powder and repose_deg; with repose_sd_deg and n, the row is a summary of n runs. Conditions: session (the day), order_in_session,
+    /// method (camera, manual), operator, batch, plate, relative_humidity_pct, temperature_c, rest_min, container_age_d, funnel_height_mm,
+    /// base_diameter_mm, poured_mass_g, flow_time_s, vibration_rms_m_s2, ioniser_on, and any other column. An empty cell is a missing value.
     #[arg(long, value_name = "FILE", required_unless_present = "traces")]
     measurements: Option<PathBuf>,
-    /// Balance readings of weighings as a CSV file, one reading a row; with angles of repose or without.
+    /// Balance readings of weighings as a CSV file, one reading per row; with or without angles of repose.
     ///
-    /// Columns: weighing_id, t_s and balance_mg; of what was recorded, stable, powder, session (the day), shake_index (shakes so far), shake_mm,
-    /// spoon_pitch_deg, spoon_fill_mg, target_mg, relative_humidity_pct, vibration_rms_m_s2, and kind: dose, or of a control log zero (the
-    /// empty pan) or standard (a standard mass). An empty cell is a missing value.
+    /// Columns: weighing_id, t_s and balance_mg. Conditions: stable, powder, session (the day), shake_index (shakes so far), shake_mm,
+    /// spoon_pitch_deg, spoon_fill_mg, target_mg, relative_humidity_pct, vibration_rms_m_s2, and kind: dose, or for a control log zero (empty pan) or
+    /// standard (a standard mass). An empty cell is a missing value.
     #[arg(long, value_name = "FILE")]
     traces: Option<PathBuf>,
-    /// What stands first in dates such as 2/3/2026 and 26/02/21; needed where the column does not tell.
+    /// Order of dates such as 2/3/2026 and 26/02/21; needed where the column is ambiguous.
     #[arg(long, value_name = "ORDER")]
     dates: Option<Dates>,
-    /// Most heaps to simulate, 0 to 10000: they criticise the simulator's own numerics, and find and verify the amplitude of an accepted extension. With
-    /// 0 it is read off a table and not verified.
+    /// Maximum heaps to simulate, 0 to 10000.
+    ///
+    /// They check the simulator's own numerics, and find and verify the amplitude of an accepted extension. With 0 the amplitude is read from a table
+    /// and not verified.
     #[arg(long, value_name = "N", default_value_t = 60, allow_negative_numbers = true)]
     budget_runs: u32,
-    /// Campaigns in which nothing is wrong to compare with, 99 to 9999.
+    /// Null campaigns, in which nothing is wrong, to compare with, 99 to 9999.
     #[arg(long, value_name = "N", default_value_t = 499, allow_negative_numbers = true)]
     simulations: u32,
-    /// Folder for report.html, report.json and predict.csv; made when absent.
+    /// Folder for report.html, report.json and predict.csv; created if missing.
     #[arg(long, value_name = "DIR", required = true)]
     out: Option<PathBuf>,
 }
 
-/// What stands first in a date.
+/// Order of day, month and year in a date.
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
 enum Dates {
     /// 2/3/2026 is 2 March.

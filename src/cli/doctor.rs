@@ -23,10 +23,10 @@ const CLOCK_MIN: u64 = 1_767_225_600;
 /// Arguments of `flip doctor`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Where the service listens, or is to listen.
+    /// Address that the service listens on, or is to listen on.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
-    /// Bench file to read; what its devices say is `flip bench check`'s.
+    /// Bench file to read; to test its devices, use `flip bench check`.
     #[arg(long, value_name = "FILE")]
     bench: Option<PathBuf>,
 }

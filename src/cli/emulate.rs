@@ -33,24 +33,24 @@ const VIAL_MG: f64 = 12_000.0;
 pub(super) struct Arguments {
     #[command(subcommand)]
     what: What,
-    /// Bench seconds in a second of the room.
+    /// Bench seconds per wall-clock second.
     #[arg(long, global = true, value_name = "FACTOR", default_value_t = 1.0)]
     speed: f64,
 }
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
-    /// Balance, arm, gripper and gate around one vial; writes the bench file that finds them.
+    /// Balance, arm, gripper and gate around one vial; writes a bench file that points to them.
     Lab(LabArguments),
     /// A balance with a vial on it.
     Balance(BalanceArguments),
-    /// An arm with a spoon of powder, over nothing.
+    /// An arm with a spoon of powder and nothing below it.
     Arm(DeviceArguments),
-    /// A gripper that holds a spoon.
+    /// A gripper holding a spoon.
     Gripper(DeviceArguments),
     /// A slide gate.
     Gate(DeviceArguments),
-    /// A depth camera over a cone of powder: writes frames as files that can be uploaded, and ends.
+    /// A depth camera over a cone of powder: writes frames as files ready to upload, then exits.
     Camera(CameraArguments),
 }
 
@@ -59,55 +59,55 @@ struct LabArguments {
     /// Bench file to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Language of the balance.
+    /// Protocol of the balance.
     #[arg(long, value_name = "NAME", default_value = "mt_sics")]
     dialect: Dialect,
-    /// Step of the balance's display, mg.
+    /// Readability (display step) of the balance, mg.
     #[arg(long, value_name = "MG", default_value_t = 1.0)]
     readability_mg: f64,
-    /// The powder follows a formula instead of simulated grains: thousands of doses a minute.
+    /// Model the powder with a formula instead of simulated grains: thousands of doses a minute.
     #[arg(long)]
     formula: bool,
-    /// File to which each motion is appended, one JSON document a line.
+    /// File to append each motion to, one JSON document per line.
     #[arg(long, value_name = "FILE")]
     motions: Option<PathBuf>,
 }
 
 #[derive(Debug, clap::Args)]
 struct BalanceArguments {
-    /// Language of the balance.
+    /// Protocol of the balance.
     #[arg(long, value_name = "NAME", default_value = "mt_sics")]
     dialect: Dialect,
-    /// Step of the display, mg.
+    /// Readability (display step), mg.
     #[arg(long, value_name = "MG", default_value_t = 1.0)]
     readability_mg: f64,
-    /// TCP address to listen on; a pseudo-terminal if absent.
+    /// TCP address to listen on; without it, a pseudo-terminal.
     #[arg(long, value_name = "ADDRESS")]
     listen: Option<SocketAddr>,
-    /// Misbehave: draught, auto_print, partial_line and others; a wrong name lists them.
+    /// Fault to emulate: draught, auto_print, partial_line and others; a wrong name lists them.
     #[arg(long, value_name = "NAME")]
     fault: Option<balance::Fault>,
 }
 
 #[derive(Debug, clap::Args)]
 struct CameraArguments {
-    /// Folder for frame-01.json and so on: each is the body of one upload.
+    /// Folder for frame-01.json and so on, each the body of one upload.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Angle of the cone, 5 to 80 deg.
     #[arg(long, value_name = "DEG", default_value_t = 35.0, allow_negative_numbers = true)]
     repose_deg: f64,
-    /// Frames, 1 to 100.
+    /// Number of frames, 1 to 100.
     #[arg(long, value_name = "N", default_value_t = 10, allow_negative_numbers = true)]
     frames: u32,
-    /// Misbehave: holes, heavy_noise, funnel_missing and others; a wrong name lists them. Such a camera takes ten frames, or fewer.
+    /// Fault to emulate: holes, heavy_noise, funnel_missing and others; a wrong name lists them. A faulty camera takes at most ten frames.
     #[arg(long, value_name = "NAME")]
     fault: Option<CameraFault>,
 }
 
 #[derive(Debug, clap::Args)]
 struct DeviceArguments {
-    /// Misbehave; a wrong name lists the faults that there are.
+    /// Fault to emulate; a wrong name lists them.
     #[arg(long, value_name = "NAME")]
     fault: Option<String>,
 }

@@ -21,37 +21,37 @@ use std::path::PathBuf;
 /// Arguments of `flip evaluate`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Policy id [default: the newest; the shipped one as long as nothing was trained].
+    /// Policy id [default: the newest, or the shipped one until a policy is trained].
     #[arg(long, value_name = "ID")]
     policy: Option<String>,
-    /// Some of policy, untrained, fixed, schedule, dispenser, pid, fuzzy, paced [default: all]; `--policy` is always among them.
+    /// Any of policy, untrained, fixed, schedule, dispenser, pid, fuzzy, paced [default: all]; `--policy` is always included.
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     controllers: Option<Vec<String>>,
     /// Powder ids [default: the five published powders].
     #[arg(long, value_name = "ID,…", value_delimiter = ',', num_args = 1..)]
     powders: Option<Vec<String>>,
-    /// Targets, mg.
+    /// Target masses, mg.
     #[arg(long, value_name = "MG,…", value_delimiter = ',', default_value = "15,20", allow_negative_numbers = true)]
     targets_mg: Vec<f64>,
-    /// Weighings of each powder and target.
+    /// Weighings per powder and target.
     #[arg(long, value_name = "N", default_value_t = 5, allow_negative_numbers = true)]
     repeats: u32,
-    /// Step of the balance's display, mg.
+    /// Readability (display step) of the balance, mg.
     #[arg(long, value_name = "MG", default_value_t = 1.0, allow_negative_numbers = true)]
     readability_mg: f64,
-    /// Steps of a weighing.
+    /// Maximum steps per weighing.
     #[arg(long, value_name = "N", default_value_t = 10, allow_negative_numbers = true)]
     max_shakes: u32,
-    /// Grains on the spoon, 500 to 4000, whose mass is the powder's [default: 2500, some 37 mg].
+    /// Grains on the spoon, 500 to 4000; their mass is all the powder there is [default: 2500, about 37 mg].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     particles: Option<u32>,
-    /// A mechanism that no training has and its amplitude, as in `rotation=1`; may be repeated. `flip repose` has the same.
+    /// Mechanism absent from all training, with its amplitude, as in `rotation=1`; may be repeated. As in `flip repose`.
     #[arg(long, value_name = "NAME=AMPLITUDE")]
     extension: Vec<String>,
-    /// Shake as the bench's arm was measured to (`flip bench calibrate-shake`).
+    /// Shake as the bench's arm was measured to shake (`flip bench calibrate-shake`).
     #[arg(long)]
     as_calibrated: bool,
-    /// Bench file whose spoon doses [default: FLIP's own spoon].
+    /// Bench file whose spoon to use [default: FLIP's own spoon].
     #[arg(long, value_name = "FILE")]
     bench: Option<PathBuf>,
     #[command(flatten)]

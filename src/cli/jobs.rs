@@ -17,10 +17,10 @@ pub(super) struct Arguments {
     /// Only jobs in this state.
     #[arg(long, value_enum)]
     state: Option<StateFlag>,
-    /// Most jobs to list, 1 to 200; newest first.
+    /// Maximum number of jobs to list, 1 to 200; newest first.
     #[arg(long, value_name = "N", default_value_t = 50, allow_negative_numbers = true)]
     limit: u32,
-    /// Continue after this cursor, `next` of the list before.
+    /// Continue after this cursor, `next` of the previous list.
     #[arg(long, value_name = "CURSOR")]
     after: Option<String>,
 }
@@ -31,7 +31,7 @@ enum KindFlag {
     Training,
     Evaluation,
     Investigation,
-    /// Piles under a camera to an angle of repose.
+    /// Angle of repose from piles under a camera.
     Repose,
 }
 

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 /// Arguments of `flip completions`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Completions {
-    /// The shell that reads them, as in `flip completions bash > /etc/bash_completion.d/flip`.
+    /// Shell to complete for, as in `flip completions bash > /etc/bash_completion.d/flip`.
     #[arg(value_enum, value_name = "SHELL")]
     shell: Shell,
 }
@@ -19,7 +19,7 @@ pub(super) struct Completions {
 /// Arguments of `flip man`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Man {
-    /// Folder for one page for each command, as /usr/local/share/man/man1; made when absent.
+    /// Folder for the pages, one per command, such as /usr/local/share/man/man1; created if missing.
     #[arg(value_name = "DIR")]
     folder: PathBuf,
 }

@@ -15,28 +15,28 @@ pub(super) struct Arguments {
     /// Powder id.
     #[arg(long, value_name = "ID")]
     powder: String,
-    /// Piles that are measured, 1 to 20.
+    /// Piles to measure, 1 to 20.
     #[arg(long, value_name = "N", default_value_t = 5, allow_negative_numbers = true)]
     repeats: u32,
-    /// Frames of each, 3 to 100.
+    /// Frames per pile, 3 to 100.
     #[arg(long, value_name = "N", default_value_t = 10, allow_negative_numbers = true)]
     frames: u32,
-    /// How long the gate stays open, 1 to 300 s.
+    /// Time the gate stays open, 1 to 300 s.
     #[arg(long, value_name = "S", default_value_t = 20.0, allow_negative_numbers = true)]
     open_s: f64,
-    /// How long each pile rests before frames are taken, 0 to 300 s.
+    /// Time each pile rests before frames are taken, 0 to 300 s.
     #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true)]
     rest_s: f64,
-    /// Height of the funnel's tip over the base, 10 to 500 mm.
+    /// Height of the funnel's tip above the base, 10 to 500 mm.
     #[arg(long, value_name = "MM", default_value_t = 60.0, allow_negative_numbers = true)]
     tip_height_mm: f64,
     /// Diameter of the base, 5 to 500 mm.
     #[arg(long, value_name = "MM", default_value_t = 60.0, allow_negative_numbers = true)]
     base_diameter_mm: f64,
-    /// Height of the base over the bench, 0 to 200 mm.
+    /// Height of the base above the bench, 0 to 200 mm.
     #[arg(long, value_name = "MM", default_value_t = 15.0, allow_negative_numbers = true)]
     base_height_mm: f64,
-    /// Which measurement of this powder it is, from 1: the same again is answered with the same one. Left out, the next.
+    /// Which measurement of this powder, from 1; repeating a number returns the existing one [default: the next].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     run: Option<u32>,
     #[command(flatten)]

@@ -18,26 +18,26 @@ pub(super) struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Action {
-    /// Register the measurements of a CSV file, all or none of them.
+    /// Register the measurements in a CSV file, all or none.
     ///
-    /// Columns: powder; method; repose_deg, or height_mm with base_diameter_mm and perhaps funnel_height_mm; flow_time_s with poured_mass_g and
-    /// orifice_mm; shake_mg with spoon_pitch_deg and shake_mm; drained_deg; pile_height_mm with base_diameter_mm and fall_mm; source. A row is
-    /// one repeat, and repeats are gathered; with n and the SD it is a summary. An empty cell, NA and the like are missing values. Separated by
-    /// commas, semicolons or tabs, numbers with a point or a comma; a powder is named by its id or its name.
+    /// Columns: powder; method; repose_deg, or height_mm with base_diameter_mm and optionally funnel_height_mm; flow_time_s with poured_mass_g and
+    /// orifice_mm; shake_mg with spoon_pitch_deg and shake_mm; drained_deg; pile_height_mm with base_diameter_mm and fall_mm; source. A row is one
+    /// repeat, and repeats are combined; with n and the SD it is a summary. Empty cells, NA and the like are missing values. Separators are commas,
+    /// semicolons or tabs; decimals take a point or a comma; a powder is given by its id or its name.
     Import {
-        /// The file, UTF-8 or UTF-16, with a header.
+        /// CSV file, UTF-8 or UTF-16, with a header.
         file: PathBuf,
-        /// Register powders that the file names and FLIP does not know, each under an id that is made from its name.
+        /// Register powders in the file that FLIP does not know, each under an id made from its name.
         #[arg(long)]
         create: bool,
     },
-    /// Print everything that was measured as a CSV file that `import` reads.
+    /// Print all measurements as a CSV file that `import` can read.
     Export {
-        /// Of this powder only.
+        /// Only this powder.
         #[arg(long, value_name = "ID")]
         powder: Option<String>,
     },
-    /// Print the angles of repose by camera beside those by hand, of every powder that was measured both ways.
+    /// Compare angles of repose by camera and by hand, for every powder measured both ways.
     Compare,
 }
 

@@ -49,7 +49,7 @@ use std::process::ExitCode;
 
 /// Flowability-informed powder weighing: measure how a powder piles, calibrate a simulator, learn to weigh, weigh.
 #[derive(Debug, Parser)]
-#[command(name = "flip", version, after_help = "Exit status: 0 done, 2 bad input, 1 failure.")]
+#[command(name = "flip", bin_name = "flip", version, after_help = "Exit status: 0 done, 2 bad input, 1 failure.")]
 struct Cli {
     #[command(flatten)]
     common: Common,
@@ -57,76 +57,76 @@ struct Cli {
     command: Command,
 }
 
-/// What every command takes.
+/// Options of every command.
 #[derive(Debug, Clone, Args)]
 struct Common {
-    /// Folder of the database and its files; made, migrated and seeded with the published powders when absent.
+    /// Folder for the database and its files; created if missing, migrated, and seeded with the published powders.
     #[arg(long, global = true, value_name = "DIR", default_value = "flip-data")]
     data_dir: PathBuf,
-    /// Seed of every random choice: the same seed gives the same result on any number of threads.
+    /// Seed for every random choice: the same seed gives the same result on any number of threads.
     #[arg(long, global = true, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Print one JSON document on stdout and nothing else there.
+    /// Print one JSON document to stdout and nothing else.
     #[arg(long, global = true)]
     json: bool,
-    /// Settings for what is not given here, by command; `flip config check` says what a file sets.
+    /// Settings file with defaults for each command's options; `flip config check` shows what it sets.
     #[arg(long, global = true, value_name = "FILE", env = config::VARIABLE)]
     settings: Option<PathBuf>,
 }
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Serve the page, REST and gRPC on one port until SIGTERM or Ctrl-C.
+    /// Serve the web page, REST and gRPC on one port until SIGTERM or Ctrl-C.
     Serve(serve::Arguments),
-    /// From published measurements to weighed doses: calibrate, train, weigh, print the table, keep serving.
+    /// Go from published measurements to doses: calibrate, train, weigh, print the table, keep serving.
     Demo(demo::Arguments),
-    /// Simulate experiments beside the heap: flow through a hole, shakes of a spoon, a drained cup, heaps of other heights
+    /// Simulate experiments other than the heap: flow through a hole, spoon shakes, a drained cup, heaps of other heights
     Observe(observe::Arguments),
     /// Pour a simulated powder and measure its angle of repose.
     Repose(repose::Arguments),
-    /// Check that the simulator keeps the laws of nature.
+    /// Check that the simulator obeys the laws of nature.
     Validate(validate::Arguments),
     /// Find simulated powders that pile like a measured one.
     Calibrate(calibrate::Arguments),
     /// Measure a powder's angle of repose by camera, on a bench with a stand for piles.
     Measure(measure::Arguments),
-    /// Read measurements from a CSV file, write them to one, compare those by camera and by hand.
+    /// Import and export measurements as CSV; compare those by camera with those by hand.
     Measurements(measurements::Arguments),
     /// Compare two calibrations.
     Compare(compare::Arguments),
     /// Learn to weigh on simulated powders.
     Train(train::Arguments),
-    /// Measure a policy's errors beside those of simple controllers.
+    /// Measure a policy's errors and those of simple controllers.
     Evaluate(evaluate::Arguments),
-    /// List and export policies, and ask one for its next action.
+    /// List and export policies, and get a policy's next action.
     Policy(policy::Arguments),
-    /// Ask measured angles of repose what the simulator gets wrong, and why.
+    /// Find out from measured angles of repose what the simulator gets wrong, and why.
     Discover(discover::Arguments),
-    /// Weigh one dose, on the simulator, on emulated devices or on a real bench.
+    /// Weigh one dose on the simulator, on emulated devices or on a real bench.
     Weigh(weigh::Arguments),
-    /// The bench: look at it, probe and check its devices, clear it; and time the simulator, also beside others.
+    /// Inspect the bench, probe and check its devices, clear it; time the simulator, alone or against others.
     Bench(bench::Arguments),
-    /// The record of all that happened on the bench: verify it, export it, print certificates.
+    /// The bench's audit trail: verify it, export it, print certificates.
     Audit(audit::Arguments),
-    /// Copy the data folder whole, also while a server runs.
+    /// Copy the whole data folder; works while a server runs.
     Backup(backup::Arguments),
-    /// Make a data folder of a backup.
+    /// Restore a data folder from a backup.
     Restore(backup::RestoreArguments),
-    /// Run emulated devices, or a whole laboratory of them, until Ctrl-C.
+    /// Run emulated devices, singly or as a whole laboratory, until Ctrl-C.
     Emulate(emulate::Arguments),
-    /// List calibrations, trainings, evaluations, investigations and measurements by camera, also while a server runs.
+    /// List calibrations, trainings, evaluations, investigations and camera measurements; works while a server runs.
     Jobs(jobs::Arguments),
-    /// Make, list and end API tokens, also while a server runs.
+    /// Create, list and revoke API tokens; works while a server runs.
     Token(token::Arguments),
-    /// Ask a service whether it is alive; a container's health check.
+    /// Check whether a service is alive; for a container's health check.
     Health(health::Arguments),
-    /// Look whether FLIP can do its work on this machine, and say what to mend.
+    /// Check whether FLIP can run on this machine, and report what to fix.
     Doctor(doctor::Arguments),
-    /// Check a settings file, as `--settings` takes one.
+    /// Check a settings file for `--settings`.
     Config(config::Arguments),
-    /// Print what a shell needs to complete commands and options.
+    /// Print shell completions for commands and options.
     Completions(manual::Completions),
-    /// Write manual pages, one for each command.
+    /// Write manual pages, one per command.
     Man(manual::Man),
 }
 

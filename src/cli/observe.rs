@@ -24,7 +24,7 @@ pub(super) struct Arguments {
     /// `pile_height:base_diameter_mm=40,fall_mm=5`.
     #[arg(required = true, value_name = "KIND:SETTING=VALUE,...")]
     experiments: Vec<String>,
-    /// Simulations of each, each with a seed of its own.
+    /// Simulations per experiment, each with its own seed.
     #[arg(long, value_name = "N", default_value_t = 8, allow_negative_numbers = true)]
     repeats: u32,
     #[command(flatten)]

@@ -18,12 +18,12 @@ pub(super) struct Arguments {
 
 #[derive(Debug, clap::Subcommand)]
 enum PolicyCommand {
-    /// List policies, newest first, also while a server runs.
+    /// List policies, newest first; works while a server runs.
     List {
-        /// Most policies to list, 1 to 200.
+        /// Maximum number of policies to list, 1 to 200.
         #[arg(long, value_name = "N", default_value_t = 50, allow_negative_numbers = true)]
         limit: u32,
-        /// Continue after this cursor, `next` of the list before.
+        /// Continue after this cursor, `next` of the previous list.
         #[arg(long, value_name = "CURSOR")]
         after: Option<String>,
     },
@@ -33,44 +33,44 @@ enum PolicyCommand {
         #[arg(long, value_name = "ID")]
         policy: String,
     },
-    /// Write a policy's safetensors to a file.
+    /// Export a policy as a safetensors file.
     Export {
         /// Policy id.
         #[arg(long, value_name = "ID")]
         policy: String,
-        /// The file to write.
+        /// File to write.
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
     },
-    /// Ask a policy for its next action, for a robot of one's own. Nothing moves; libtorch is not needed.
+    /// Get a policy's next action, to drive a robot of your own. Nothing moves; libtorch is not needed.
     Infer(Infer),
 }
 
 #[derive(Debug, clap::Args)]
 struct Infer {
-    /// Policy id, out of the data folder.
+    /// Policy id, from the data folder.
     #[arg(long, value_name = "ID", required_unless_present = "file")]
     policy: Option<String>,
-    /// A policy's file instead, as exported or downloaded.
+    /// Policy file instead, exported or downloaded.
     #[arg(long, value_name = "FILE", conflicts_with = "policy")]
     file: Option<PathBuf>,
-    /// What the balance shows, mg.
+    /// Balance reading, mg.
     #[arg(long, value_name = "MG", required_unless_present = "stdin", allow_negative_numbers = true)]
     reading_mg: Option<f64>,
-    /// The mass that is asked for, mg.
+    /// Target mass, mg.
     #[arg(long, value_name = "MG", required_unless_present = "stdin", allow_negative_numbers = true)]
     target_mg: Option<f64>,
-    /// Pitch of the spoon, degrees, positive is tip down.
+    /// Pitch of the spoon, degrees; positive is tip down.
     #[arg(long, value_name = "DEG", required_unless_present = "stdin", allow_negative_numbers = true)]
     pitch_deg: Option<f64>,
-    /// Step of the balance's display, mg.
+    /// Readability (display step) of the balance, mg.
     #[arg(long, value_name = "MG", default_value_t = 1.0, allow_negative_numbers = true)]
     readability_mg: f64,
-    /// The steps of this weighing so far, a JSON list of {"before", "action", "after"}: observations {"reading_mg", "target_mg",
-    /// "pitch_deg"} around an action {"incline_change_deg", "shake_mm"}. Controllers remember.
+    /// Steps of this weighing so far, a JSON list of {"before", "action", "after"}: observations {"reading_mg", "target_mg", "pitch_deg"} before and
+    /// after an action {"incline_change_deg", "shake_mm"}. Controllers have memory.
     #[arg(long, value_name = "FILE")]
     history: Option<PathBuf>,
-    /// Read one observation a line as JSON from stdin, and answer each at once with a line; one weighing.
+    /// Read observations as JSON from stdin, one per line, and answer each at once with a line; one weighing.
     #[arg(long, conflicts_with_all = ["reading_mg", "target_mg", "pitch_deg"])]
     stdin: bool,
 }

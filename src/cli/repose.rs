@@ -22,46 +22,46 @@ const PARTICLES: std::ops::RangeInclusive<u32> = 200..=20_000;
 /// Readings of a heap: more would cost more than another heap.
 const READINGS: std::ops::RangeInclusive<u32> = 1..=64;
 
-/// Whose semantics the simulator has, as typed.
+/// The simulator's semantics, as typed.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum CompatFlag {
-    /// FLIP's own: heaps rest, every parameter acts.
+    /// FLIP's own: heaps come to rest, every parameter acts.
     Physical,
-    /// The published engine's: heaps creep, cohesion and mass do nothing.
+    /// Those of the published engine: heaps creep, cohesion and mass have no effect.
     Physx,
 }
 
 /// Arguments of `flip repose`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Grains poured, 200 to 20000; a heap that does not cover its base is refused.
+    /// Grains to pour, 200 to 20000; a heap that does not cover its base is refused.
     #[arg(long, value_name = "N", default_value_t = 2000, allow_negative_numbers = true)]
     particles: u32,
-    /// Heaps poured, each with a seed of its own.
+    /// Heaps to pour, each with its own seed.
     #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true)]
     repeats: u32,
-    /// Readings of each heap, 1 to 64, with 15 % more grains poured between two.
+    /// Readings per heap, 1 to 64, with 15 % more grains poured between readings.
     #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true)]
     readings: u32,
-    /// A mechanism that the base simulator leaves out and its amplitude, as in `rotation=1`; may be repeated.
+    /// Mechanism missing from the base simulator, with its amplitude, as in `rotation=1`; may be repeated.
     #[arg(long, value_name = "NAME=AMPLITUDE")]
     extension: Vec<String>,
     /// Cover the base with a layer of fixed grains.
     #[arg(long)]
     rough_base: bool,
-    /// Coulomb coefficient of the base, 0 to 2.
+    /// Coulomb friction coefficient of the base, 0 to 2.
     #[arg(long, value_name = "MU", default_value_t = 0.8, allow_negative_numbers = true)]
     base_friction: f64,
     /// Height of the opening above the heap's apex, grain diameters, 1 to 20
     #[arg(long, value_name = "D", default_value_t = Settings::default().funnel_clearance_diameters)]
     funnel_clearance: f64,
-    /// Write a picture (SVG) of the first heap with the fitted cone and the triangle of the apex.
+    /// Write an SVG picture of the first heap with the fitted cone and the apex triangle.
     #[arg(long, value_name = "FILE")]
     view: Option<PathBuf>,
-    /// Write the grains of the first heap, one snapshot every 1/50 s, in the format of `sim::snapshot`.
+    /// Write the grains of the first heap, one snapshot per 1/50 s, in the format of `sim::snapshot`.
     #[arg(long, value_name = "FILE")]
     snapshots: Option<PathBuf>,
-    /// Whose semantics the simulator has.
+    /// Semantics of the simulator.
     #[arg(long, value_enum, default_value_t = CompatFlag::Physical)]
     compat: CompatFlag,
     #[command(flatten)]

@@ -3,7 +3,7 @@
 use super::Common;
 use super::benches::BenchArguments;
 use super::failure::Failure;
-use super::session::{StopSignals, runtime};
+use super::session::{StopSignals, service_runtime};
 use super::token;
 use crate::api::{self, ServeConfig, ServeError, Server, Tls};
 use crate::app::{App, Options, Workers};
@@ -21,7 +21,7 @@ pub(super) struct Arguments {
     address: Address,
     #[command(flatten)]
     bench: BenchArguments,
-    /// How log lines on stderr look; FLIP_LOG chooses which are shown, e.g. FLIP_LOG=flip=debug.
+    /// Format of log lines on stderr; FLIP_LOG selects which are shown, e.g. FLIP_LOG=flip=debug.
     #[arg(long, value_enum, default_value_t = LogFormat::Text)]
     log_format: LogFormat,
 }
@@ -32,13 +32,13 @@ pub(super) struct Address {
     /// Address and port; port 0 lets the system choose.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
     pub(super) listen: SocketAddr,
-    /// Certificate chain, PEM; with it the service speaks TLS.
+    /// Certificate chain, PEM; turns on TLS.
     #[arg(long, value_name = "FILE", requires = "tls_key")]
     tls_cert: Option<PathBuf>,
     /// Private key of the certificate, PEM.
     #[arg(long, value_name = "FILE", requires = "tls_cert")]
     tls_key: Option<PathBuf>,
-    /// Listen beyond this machine without TLS: tokens and results cross the network readable.
+    /// Allow listening beyond this machine without TLS: tokens and results cross the network in clear text.
     #[arg(long)]
     insecure_lan: bool,
 }
@@ -60,7 +60,7 @@ struct Document {
 /// Serve until told to stop.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     telemetry::start(arguments.log_format.into(), telemetry::SERVICE);
-    runtime()?.block_on(async {
+    service_runtime()?.block_on(async {
         let signals = StopSignals::catch()?;
         let options = Options { workers: Workers::GiveWay, ..arguments.bench.options()? };
         let app = App::open(&common.data_dir, options).await?;

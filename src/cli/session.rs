@@ -3,7 +3,7 @@
 use super::Common;
 use super::benches::BenchArguments;
 use super::failure::Failure;
-use crate::app::{App, Options, Who, Workers, acting};
+use crate::app::{App, Options, Who, Workers, acting, give_way_to_the_bench};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// Run `work` with the application open for writing and its workers running; close it whatever happens.
@@ -87,6 +87,11 @@ pub(super) fn with_reader<T>(
 /// A runtime for one command.
 pub(super) fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
     Ok(tokio::runtime::Builder::new_multi_thread().enable_all().build()?)
+}
+
+/// A runtime for the service. The bench and the front of the service start on the calling thread and keep its priority.
+pub(super) fn service_runtime() -> Result<tokio::runtime::Runtime, Failure> {
+    Ok(tokio::runtime::Builder::new_multi_thread().on_thread_start(give_way_to_the_bench).enable_all().build()?)
 }
 
 /// SIGTERM and Ctrl-C, caught from the moment this is made: make it before saying that anything has begun.

@@ -7,11 +7,11 @@ use std::fmt::Write;
 /// A version of the simulator as typed.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(super) struct SimulatorArguments {
-    /// Extended version of the simulator, `sv-…`, that `flip discover` made [default: base].
+    /// Extended simulator version, `sv-…`, made by `flip discover` [default: base].
     #[arg(long, value_name = "VERSION")]
     pub(super) simulator: Option<String>,
-    /// What it was like, as in `relative_humidity_pct=65` or `batch=B2`; may be repeated. When calibrating, under which the angle was measured; when
-    /// training, what is held; when evaluating or weighing, on the bench.
+    /// Condition, as in `relative_humidity_pct=65` or `batch=B2`; may be repeated. In calibration: of the measured angle; in training: held fixed; in
+    /// evaluation and weighing: on the bench.
     #[arg(long, value_name = "NAME=VALUE", requires = "simulator")]
     condition: Vec<String>,
 }

@@ -18,26 +18,26 @@ pub(super) struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Action {
-    /// Make an API token and print it; it is shown this once and stored only as a hash.
+    /// Create an API token and print it; it is shown only once and stored only as a hash.
     Create {
-        /// What its holder may do: read; also start and stop work; everything.
+        /// What the holder may do: read; also start and stop work; everything.
         #[arg(long, value_enum)]
         role: RoleFlag,
-        /// A name to know it by, as records will have it.
+        /// Name of the token, as it appears in records.
         #[arg(long, default_value = "command line")]
         name: String,
-        /// Its holder may clear a latched bench; an admin always may.
+        /// Let the holder clear a latched bench; an admin always may.
         #[arg(long)]
         may_clear: bool,
-        /// How long it is good: a whole number and s, m, h or d, as in 12h; without it, until it is revoked.
+        /// Lifetime: a whole number with s, m, h or d, as in 12h; if omitted, until revoked.
         #[arg(long, value_name = "TIME")]
         expires_in: Option<String>,
     },
-    /// List tokens, newest first, with those that have ended; never their secrets.
+    /// List tokens, newest first, including ended ones; secrets are never shown.
     List,
-    /// End a token from now on.
+    /// Revoke a token with immediate effect.
     Revoke {
-        /// Its id, as the list has it: the first part of the secret.
+        /// Token id, as listed: the first part of the secret.
         id: String,
     },
 }

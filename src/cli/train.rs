@@ -23,31 +23,31 @@ const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
 /// Arguments of `flip train`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// In which order the levels are met; several are trained side by side, and their documents come as a list.
+    /// Order of the levels; several are trained in parallel, and their documents are printed as a list.
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = [OrderFlag::Curriculum])]
     order: Vec<OrderFlag>,
-    /// Collection of settings: FLIP's own, or as published.
+    /// Preset of settings: FLIP's own, or as published.
     #[arg(long, value_enum, default_value_t = PresetFlag::Flip)]
     preset: PresetFlag,
-    /// Episodes [default: the preset's: 4800 for flip, 4000 for paper].
+    /// Number of episodes [default: the preset's, 4800 for flip, 4000 for paper].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     episodes: Option<u32>,
-    /// Of these, the first N on a fast model of the spoon instead of the simulator [default: four fifths for flip, 0 for paper].
+    /// The first N of these run on a fast model of the spoon instead of the simulator [default: four fifths for flip, 0 for paper].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     surrogate_episodes: Option<u32>,
     /// Powders whose calibrated sets are the levels [default: sand,sugar,salt]; not with the paper preset.
     #[arg(long, value_name = "ID,…", value_delimiter = ',')]
     powders: Option<Vec<String>>,
-    /// Learnt policy that it goes on from, e.g. to suit a version of the simulator; then 720 episodes are the default, all of them in the simulator.
+    /// Learnt policy to continue from, e.g. to adapt it to a simulator version; the default is then 720 episodes, all in the simulator.
     #[arg(long, value_name = "P")]
     from: Option<String>,
-    /// Seeds of several trainings that differ in nothing else, made side by side; their documents come as a list [default: --seed alone].
+    /// Seeds for several otherwise equal trainings, run in parallel; their documents are printed as a list [default: --seed alone].
     #[arg(long, value_name = "N,…", value_delimiter = ',')]
     seeds: Option<Vec<u64>>,
-    /// Shake as the bench's arm was measured to by `flip bench calibrate-shake`.
+    /// Shake as the bench's arm was measured to shake by `flip bench calibrate-shake`.
     #[arg(long)]
     as_calibrated: bool,
-    /// Bench file whose spoon doses; the fast model does not know the difference [default: FLIP's own spoon].
+    /// Bench file whose spoon to use; the fast model ignores it [default: FLIP's own spoon].
     #[arg(long, value_name = "FILE")]
     bench: Option<PathBuf>,
     #[command(flatten)]
@@ -56,9 +56,9 @@ pub(super) struct Arguments {
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum OrderFlag {
-    /// From the lowest angle of repose to the highest, moving on when the errors are small.
+    /// From the lowest angle of repose to the highest, moving on once errors are small.
     Curriculum,
-    /// A level drawn for each episode.
+    /// A level drawn at random for each episode.
     Random,
     /// From the highest angle of repose to the lowest.
     Reverse,

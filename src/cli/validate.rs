@@ -15,10 +15,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Arguments of `flip validate`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Run one check, or all of one experiment, by name; may be repeated.
+    /// Run one check, or all checks of one experiment, by name; may be repeated.
     #[arg(long, value_name = "NAME")]
     only: Vec<String>,
-    /// Run the experiments with a mechanism that the base simulator leaves out, as in `rotation=1`; may be repeated.
+    /// Run the experiments with a mechanism missing from the base simulator, as in `rotation=1`; may be repeated.
     #[arg(long, value_name = "NAME=AMPLITUDE")]
     extension: Vec<String>,
 }

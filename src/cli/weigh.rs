@@ -26,22 +26,22 @@ pub(super) struct Arguments {
     /// Powder id.
     #[arg(long, value_name = "ID")]
     powder: String,
-    /// Mass wanted, mg; at most what the spoon holds.
+    /// Target mass, mg; at most what the spoon holds.
     #[arg(long, value_name = "MG", allow_negative_numbers = true)]
     target_mg: f64,
-    /// Accepted error either way, mg.
+    /// Tolerance either way, mg.
     #[arg(long, value_name = "MG", default_value_t = 1.0, allow_negative_numbers = true)]
     tolerance_mg: f64,
-    /// Policy id [default: the one with the smallest evaluated error on the powder, the shipped one if none is evaluated].
+    /// Policy id [default: the one with the smallest evaluated error for the powder, or the shipped one if none is evaluated].
     #[arg(long, value_name = "ID")]
     policy: Option<String>,
     /// Lot of the powder.
     #[arg(long, value_name = "TEXT")]
     lot: Option<String>,
-    /// Who asks.
+    /// Name of the operator.
     #[arg(long, value_name = "NAME")]
     operator: Option<String>,
-    /// The vial on the pan, by what is written on it: it is empty, and the balance is asked whether that can be. Without it whatever stands there is poured into.
+    /// Label of the vial on the pan. It must be empty, and the balance is checked for that; if omitted, FLIP doses into whatever is on the pan.
     #[arg(long, value_name = "TEXT")]
     vial: Option<String>,
     #[command(flatten)]

@@ -35,6 +35,7 @@ mod worker;
 
 pub use conditions::Conditions;
 pub use context::JobError;
+pub use priority::give_way_to_the_bench;
 pub use spec::{
     CalibrationSpec, EvaluationPowder, EvaluationSpec, Heaps, InvestigationSpec, JobSpec, ReposeSpec, SIMULATOR,
     TrainingSpec,

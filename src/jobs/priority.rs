@@ -1,4 +1,5 @@
-//! Computing gives way to answering: in a service, what computes runs at the lowest priority of the system's scheduler.
+//! Computing gives way to answering, and answering to stops and doses: in a service, what computes runs at the lowest priority of the
+//! system's scheduler, what answers at a lower one than what reads stops and drives a bench, which keeps that of the process.
 //!
 //! Niceness is a thread's own on Linux, and threads inherit it from the one that makes them: libtorch's do so too.
 
@@ -6,11 +7,23 @@ use rustix::process::{getpriority_process, setpriority_process};
 
 /// The lowest priority; the scheduler gives such a thread what others leave, a seventieth of a core beside a busy one.
 const NICEST: i32 = 19;
+/// That of what answers: a third of the share of a thread that reads stops.
+const ANSWERS: i32 = 5;
 
 /// From here on the calling thread gives way to every other of this process. It cannot be taken back without rights.
 pub(super) fn give_way() {
     if let Err(error) = setpriority_process(None, NICEST) {
         tracing::warn!(%error, "a thread that computes could not be given a lower priority: the service may answer late");
+    }
+}
+
+/// From here on the calling thread, which answers, gives way to those that read stops and drive a bench.
+pub fn give_way_to_the_bench() {
+    if getpriority_process(None).is_ok_and(|nice| nice >= ANSWERS) {
+        return;
+    }
+    if let Err(error) = setpriority_process(None, ANSWERS) {
+        tracing::warn!(%error, "a thread that answers could not be given a lower priority: a stop may be read late");
     }
 }
 

@@ -36,6 +36,38 @@ fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
     found
 }
 
+/// Name and niceness of every thread of a process.
+fn threads(process: u32) -> Vec<(String, i32)> {
+    let tasks = fs::read_dir(format!("/proc/{process}/task")).unwrap();
+    let texts = tasks.filter_map(|task| fs::read_to_string(task.ok()?.path().join("stat")).ok());
+    let read = |text: String| {
+        let (before, after) = text.split_once(") ").unwrap();
+        // The 19th field of proc(5), counted from the first.
+        let niceness = after.split(' ').nth(16).unwrap().parse().unwrap();
+        (before.split_once('(').unwrap().1.to_owned(), niceness)
+    };
+    texts.map(read).collect()
+}
+
+#[tokio::test]
+async fn threads_that_read_stops_and_drive_the_bench_go_before_those_that_answer() {
+    let folder = tempfile::tempdir().unwrap();
+    let service = Service::start(folder.path());
+    // Answered by the main runtime, from a thread of its database.
+    service.get("/v1/powders").await;
+    let threads = threads(service.id());
+    let of = |name: &str| {
+        let found: Vec<i32> = threads.iter().filter(|(it, _)| it.starts_with(name)).map(|(_, nice)| *nice).collect();
+        assert!(!found.is_empty(), "no thread {name}: {threads:?}");
+        found
+    };
+    let ours = of("flip");
+    for first in ["front", "bench", "stop"] {
+        assert!(of(first).iter().all(|nice| *nice == ours[0]), "{first}: {threads:?}");
+    }
+    assert!(of("tokio").iter().all(|nice| *nice > ours[0]), "{threads:?}");
+}
+
 #[tokio::test]
 async fn tokens_are_made_listed_and_revoked_while_the_service_runs() {
     let folder = tempfile::tempdir().unwrap();

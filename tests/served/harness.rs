@@ -31,6 +31,11 @@ impl Service {
         Self { process, url, token, client: reqwest::Client::new() }
     }
 
+    /// Of the process.
+    pub fn id(&self) -> u32 {
+        self.process.id()
+    }
+
     /// SIGKILL: no destructor, no last word.
     pub fn kill(self) {
         drop(self);

@@ -16,31 +16,31 @@ use futures::stream;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-/// Whose records.
+/// Which records.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 pub struct AuditParams {
-    /// Most items to return.
+    /// Maximum number of items to return.
     limit: Option<u32>,
-    /// `next` of the page before.
+    /// `next` of the previous page.
     after: Option<String>,
-    /// Of this weighing alone.
+    /// Only records of this weighing.
     weighing: Option<String>,
 }
 
-/// A hash that somebody kept.
+/// A hash kept elsewhere.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 pub struct VerifyParams {
-    /// As a certificate prints it.
+    /// The hash, as printed on a certificate.
     hash: Option<String>,
 }
 
-/// Of one weighing, or of all.
+/// One weighing, or all.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 pub struct ExportParams {
-    /// Of this weighing alone.
+    /// Only records of this weighing.
     weighing: Option<String>,
 }
 
@@ -57,11 +57,11 @@ pub async fn list_audit(
     Ok(respond(&uri, app.audit(params.weighing.as_deref(), page.into()).await?))
 }
 
-/// Is the audit trail whole?
+/// Verify that the audit trail is intact.
 ///
-/// Goes through every record. A trail that was cut off at its end looks whole: pass a hash that was kept elsewhere.
+/// Checks every record. A trail truncated at its end still looks intact: pass a hash that was kept elsewhere.
 #[utoipa::path(get, path = "/v1/audit/verification", tag = "audit", params(VerifyParams),
-    responses((status = 200, description = "Whether it is whole", body = AuditVerification)))]
+    responses((status = 200, description = "Whether it is intact", body = AuditVerification)))]
 pub async fn verify_audit(
     _: Viewer,
     State(app): State<App>,
@@ -92,7 +92,7 @@ fn json_items(records: &[AuditRecord]) -> app::Result<String> {
 
 /// Download the audit trail as CSV, oldest first.
 #[utoipa::path(get, path = "/v1/audit.csv", tag = "audit", params(ExportParams),
-    responses((status = 200, description = "A line for each record", body = String, content_type = "text/csv")))]
+    responses((status = 200, description = "One line per record", body = String, content_type = "text/csv")))]
 pub async fn export_audit_csv(
     _: Viewer,
     State(app): State<App>,

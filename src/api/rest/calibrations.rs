@@ -27,9 +27,9 @@ pub async fn list_calibrations(
 /// Queue a calibration.
 #[utoipa::path(post, path = "/v1/calibrations", tag = "calibrations", request_body = CalibrationRequest,
     responses((status = 202, description = "Queued; the calibration has the id of its job", body = Job,
-        headers(("Location" = String, description = "Where the calibration is"))),
-        (status = 200, description = "Asked for before: the job that does it", body = Job),
-        (status = 409, description = "Something it needs is missing", body = Problem,
+        headers(("Location" = String, description = "URL of the calibration"))),
+        (status = 200, description = "Requested before: the existing job", body = Job),
+        (status = 409, description = "A prerequisite is missing", body = Problem,
             content_type = "application/problem+json")))]
 pub async fn start_calibration(
     _: Operator,
@@ -41,7 +41,7 @@ pub async fn start_calibration(
 
 /// One calibration.
 #[utoipa::path(get, path = "/v1/calibrations/{id}", tag = "calibrations",
-    params(("id" = String, Path, description = "Id of the calibration, which is the id of its job")),
+    params(("id" = String, Path, description = "Id of the calibration, same as its job's id")),
     responses((status = 200, description = "The calibration", body = Calibration)))]
 pub async fn get_calibration(
     _: Viewer,
@@ -51,11 +51,11 @@ pub async fn get_calibration(
     Ok(Json(app.calibration(&id).await?))
 }
 
-/// The posterior over the nine parameters: draws, what was learnt of each, and which are known only together.
+/// The posterior over the nine parameters: draws, what was learnt about each, and which are only determined together.
 #[utoipa::path(get, path = "/v1/calibrations/{id}/posterior", tag = "calibrations",
     params(("id" = String, Path, description = "Id of the calibration")),
     responses((status = 200, description = "The posterior", body = Posterior),
-        (status = 410, description = "Its file is gone or damaged", body = Problem, content_type = "application/problem+json"),
+        (status = 410, description = "Its file is missing or damaged", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "It has none, or none yet", body = Problem,
             content_type = "application/problem+json")))]
 pub async fn get_posterior(
@@ -66,7 +66,7 @@ pub async fn get_posterior(
     Ok(Json(app.posterior(&id).await?))
 }
 
-/// What a calibration is compared with.
+/// The calibration to compare with.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -75,10 +75,10 @@ pub struct CompareParams {
     with: String,
 }
 
-/// Two calibrations side by side: target, cost, error, parameters, and whether their mean verified angles agree.
+/// Compare two calibrations: target, cost, error, parameters, and whether their mean verified angles agree.
 ///
-/// They agree when the angles differ by at most two standard errors of their difference. The standard error of a set is `repose_sd_deg` /
-/// sqrt(`runs`), that of the mean over k sets the root of their squares' sum over k, that of the difference the root of both squares' sum.
+/// They agree if the angles differ by at most two standard errors of their difference. The standard error of a set is `repose_sd_deg` / sqrt(`runs`);
+/// that of the mean over k sets is the root of the sum of their squares, over k; that of the difference is the root of the sum of both squares.
 #[utoipa::path(get, path = "/v1/calibrations/{id}/compare", tag = "calibrations",
     params(("id" = String, Path, description = "Id of the calibration"), CompareParams),
     responses((status = 200, description = "Both and their difference", body = Comparison),
@@ -93,7 +93,7 @@ pub async fn compare_calibrations(
     Ok(Json(app.compare_calibrations(&id, &params.with).await?))
 }
 
-/// List the trials of a calibration in order, also while it runs.
+/// List the trials of a calibration in order, even while it runs.
 #[utoipa::path(get, path = "/v1/calibrations/{id}/trials", tag = "calibrations",
     params(("id" = String, Path, description = "Id of the calibration"), SeriesParams),
     responses((status = 200, description = "A page of trials", body = Page<Trial>)))]

@@ -28,8 +28,8 @@ const TOKEN: &str = "token";
         (name = "evaluations", description = "A policy's errors on the simulated bench"),
         (name = "investigations", description = "What the simulator gets wrong, and why"),
         (name = "weighings", description = "Doses of powder"),
-        (name = "jobs", description = "Long computations: watch, cancel"),
-        (name = "events", description = "Everything that happens, live"),
+        (name = "jobs", description = "Long computations: follow, cancel"),
+        (name = "events", description = "All events, live"),
         (name = "tokens", description = "Keys for programs and people"),
     ),
     modifiers(&Token),
@@ -64,21 +64,21 @@ pub fn complete(mut document: OpenApi, large: impl Fn(&str) -> bool) -> OpenApi 
             };
             refuse(operation, "400", "The request is not valid; `errors` names the fields");
             refuse(operation, "401", "A valid token is needed");
-            refuse(operation, "403", "The token's role does not reach, or a page of another origin asks");
+            refuse(operation, "403", "The token's role is not sufficient, or the request is from another origin");
             if has_id {
-                refuse(operation, "404", "No such thing");
+                refuse(operation, "404", "Not found");
             }
             if follows {
-                refuse(operation, "429", "This connection or address follows too many streams already");
+                refuse(operation, "429", "This connection or address already follows too many streams");
             }
             if has_body {
                 let bytes_max = if large(path) { LARGE_BYTES_MAX } else { BODY_BYTES_MAX };
-                refuse(operation, "408", "The body did not come in time");
+                refuse(operation, "408", "The body did not arrive in time");
                 refuse(operation, "413", &format!("The body is larger than {} MiB", bytes_max / (1024 * 1024)));
                 refuse(operation, "415", "The body is not JSON");
             }
-            refuse(operation, "500", "Our fault; the log tells the cause under `instance`");
-            refuse(operation, "503", "Not now, e.g. while shutting down");
+            refuse(operation, "500", "Server error; the log has the cause under `instance`");
+            refuse(operation, "503", "Temporarily unavailable, e.g. while shutting down");
         }
     }
     name_items(&mut document);

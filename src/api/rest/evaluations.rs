@@ -26,9 +26,9 @@ pub async fn list_evaluations(
 /// Queue an evaluation.
 #[utoipa::path(post, path = "/v1/evaluations", tag = "evaluations", request_body = EvaluationRequest,
     responses((status = 202, description = "Queued; the evaluation has the id of its job", body = Job,
-        headers(("Location" = String, description = "Where the evaluation is"))),
-        (status = 200, description = "Asked for before: the job that does it", body = Job),
-        (status = 409, description = "Something it needs is missing", body = Problem,
+        headers(("Location" = String, description = "URL of the evaluation"))),
+        (status = 200, description = "Requested before: the existing job", body = Job),
+        (status = 409, description = "A prerequisite is missing", body = Problem,
             content_type = "application/problem+json")))]
 pub async fn start_evaluation(
     _: Operator,
@@ -40,7 +40,7 @@ pub async fn start_evaluation(
 
 /// One evaluation.
 #[utoipa::path(get, path = "/v1/evaluations/{id}", tag = "evaluations",
-    params(("id" = String, Path, description = "Id of the evaluation, which is the id of its job")),
+    params(("id" = String, Path, description = "Id of the evaluation, same as its job's id")),
     responses((status = 200, description = "The evaluation", body = Evaluation)))]
 pub async fn get_evaluation(
     _: Viewer,

@@ -23,7 +23,7 @@ use std::time::Duration;
 /// A comment is sent when nothing happens for this long, so that proxies keep the connection.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 
-/// Where to begin.
+/// Where to start.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -50,9 +50,9 @@ fn checked(field: &str, seq: Option<i64>) -> Result<Option<i64>, Problem> {
     }
 }
 
-/// Follow everything.
+/// Stream all events.
 ///
-/// From now on, or from the event named.
+/// From now on, or after the given event.
 #[utoipa::path(get, path = "/v1/events", tag = "events",
     params(WatchParams, ("Last-Event-ID" = Option<i64>, Header, description = "Sequence number of the last event seen")),
     responses((status = 200, description = "Events; `data` holds one Event as JSON", body = Event,
@@ -67,15 +67,15 @@ pub async fn watch_all(
     Ok(live(app.events(Topic::All, after).await?))
 }
 
-/// Follow a job.
+/// Stream the events of a job.
 ///
-/// Its state, progress, trials and episodes from its beginning, or from the event named. Ends with the job.
+/// State, progress, trials and episodes from the beginning, or after the given event. Ends with the job.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", tag = "jobs",
     params(("id" = String, Path, description = "Job id"), WatchParams,
         ("Last-Event-ID" = Option<i64>, Header, description = "Sequence number of the last event seen")),
     responses((status = 200, description = "Events; `data` holds one Event as JSON", body = Event,
             content_type = "text/event-stream"),
-        (status = 204, description = "The job has ended and every event was seen")))]
+        (status = 204, description = "The job has ended and all its events were seen")))]
 pub async fn watch_job(
     _: Viewer,
     State(app): State<App>,
@@ -88,15 +88,15 @@ pub async fn watch_job(
     follow(app.events(Topic::Job(id), after).await?, ended).await
 }
 
-/// Follow a weighing.
+/// Stream the events of a weighing.
 ///
-/// Its state and ticks from its beginning, or from the event named. Ends with the weighing.
+/// State and ticks from the beginning, or after the given event. Ends with the weighing.
 #[utoipa::path(get, path = "/v1/weighings/{id}/events", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id"), WatchParams,
         ("Last-Event-ID" = Option<i64>, Header, description = "Sequence number of the last event seen")),
     responses((status = 200, description = "Events; `data` holds one Event as JSON", body = Event,
             content_type = "text/event-stream"),
-        (status = 204, description = "The weighing has ended and every event was seen")))]
+        (status = 204, description = "The weighing has ended and all its events were seen")))]
 pub async fn watch_weighing(
     _: Viewer,
     State(app): State<App>,

@@ -24,11 +24,11 @@ pub async fn list_investigations(
     Ok(respond(&uri, app.investigations(params.into()).await?))
 }
 
-/// Queue an investigation of a campaign, or of everything that is stored.
+/// Queue an investigation of a campaign, or of all stored measurements.
 #[utoipa::path(post, path = "/v1/investigations", tag = "investigations", request_body = InvestigationRequest,
     responses((status = 202, description = "Queued; the investigation has the id of its job", body = Job,
-        headers(("Location" = String, description = "Where the investigation is"))),
-        (status = 200, description = "Asked for before: the job that does it", body = Job)))]
+        headers(("Location" = String, description = "URL of the investigation"))),
+        (status = 200, description = "Requested before: the existing job", body = Job)))]
 pub async fn start_investigation(
     _: Operator,
     State(app): State<App>,
@@ -39,7 +39,7 @@ pub async fn start_investigation(
 
 /// One investigation, with its report once it has succeeded.
 #[utoipa::path(get, path = "/v1/investigations/{id}", tag = "investigations",
-    params(("id" = String, Path, description = "Id of the investigation, which is the id of its job")),
+    params(("id" = String, Path, description = "Id of the investigation, same as its job's id")),
     responses((status = 200, description = "The investigation", body = Investigation)))]
 pub async fn get_investigation(
     _: Viewer,
@@ -49,12 +49,12 @@ pub async fn get_investigation(
     Ok(Json(app.investigation(&id).await?))
 }
 
-/// Download the angle of every row of the file, by the simulator as it was and by the extended one.
+/// Download the angle of every row of the file, from the simulator before and after the extension.
 ///
-/// Columns: `row`, the header being row 1; `powder`; `before_deg`, `before_sd_deg`; `after_deg`, `after_sd_deg`. The SD is that of one run.
+/// Columns: `row` (the header is row 1); `powder`; `before_deg`, `before_sd_deg`; `after_deg`, `after_sd_deg`. The SD is that of a single run.
 #[utoipa::path(get, path = "/v1/investigations/{id}/predict.csv", tag = "investigations",
     params(("id" = String, Path, description = "Id of the investigation")),
-    responses((status = 200, description = "A row for each row", body = String, content_type = "text/csv"),
+    responses((status = 200, description = "One row for each input row", body = String, content_type = "text/csv"),
         (status = 409, description = "It has no report, or none yet", body = Problem,
             content_type = "application/problem+json")))]
 pub async fn download_predictions(
@@ -65,7 +65,7 @@ pub async fn download_predictions(
     Ok(csv_file("predict", app.predictions(&id).await?))
 }
 
-/// The report as a page of its own, which needs nothing else.
+/// The report as a self-contained page.
 #[utoipa::path(get, path = "/v1/investigations/{id}/report.html", tag = "investigations",
     params(("id" = String, Path, description = "Id of the investigation")),
     responses((status = 200, description = "The page", body = String, content_type = "text/html"),

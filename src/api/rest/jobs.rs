@@ -21,7 +21,7 @@ pub struct JobParams {
     /// Items on the page, 1 to 200.
     #[param(minimum = 1, maximum = 200, default = 50)]
     limit: Option<u32>,
-    /// `next` of the page before.
+    /// `next` of the previous page.
     after: Option<String>,
     /// Only jobs of this kind.
     #[param(inline)]
@@ -53,7 +53,7 @@ pub async fn get_job(_: Viewer, State(app): State<App>, Path(id): Path<String>) 
 
 /// Cancel a job.
 ///
-/// At once when it waits, at its next step when it runs.
+/// A waiting job is cancelled at once, a running one at its next step.
 #[utoipa::path(post, path = "/v1/jobs/{id}/cancel", tag = "jobs", params(("id" = String, Path, description = "Job id")),
     responses((status = 202, description = "The job, cancelling or cancelled", body = Job),
         (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]

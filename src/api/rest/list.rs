@@ -15,11 +15,11 @@ pub struct ListParams {
     /// Items on the page, 1 to 200.
     #[param(minimum = 1, maximum = 200, default = 50)]
     pub limit: Option<u32>,
-    /// `next` of the page before.
+    /// `next` of the previous page.
     pub after: Option<String>,
 }
 
-/// Which page of a series that is drawn as a curve.
+/// Which page of a series drawn as a curve.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -27,7 +27,7 @@ pub struct SeriesParams {
     /// Items on the page, 1 to 5000.
     #[param(minimum = 1, maximum = 5000, default = 50)]
     pub limit: Option<u32>,
-    /// `next` of the page before.
+    /// `next` of the previous page.
     pub after: Option<String>,
 }
 

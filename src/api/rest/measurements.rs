@@ -31,7 +31,7 @@ pub async fn list_measurements(
 #[utoipa::path(post, path = "/v1/powders/{id}/measurements", tag = "powders", request_body = NewMeasurement,
     params(("id" = String, Path, description = "Powder id")),
     responses((status = 201, description = "The measurement", body = Measurement,
-        headers(("Location" = String, description = "The powder with all its measurements")))))]
+        headers(("Location" = String, description = "URL of the powder with all its measurements")))))]
 pub async fn add_measurement(
     _: Operator,
     State(app): State<App>,
@@ -42,7 +42,7 @@ pub async fn add_measurement(
     Ok(created(format!("/v1/powders/{}", measurement.powder), measurement))
 }
 
-/// List what else was measured of a powder, oldest first; the newest of an equal observable is the one that counts.
+/// List a powder's other measurements, oldest first; for each observable the newest one is used.
 #[utoipa::path(get, path = "/v1/powders/{id}/observations", tag = "powders",
     params(("id" = String, Path, description = "Powder id"), ListParams),
     responses((status = 200, description = "A page of observations", body = Page<PowderObservation>)))]
@@ -56,11 +56,11 @@ pub async fn list_observations(
     Ok(respond(&uri, app.observations(&id, params.into()).await?))
 }
 
-/// Register an observation of a powder beside its angle of repose.
+/// Register a measurement of a powder other than its angle of repose.
 #[utoipa::path(post, path = "/v1/powders/{id}/observations", tag = "powders", request_body = NewObservation,
     params(("id" = String, Path, description = "Powder id")),
     responses((status = 201, description = "The observation", body = PowderObservation,
-        headers(("Location" = String, description = "The powder's observations")))))]
+        headers(("Location" = String, description = "URL of the powder's observations")))))]
 pub async fn add_observation(
     _: Operator,
     State(app): State<App>,
@@ -71,28 +71,28 @@ pub async fn add_observation(
     Ok(created(format!("/v1/powders/{}/observations", observation.powder), observation))
 }
 
-/// How a file of measurements is taken in.
+/// How a file of measurements is imported.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ImportParams {
-    /// Register powders that the file names and FLIP does not know, each under an id that is made from its name.
+    /// Register powders in the file that FLIP does not know, each under an id made from its name.
     #[serde(default)]
     #[param(default = false)]
     create: bool,
 }
 
-/// Register the measurements and observations of a CSV file, all or nothing.
+/// Register the measurements and observations in a CSV file, all or nothing.
 ///
-/// Columns: `powder` (id or name); `method` (automated or camera, manual); `repose_deg`, or `height_mm` with `base_diameter_mm` and perhaps `funnel_height_mm`;
-/// `flow_time_s` with `poured_mass_g` and `orifice_mm`; `shake_mg` with `spoon_pitch_deg` and `shake_mm`; `drained_deg`; `pile_height_mm` with
-/// `base_diameter_mm` and `fall_mm`; `source`. A row is one repeat, and those of one powder, method, source and experiment are gathered; with
-/// `n` and the SD (`repose_sd_deg`, `flow_time_sd_s`, `shake_sd_mg`, `drained_sd_deg`, `pile_height_sd_mm`) it is a summary; of a
-/// single value (`n` 1) there is no SD. Separated by commas, semicolons or tabs, numbers with a point or a comma. An empty cell, `NA` and the like
-/// are missing values. A refusal names the cell, such as `row[2].repose_deg`; the header is row 1.
+/// Columns: `powder` (id or name); `method` (automated or camera, manual); `repose_deg`, or `height_mm` with `base_diameter_mm` and optionally
+/// `funnel_height_mm`; `flow_time_s` with `poured_mass_g` and `orifice_mm`; `shake_mg` with `spoon_pitch_deg` and `shake_mm`; `drained_deg`;
+/// `pile_height_mm` with `base_diameter_mm` and `fall_mm`; `source`. A row is one repeat, and repeats of one powder, method, source and experiment
+/// are combined. With `n` and the SD (`repose_sd_deg`, `flow_time_sd_s`, `shake_sd_mg`, `drained_sd_deg`, `pile_height_sd_mm`) a row is a summary; a
+/// single value (`n` 1) has no SD. Separators are commas, semicolons or tabs; decimals take a point or a comma. Empty cells, `NA` and the like are
+/// missing values. A refusal names the cell, such as `row[2].repose_deg`; the header is row 1.
 #[utoipa::path(post, path = "/v1/measurements/import", tag = "powders", params(ImportParams),
     request_body(content = String, content_type = "text/csv", description = "The file, UTF-8 or UTF-16, at most 20000 rows and 8 MiB"),
-    responses((status = 201, description = "What was added", body = Imported),
+    responses((status = 201, description = "Entries added", body = Imported),
         (status = 415, description = "The body is not CSV", body = Problem, content_type = "application/problem+json")))]
 pub async fn import_measurements(
     _: Operator,
@@ -103,17 +103,17 @@ pub async fn import_measurements(
     Ok((StatusCode::CREATED, Json(app.import_measurements(&text, params.create).await?)).into_response())
 }
 
-/// Download everything that was measured of all powders, as a CSV file that the import reads.
+/// Download all measurements of all powders as a CSV file that can be imported.
 #[utoipa::path(get, path = "/v1/measurements.csv", tag = "powders",
-    responses((status = 200, description = "A summary a row", body = String, content_type = "text/csv")))]
+    responses((status = 200, description = "One summary per row", body = String, content_type = "text/csv")))]
 pub async fn export_measurements(_: Viewer, State(app): State<App>) -> Result<Response, Problem> {
     csv_pieces("measurements", app.measured_csv(None).await?).await
 }
 
-/// Download everything that was measured of a powder, as a CSV file that the import reads.
+/// Download all measurements of a powder as a CSV file that can be imported.
 #[utoipa::path(get, path = "/v1/powders/{id}/measurements.csv", tag = "powders",
     params(("id" = String, Path, description = "Powder id")),
-    responses((status = 200, description = "A summary a row", body = String, content_type = "text/csv")))]
+    responses((status = 200, description = "One summary per row", body = String, content_type = "text/csv")))]
 pub async fn export_powder_measurements(
     _: Viewer,
     State(app): State<App>,

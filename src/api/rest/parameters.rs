@@ -12,7 +12,7 @@ use axum::response::Response;
 use flip_core::domain::parameters::{PARAMETERS, Parameter};
 use serde::Deserialize;
 
-/// The nine parameters of a simulated powder with their published bounds.
+/// The nine parameters of a simulated powder, with their published bounds.
 #[utoipa::path(get, path = "/v1/parameters", tag = "parameters",
     responses((status = 200, description = "The nine parameters, in canonical order", body = Page<Parameter>)))]
 pub async fn list_parameters(_: Viewer) -> Json<Page<Parameter>> {
@@ -27,7 +27,7 @@ pub struct SetParams {
     /// Items on the page, 1 to 200.
     #[param(minimum = 1, maximum = 200, default = 50)]
     limit: Option<u32>,
-    /// `next` of the page before.
+    /// `next` of the previous page.
     after: Option<String>,
     /// Only sets of this powder.
     powder: Option<String>,

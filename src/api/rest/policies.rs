@@ -56,7 +56,7 @@ pub async fn get_policy_manifest(
 #[utoipa::path(get, path = "/v1/policies/{id}/weights", tag = "policies",
     params(("id" = String, Path, description = "Policy id, `p-…`")),
     responses((status = 200, description = "The file", body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 410, description = "Its file is gone or damaged", body = Problem, content_type = "application/problem+json")))]
+        (status = 410, description = "Its file is missing or damaged", body = Problem, content_type = "application/problem+json")))]
 pub async fn download_policy_weights(
     _: Viewer,
     State(app): State<App>,

@@ -26,7 +26,7 @@ pub async fn list_powders(
 /// Register a powder.
 #[utoipa::path(post, path = "/v1/powders", tag = "powders", request_body = NewPowder,
     responses((status = 201, description = "The powder", body = Powder,
-        headers(("Location" = String, description = "Where the powder is"))),
+        headers(("Location" = String, description = "URL of the powder"))),
         (status = 409, description = "The id is taken", body = Problem, content_type = "application/problem+json")))]
 pub async fn create_powder(
     _: Operator,

@@ -22,11 +22,12 @@ const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 #[derive(Debug, Deserialize, Serialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewFrame {
-    /// Depth, Base64: a PNG of 16 bit grey, or the bare Z16 values, little-endian, row by row.
+    /// Depth, Base64: a 16-bit grey PNG, or the raw Z16 values, little-endian, row by row.
     depth: String,
-    /// Colour of the same size, Base64: a PNG of 8 bit RGB.
+    /// Colour of the same size, Base64: an 8-bit RGB PNG.
     colour: String,
-    /// `intrinsics` with `width`, `height`, `fx`, `fy`, `ppx`, `ppy`, `model` and five `coefficients`; `depth_unit_m`; `taken_at` (RFC 3339). All of it.
+    /// `intrinsics` with `width`, `height`, `fx`, `fy`, `ppx`, `ppy`, `model` and five `coefficients`; `depth_unit_m`; `taken_at` (RFC 3339). All are
+    /// required.
     #[schema(value_type = Object)]
     description: serde_json::Value,
 }
@@ -58,13 +59,13 @@ pub async fn list_repose_measurements(
 
 /// Measure a powder's angle of repose by camera.
 ///
-/// For each pile the arm turns the platform over the funnel, the gate opens, the pile comes to rest, and frames are taken: on devices they are uploaded
-/// while `awaits` says so. Each pile is kept with its raw frames.
+/// For each pile, the arm turns the platform over above the funnel, the gate opens, the pile comes to rest, and frames are taken. On real devices the
+/// frames are uploaded while `awaits` is set. Each pile is stored with its raw frames.
 #[utoipa::path(post, path = "/v1/repose-measurements", tag = "powders", request_body = ReposeRequest,
     responses((status = 202, description = "Queued; the measurement has the id of its job", body = Job,
-        headers(("Location" = String, description = "Where the measurement is"))),
-        (status = 200, description = "Asked for before: the job that does it", body = Job),
-        (status = 409, description = "The bench cannot, or may not", body = Problem,
+        headers(("Location" = String, description = "URL of the measurement"))),
+        (status = 200, description = "Requested before: the existing job", body = Job),
+        (status = 409, description = "The bench cannot make piles, or may not be used", body = Problem,
             content_type = "application/problem+json")))]
 pub async fn start_repose_measurement(
     _: Operator,
@@ -76,7 +77,7 @@ pub async fn start_repose_measurement(
 
 /// One measurement by camera, with its piles.
 #[utoipa::path(get, path = "/v1/repose-measurements/{id}", tag = "powders",
-    params(("id" = String, Path, description = "Id of the measurement, which is the id of its job")),
+    params(("id" = String, Path, description = "Id of the measurement, same as its job's id")),
     responses((status = 200, description = "The measurement", body = ReposeMeasurement)))]
 pub async fn get_repose_measurement(
     _: Viewer,
@@ -86,11 +87,11 @@ pub async fn get_repose_measurement(
     Ok(Json(app.repose(&id).await?))
 }
 
-/// Upload a frame of the pile that waits for frames; at most 16 MiB.
+/// Upload a frame of the pile that is waiting for frames; at most 16 MiB.
 #[utoipa::path(post, path = "/v1/repose-measurements/{id}/frames", tag = "powders", request_body = NewFrame,
     params(("id" = String, Path, description = "Id of the measurement")),
-    responses((status = 202, description = "How many frames the pile has now", body = Awaited),
-        (status = 409, description = "No pile waits for frames", body = Problem,
+    responses((status = 202, description = "Number of frames the pile has now", body = Awaited),
+        (status = 409, description = "No pile is waiting for frames", body = Problem,
             content_type = "application/problem+json")))]
 pub async fn add_frame(
     _: Operator,
@@ -104,13 +105,13 @@ pub async fn add_frame(
     Ok(accepted(format!("/v1/repose-measurements/{id}"), awaited))
 }
 
-/// Download a part of a raw frame as it came.
+/// Download one part of a raw frame, as received.
 #[utoipa::path(get, path = "/v1/repose-measurements/{id}/piles/{pile}/frames/{frame}/{part}", tag = "powders",
     params(("id" = String, Path, description = "Id of the measurement"),
-        ("pile" = u32, Path, description = "Which pile, from 1"), ("frame" = u32, Path, description = "Which frame, from 1"),
+        ("pile" = u32, Path, description = "Number of the pile, from 1"), ("frame" = u32, Path, description = "Number of the frame, from 1"),
         ("part" = String, Path, description = "`depth`, `colour` or `description`")),
     responses((status = 200, description = "The bytes", body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 410, description = "Its file is gone or damaged", body = Problem, content_type = "application/problem+json")))]
+        (status = 410, description = "Its file is missing or damaged", body = Problem, content_type = "application/problem+json")))]
 pub async fn download_frame(
     _: Viewer,
     State(app): State<App>,
@@ -125,9 +126,9 @@ pub async fn download_frame(
     Ok(([(header::CONTENT_TYPE, kind)], bytes).into_response())
 }
 
-/// Automated beside manual, of every powder that was measured both ways.
+/// Compare automated with manual measurements, for every powder measured both ways.
 #[utoipa::path(get, path = "/v1/measurements/comparison", tag = "powders",
-    responses((status = 200, description = "A row for each powder", body = Vec<Compared>)))]
+    responses((status = 200, description = "One row per powder", body = Vec<Compared>)))]
 pub async fn compare_methods(_: Viewer, State(app): State<App>) -> Result<Json<Vec<Compared>>, Problem> {
     Ok(Json(app.compare_methods().await?))
 }

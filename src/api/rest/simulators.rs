@@ -10,7 +10,7 @@ use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
 
-/// List versions of the simulator, newest first.
+/// List simulator versions, newest first.
 #[utoipa::path(get, path = "/v1/simulators", tag = "investigations", params(ListParams),
     responses((status = 200, description = "A page of versions", body = Page<SimulatorVersion>)))]
 pub async fn list_simulators(
@@ -22,7 +22,7 @@ pub async fn list_simulators(
     Ok(respond(&uri, app.simulators(params.into()).await?))
 }
 
-/// One version of the simulator.
+/// One simulator version.
 #[utoipa::path(get, path = "/v1/simulators/{id}", tag = "investigations",
     params(("id" = String, Path, description = "Version, `sv-…`")),
     responses((status = 200, description = "The version", body = SimulatorVersion)))]
@@ -34,7 +34,7 @@ pub async fn get_simulator(
     Ok(Json(app.simulator(&id).await?))
 }
 
-/// The version that is taken where none is named: the base until somebody has chosen.
+/// The version used where none is named: the base until another is chosen.
 #[utoipa::path(get, path = "/v1/simulators/current", tag = "investigations",
     responses((status = 200, description = "The current version", body = CurrentSimulator)))]
 pub async fn get_current_simulator(_: Viewer, State(app): State<App>) -> Result<Json<CurrentSimulator>, Problem> {
@@ -43,7 +43,7 @@ pub async fn get_current_simulator(_: Viewer, State(app): State<App>) -> Result<
 
 /// Make a version current, or roll back to another or to the base.
 ///
-/// Versions themselves never change. To choose what is current already changes nothing.
+/// Versions themselves never change. Choosing the current version changes nothing.
 #[utoipa::path(put, path = "/v1/simulators/current", tag = "investigations", request_body = ChosenSimulator,
     responses((status = 200, description = "The current version", body = CurrentSimulator)))]
 pub async fn choose_simulator(
@@ -54,12 +54,12 @@ pub async fn choose_simulator(
     Ok(Json(app.choose_simulator(&chosen).await?))
 }
 
-/// Predict the angles of rows that nobody measured.
+/// Predict the angles of unmeasured rows.
 ///
-/// Columns of the answer as in an investigation's `predict.csv`.
+/// The response has the columns of an investigation's `predict.csv`.
 #[utoipa::path(post, path = "/v1/simulators/{id}/predictions", tag = "investigations",
     request_body = PredictionRequest, params(("id" = String, Path, description = "Version, `sv-…`, or `current`")),
-    responses((status = 200, description = "A row for each row", body = String, content_type = "text/csv")))]
+    responses((status = 200, description = "One row for each input row", body = String, content_type = "text/csv")))]
 pub async fn predict(
     _: Operator,
     State(app): State<App>,

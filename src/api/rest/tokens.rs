@@ -11,17 +11,17 @@ use axum::http::StatusCode;
 use axum::response::Response;
 use serde::Serialize;
 
-/// A token, shown this once.
+/// A token; its secret is shown only once.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub struct Token {
-    /// What is known of it from now on.
+    /// The stored entry.
     #[serde(flatten)]
     entry: TokenEntry,
     /// Send it as `Authorization: Bearer …`. Only its hash is stored.
     secret: String,
 }
 
-/// Make a token.
+/// Create a token.
 #[utoipa::path(post, path = "/v1/tokens", tag = "tokens", request_body = NewToken,
     responses((status = 201, description = "The token; its secret is not shown again", body = Token)))]
 pub async fn create_token(
@@ -33,7 +33,7 @@ pub async fn create_token(
     Ok((StatusCode::CREATED, Json(Token { entry, secret })))
 }
 
-/// List tokens, newest first, with those that have ended; never their secrets.
+/// List tokens, newest first, including ended ones; secrets are never shown.
 #[utoipa::path(get, path = "/v1/tokens", tag = "tokens", params(ListParams),
     responses((status = 200, description = "A page of tokens", body = Page<TokenEntry>)))]
 pub async fn list_tokens(
@@ -45,12 +45,12 @@ pub async fn list_tokens(
     Ok(respond(&uri, app.tokens(params.into()).await?))
 }
 
-/// End a token from now on.
+/// Revoke a token with immediate effect.
 ///
-/// One that has ended stays as it was. Records go on naming it.
+/// A token that has ended is left unchanged. Records still refer to it.
 #[utoipa::path(delete, path = "/v1/tokens/{id}", tag = "tokens",
     params(("id" = String, Path, description = "Token id: the first part of its secret")),
-    responses((status = 200, description = "The token, which has ended", body = TokenEntry)))]
+    responses((status = 200, description = "The token, now ended", body = TokenEntry)))]
 pub async fn revoke_token(
     _: Admin,
     State(app): State<App>,

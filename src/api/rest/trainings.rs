@@ -26,9 +26,9 @@ pub async fn list_trainings(
 /// Queue a training.
 #[utoipa::path(post, path = "/v1/trainings", tag = "trainings", request_body = TrainingRequest,
     responses((status = 202, description = "Queued; the training has the id of its job", body = Job,
-        headers(("Location" = String, description = "Where the training is"))),
-        (status = 200, description = "Asked for before: the job that does it", body = Job),
-        (status = 409, description = "Something it needs is missing", body = Problem,
+        headers(("Location" = String, description = "URL of the training"))),
+        (status = 200, description = "Requested before: the existing job", body = Job),
+        (status = 409, description = "A prerequisite is missing", body = Problem,
             content_type = "application/problem+json")))]
 pub async fn start_training(
     _: Operator,
@@ -40,7 +40,7 @@ pub async fn start_training(
 
 /// One training.
 #[utoipa::path(get, path = "/v1/trainings/{id}", tag = "trainings",
-    params(("id" = String, Path, description = "Id of the training, which is the id of its job")),
+    params(("id" = String, Path, description = "Id of the training, same as its job's id")),
     responses((status = 200, description = "The training", body = Training)))]
 pub async fn get_training(
     _: Viewer,
@@ -50,7 +50,7 @@ pub async fn get_training(
     Ok(Json(app.training(&id).await?))
 }
 
-/// List the episodes of a training in order, also while it runs.
+/// List the episodes of a training in order, even while it runs.
 #[utoipa::path(get, path = "/v1/trainings/{id}/episodes", tag = "trainings",
     params(("id" = String, Path, description = "Id of the training"), SeriesParams),
     responses((status = 200, description = "A page of episodes", body = Page<Episode>)))]

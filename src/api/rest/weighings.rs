@@ -26,19 +26,18 @@ pub async fn list_weighings(
     Ok(respond(&uri, app.weighings(params.into()).await?))
 }
 
-/// Weigh.
+/// Weigh a dose.
 ///
-/// Stores the intent, then pours. The same key with the same body answers with the first weighing and never pours
-/// twice.
+/// Stores the intent, then doses. The same key with the same body returns the first weighing and never pours twice.
 #[utoipa::path(post, path = "/v1/weighings", tag = "weighings", request_body = WeighingRequest,
     params(("Idempotency-Key" = String, Header, description = "New for every weighing, 1 to 255 visible ASCII characters")),
     responses(
-        (status = 202, description = "Planned, or the weighing that the key made before", body = Weighing, headers(
-            ("Location" = String, description = "Where the weighing is"),
+        (status = 202, description = "Planned, or the weighing the key started before", body = Weighing, headers(
+            ("Location" = String, description = "URL of the weighing"),
             ("Idempotency-Replayed" = String, description = "`true` if the key was used before"))),
-        (status = 409, description = "64 weighings wait already, the bench is latched or reserved, or a calibration or policy is missing", body = Problem,
+        (status = 409, description = "64 weighings are waiting already, the bench is latched or reserved, or a calibration or policy is missing", body = Problem,
             content_type = "application/problem+json"),
-        (status = 422, description = "The key belongs to another request", body = Problem,
+        (status = 422, description = "The key was used for another request", body = Problem,
             content_type = "application/problem+json")))]
 pub async fn start_weighing(
     _: Operator,
@@ -56,7 +55,7 @@ pub async fn start_weighing(
     Ok(response)
 }
 
-/// One weighing with its ticks so far.
+/// One weighing, with its ticks so far.
 #[utoipa::path(get, path = "/v1/weighings/{id}", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 200, description = "The weighing", body = WeighingDetail)))]
@@ -68,11 +67,11 @@ pub async fn get_weighing(
     Ok(Json(app.weighing(&id).await?))
 }
 
-/// The ticks of a weighing: what the bench did and the balance showed.
+/// The ticks of a weighing: the actions of the bench and the balance readings.
 #[utoipa::path(get, path = "/v1/weighings/{id}/trace", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 200, description = "The ticks in order", body = Vec<Tick>),
-        (status = 410, description = "Their file is gone or damaged", body = Problem, content_type = "application/problem+json")))]
+        (status = 410, description = "Their file is missing or damaged", body = Problem, content_type = "application/problem+json")))]
 pub async fn get_trace(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Json<Vec<Tick>>, Problem> {
     Ok(Json(app.trace(&id).await?))
 }
@@ -80,8 +79,8 @@ pub async fn get_trace(_: Viewer, State(app): State<App>, Path(id): Path<String>
 /// Download the ticks of a weighing as CSV.
 #[utoipa::path(get, path = "/v1/weighings/{id}/trace.csv", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
-    responses((status = 200, description = "One line for each tick", body = String, content_type = "text/csv"),
-        (status = 410, description = "Their file is gone or damaged", body = Problem, content_type = "application/problem+json")))]
+    responses((status = 200, description = "One line per tick", body = String, content_type = "text/csv"),
+        (status = 410, description = "Their file is missing or damaged", body = Problem, content_type = "application/problem+json")))]
 pub async fn download_trace(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
     let ticks = app.trace(&id).await?;
     let headers = [
@@ -104,7 +103,7 @@ fn csv(ticks: &[Tick]) -> String {
     text
 }
 
-/// The certificate of a weighing that has ended: a page to print, which needs nothing else.
+/// The certificate of a weighing that has ended: a self-contained page to print.
 #[utoipa::path(get, path = "/v1/weighings/{id}/certificate.html", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 200, description = "The page", body = String, content_type = "text/html"),
@@ -114,14 +113,15 @@ pub async fn get_certificate(_: Viewer, State(app): State<App>, Path(id): Path<S
     Ok(([(header::CONTENT_SECURITY_POLICY, certificate::POLICY)], Html(page)).into_response())
 }
 
-/// Say that the vial of a weighing is in, and empty.
+/// Confirm that the vial of a weighing is in, and empty.
 ///
-/// Where the bench cannot exchange vials, the weighing whose turn it is waits for that in the state `awaiting_vial`. The balance is asked too: a vial that was
-/// poured into before, or weighs more than an empty one, is refused before anything moves. What was said holds until a stop, a latch or a restart.
+/// Where the bench cannot exchange vials, the weighing whose turn it is waits for this in the state `awaiting_vial`. The balance is checked too: a
+/// vial that was dosed into before, or that weighs more than an empty one, is refused before anything moves. The confirmation holds until a stop, a
+/// latch or a restart.
 #[utoipa::path(post, path = "/v1/weighings/{id}/vial-ready", tag = "weighings", request_body = VialReadyRequest,
     params(("id" = String, Path, description = "Weighing id")),
-    responses((status = 200, description = "The weighing, which is about to begin", body = Weighing),
-        (status = 409, description = "It is not its turn, another vial was named, it has ended, or the bench was stopped after this was asked", body = Problem,
+    responses((status = 200, description = "The weighing, about to start", body = Weighing),
+        (status = 409, description = "It is not its turn, another vial was named, it has ended, or the bench was stopped after this request", body = Problem,
             content_type = "application/problem+json")))]
 pub async fn vial_ready(
     _: Operator,
@@ -134,8 +134,8 @@ pub async fn vial_ready(
 
 /// Stop a weighing and level the spoon.
 ///
-/// At once when it waits; when it runs the arm is told at once, before anything is written down, and the bench is held until a person resumes. Not an emergency
-/// stop: that one is wired.
+/// A waiting weighing is stopped at once. For a running one the arm is stopped at once, before anything is recorded, and the bench is held until a
+/// person resumes. Not an emergency stop: that one is wired.
 #[utoipa::path(post, path = "/v1/weighings/{id}/stop", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 202, description = "The weighing, stopping or stopped", body = Weighing),

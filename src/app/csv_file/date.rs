@@ -11,7 +11,7 @@
 use serde::{Deserialize, Serialize};
 use time::{Date, Month};
 
-/// What stands first in a date such as 2/3/2026.
+/// Order of day, month and year in a date such as 2/3/2026.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DateOrder {
@@ -19,7 +19,7 @@ pub enum DateOrder {
     DayFirst,
     /// 3 February.
     MonthFirst,
-    /// Of years of two digits: 26/02/21 is 21 February 2026.
+    /// With two-digit years: 26/02/21 is 21 February 2026.
     YearFirst,
 }
 

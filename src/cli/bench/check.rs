@@ -14,19 +14,19 @@ use std::path::PathBuf;
 /// Arguments of `flip bench check`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Bench file that names the devices.
+    /// Bench file listing the devices.
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// Who looked at spoon, vial and funnel.
+    /// Name of the person who checked spoon, vial and funnel.
     #[arg(long, value_name = "NAME", default_value = "")]
     by: String,
-    /// The spoon holds no powder, the vial is empty or away, and the arm's way is free: the arm may move. Without it nothing moves.
+    /// Confirm that the spoon holds no powder, the vial is empty or removed and the arm's path is clear: the arm may move. Without it nothing moves.
     #[arg(long, requires = "by")]
     spoon_empty: bool,
-    /// The funnel is empty: the gate may open.
+    /// Confirm that the funnel is empty: the gate may open.
     #[arg(long, requires = "by")]
     funnel_empty: bool,
-    /// Keep the result in the data folder.
+    /// Store the result in the data folder.
     #[arg(long)]
     keep: bool,
 }

@@ -31,36 +31,36 @@ pub(super) struct Arguments {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
-    /// What the bench is, whether it may be used, and how well its balance repeats; also while a server runs.
+    /// Show the bench, whether it may be used, and its balance's repeatability; works while a server runs.
     Status,
-    /// A person has looked at a latched bench, or at one whose arm is latched: weighings may go on.
+    /// Clear a latched bench or arm after a person has checked it: weighings may go on.
     Clear(upkeep::ClearArguments),
-    /// Let weighings begin again after a stop.
+    /// Let weighings start again after a stop.
     Resume(upkeep::ResumeArguments),
-    /// Have the bench for oneself for a while.
+    /// Reserve the bench for a limited time.
     Reserve(turns::ReserveArguments),
-    /// Give the bench back before the reservation ends.
+    /// Release the bench before the reservation ends.
     Release(turns::ReleaseArguments),
-    /// Say that the vial of the weighing whose turn it is is in, and wait until the dose has ended.
+    /// Confirm that the vial is in for the weighing whose turn it is, and wait until the dose has ended.
     VialReady(turns::VialReadyArguments),
-    /// Find out which balance is plugged in.
+    /// Find out which balance is connected.
     Probe(probe::Arguments),
-    /// A dry test of every device of a bench file.
+    /// Test every device in a bench file, without powder.
     Check(check::Arguments),
-    /// Measure what the arm makes of commanded shakes.
+    /// Measure the arm's actual shakes against the commanded ones.
     CalibrateShake(shakes::Arguments),
-    /// Keep a check of how well the balance repeats: ten or more weighings of one test weight.
+    /// Record a repeatability check of the balance: ten or more weighings of one test weight.
     Repeatability(upkeep::RepeatabilityArguments),
-    /// Time the simulator, and other simulators beside it, in processor seconds per simulated second.
+    /// Time the simulator, alone or against others, in processor seconds per simulated second.
     Sim(sim::Arguments),
-    /// Write a settled bed for another simulator, one `x,y,z` in metres a line.
+    /// Write a settled bed for another simulator, one `x,y,z` in metres per line.
     Bed(BedArguments),
 }
 
 /// Arguments of `flip bench bed`.
 #[derive(Debug, clap::Args)]
 struct BedArguments {
-    /// Grains, 100 to 200000.
+    /// Number of grains, 100 to 200000.
     #[arg(long, value_name = "N", default_value_t = 2000, allow_negative_numbers = true)]
     particles: u32,
     /// File to write.

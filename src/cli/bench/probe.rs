@@ -13,19 +13,19 @@ use std::path::PathBuf;
 /// Arguments of `flip bench probe`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Where the balance is plugged in: a path, as `/dev/ttyUSB0`, or `tcp://host:port`.
+    /// Port of the balance: a path such as `/dev/ttyUSB0`, or `tcp://host:port`.
     #[arg(long, value_name = "PORT")]
     port: String,
-    /// Bits per second; with it only this setting is tried [default: 1200 to 115200 with 8N1, 7E1, 8O1 and 7O1, one after the other, for 90 s at most].
+    /// Baud rate; if given, only this setting is tried [default: 1200 to 115200 with 8N1, 7E1, 8O1 and 7O1 in turn, for at most 90 s].
     #[arg(long, value_name = "N")]
     baud: Option<u32>,
-    /// Data bits beside `--baud`, 7 or 8.
+    /// Data bits for `--baud`, 7 or 8.
     #[arg(long, value_name = "N", default_value_t = 8, requires = "baud")]
     data_bits: u8,
-    /// Parity beside `--baud`: none, odd or even.
+    /// Parity for `--baud`: none, odd or even.
     #[arg(long, value_name = "NAME", default_value = "none", requires = "baud", value_parser = parity)]
     parity: Parity,
-    /// File for everything that passed, one message a line.
+    /// File for a log of the traffic, one message per line.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }

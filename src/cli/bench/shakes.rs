@@ -18,16 +18,16 @@ pub(super) struct Arguments {
     /// Bench file that names the arm.
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// Commanded amplitudes, mm, separated by commas; the arm's largest is not exceeded.
+    /// Commanded amplitudes, mm, comma-separated; the arm's maximum is not exceeded.
     #[arg(long, value_name = "MM,…", value_delimiter = ',', default_values_t = [2.0, 4.0, 8.0, 12.0, 16.0])]
     amplitudes_mm: Vec<f64>,
-    /// How often each is made.
+    /// Shakes per amplitude.
     #[arg(long, value_name = "N", default_value_t = 3)]
     repeats: u32,
-    /// Who looked at the spoon.
+    /// Name of the person who checked the spoon.
     #[arg(long, value_name = "NAME")]
     by: String,
-    /// The spoon holds no powder and the arm's way is free: it is shaken away from the vial.
+    /// Confirm that the spoon holds no powder and the arm's path is clear; it shakes away from the vial.
     #[arg(long)]
     spoon_empty: bool,
 }

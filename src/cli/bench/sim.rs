@@ -19,13 +19,13 @@ const WINDOWS_MAX: u32 = 100;
 /// Arguments of `flip bench sim`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Run other simulators too: their scripts' folder (benches/peers), or one whose data folder holds beds bed_N.csv.
+    /// Also run other simulators: the folder of their scripts (benches/peers), or one whose data folder holds beds bed_N.csv.
     #[arg(long, value_name = "DIR")]
     peers: Option<PathBuf>,
-    /// Windows of each measurement; printed are median, least and most.
+    /// Windows per measurement; median, minimum and maximum are printed.
     #[arg(long, value_name = "N", default_value_t = 5, allow_negative_numbers = true)]
     windows: u32,
-    /// Sizes for the cost per grain.
+    /// Numbers of grains at which to measure the cost per grain.
     #[arg(long, value_name = "N,…", value_delimiter = ',', default_value = "2000,16000,64000")]
     sizes: Vec<u32>,
 }

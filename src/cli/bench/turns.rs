@@ -10,13 +10,13 @@ use crate::app::{ReservationRequest, VialReadyRequest};
 /// Arguments of `flip bench reserve`.
 #[derive(Debug, clap::Args)]
 pub(in super::super) struct ReserveArguments {
-    /// Who has the bench for himself.
+    /// Who reserves the bench.
     #[arg(long, value_name = "NAME")]
     owner: String,
-    /// For how long from now, s, 1 to 86400.
+    /// Duration from now, s, 1 to 86400.
     #[arg(long, value_name = "S")]
     seconds: u32,
-    /// One's own reservation, to have it for longer.
+    /// Your own reservation, to extend it.
     #[arg(long, value_name = "ID")]
     id: Option<String>,
 }
@@ -35,10 +35,10 @@ pub(in super::super) struct VialReadyArguments {
     /// Weighing id.
     #[arg(value_name = "ID")]
     id: String,
-    /// Who says so.
+    /// Name of the person confirming.
     #[arg(long, value_name = "NAME")]
     by: Option<String>,
-    /// What is written on the vial.
+    /// Label on the vial.
     #[arg(long, value_name = "TEXT")]
     vial: Option<String>,
     #[command(flatten)]

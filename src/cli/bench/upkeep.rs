@@ -10,22 +10,22 @@ use flip_core::domain::bench::BenchKind;
 /// Arguments of `flip bench clear`.
 #[derive(Debug, clap::Args)]
 pub(in super::super) struct ClearArguments {
-    /// Who looked at the bench.
+    /// Name of the person who checked the bench.
     #[arg(long, value_name = "NAME")]
     by: String,
     /// What was found and done.
     #[arg(long, value_name = "TEXT", default_value = "")]
     note: String,
-    /// Spoon, vial and balance were looked at.
+    /// Confirm that spoon, vial and balance were checked.
     #[arg(long)]
     looked: bool,
-    /// The vial is empty or new, and the balance will be tared.
+    /// Confirm that the vial is empty or new and that the balance will be tared.
     #[arg(long)]
     vial_ready: bool,
-    /// Weighings that wait may begin at the next start, also after a stop; otherwise the bench is held.
+    /// Let waiting weighings start at the next start-up, even after a stop; otherwise the bench is held.
     #[arg(long)]
     resume: bool,
-    /// A bench of devices needs its file, so that its arm hears of it.
+    /// A bench of devices needs its bench file, so that its arm is notified.
     #[command(flatten)]
     bench: BenchArguments,
 }
@@ -33,7 +33,7 @@ pub(in super::super) struct ClearArguments {
 /// Arguments of `flip bench resume`.
 #[derive(Debug, clap::Args)]
 pub(in super::super) struct ResumeArguments {
-    /// Who lets weighings begin again.
+    /// Name of the person resuming.
     #[arg(long, value_name = "NAME")]
     by: String,
     /// What was found and done.
@@ -44,10 +44,10 @@ pub(in super::super) struct ResumeArguments {
 /// Arguments of `flip bench repeatability`.
 #[derive(Debug, Clone, clap::Args)]
 pub(in super::super) struct RepeatabilityArguments {
-    /// Readings of one test weight, put on anew for each, mg; at least ten, separated by commas.
+    /// Readings of one test weight, mg, reloaded for each reading; at least ten, comma-separated.
     #[arg(long, value_name = "MG,…", value_delimiter = ',', allow_negative_numbers = true)]
     readings_mg: Vec<f64>,
-    /// Step of the display, mg.
+    /// Readability (display step) of the balance, mg.
     #[arg(long, value_name = "MG", default_value_t = 1.0)]
     readability_mg: f64,
 }

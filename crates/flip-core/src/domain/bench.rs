@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BenchKind {
-    /// The simulator, asked directly.
+    /// The simulator, called directly.
     Simulated,
-    /// Emulated devices over their true protocols, around the simulator.
+    /// Emulated devices with their real protocols, around the simulator.
     Emulated,
-    /// Devices.
+    /// Real devices.
     Devices,
 }
 
@@ -37,9 +37,9 @@ pub const INCLINE_CHANGE_DEG_MAX: f64 = 8.0;
 /// What a policy proposes for one step: first incline, then shake.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Action {
-    /// Change of the spoon's pitch, degrees, positive is tip down; -8 to 8.
+    /// Change of the spoon's pitch, degrees; positive is tip down; -8 to 8.
     pub incline_change_deg: f64,
-    /// Amplitude of one out-and-back shake along the spoon, mm; 0 to 16, below 0.9 is none.
+    /// Amplitude of one out-and-back shake along the spoon, mm; 0 to 16, below 0.9 there is no shake.
     pub shake_mm: f64,
 }
 
@@ -72,7 +72,7 @@ pub struct Reading {
     pub stable: bool,
 }
 
-/// One step of a weighing: what was done, and what the balance then showed.
+/// One step of a weighing: the action, and the balance reading after it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Tick {
     /// 0 is the reading after the tare, before any motion.
@@ -81,9 +81,9 @@ pub struct Tick {
     pub t_s: f64,
     /// Pitch of the spoon after the step, degrees.
     pub pitch_deg: f64,
-    /// What the guard let through.
+    /// The action the guard let through.
     pub action: Action,
-    /// What the balance showed once settled.
+    /// The settled balance reading.
     pub reading: Reading,
 }
 
@@ -131,10 +131,10 @@ impl Reach {
     }
 }
 
-/// The mass that was tared.
+/// The tared mass.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Tare {
-    /// What the vial weighs, mg; none where the balance does not say.
+    /// Mass of the vial, mg; none if the balance does not report it.
     pub tare_mg: Option<f64>,
 }
 

@@ -11,21 +11,21 @@ pub enum CheckKind {
     Repeatability,
     /// Commanded against executed shakes.
     Shakes,
-    /// Whether the devices keep their protocols.
+    /// Whether the devices comply with their protocols.
     Conformance,
 }
 
 /// Fewest weighings of a repeatability check (USP <41>).
 pub const REPEATABILITY_N_MIN: usize = 10;
 
-/// What a repeatability check found.
+/// Result of a repeatability check.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Repeatability {
     /// The readings, mg.
     pub readings_mg: Vec<f64>,
     /// Their standard deviation, mg.
     pub sd_mg: f64,
-    /// Step of the display, mg.
+    /// Readability (display step) of the balance, mg.
     pub readability_mg: f64,
 }
 
@@ -65,31 +65,31 @@ pub fn minimum_weight_mg(repeatability_mg: f64, share: f64) -> f64 {
     2.0 * repeatability_mg / share
 }
 
-/// What the arm makes of a commanded shake: a line through what was measured.
+/// The arm's response to a commanded shake: a line through the measurements.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ShakeCalibration {
-    /// Commanded and executed amplitudes, mm, and the largest speed, mm/s, of each shake.
+    /// Commanded and executed amplitudes, mm, and the peak speed, mm/s, of each shake.
     pub shakes: Vec<ExecutedShake>,
     /// Executed over commanded amplitude.
     pub gain: f64,
-    /// Executed amplitude where none would be commanded, mm.
+    /// Executed amplitude at zero commanded amplitude, mm.
     pub offset_mm: f64,
     /// SD of the executed amplitudes about the line, mm.
     pub scatter_mm: f64,
-    /// Executed over planned largest speed.
+    /// Executed over planned peak speed.
     pub speed_gain: f64,
 }
 
-/// One shake, as asked for and as done.
+/// One shake, commanded and executed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ExecutedShake {
-    /// Asked for, mm.
+    /// Commanded, mm.
     pub commanded_mm: f64,
-    /// Done, mm.
+    /// Executed, mm.
     pub executed_mm: f64,
-    /// Largest speed that the move was planned with, mm/s.
+    /// Planned peak speed, mm/s.
     pub planned_mm_s: f64,
-    /// Largest speed on the way, mm/s.
+    /// Executed peak speed, mm/s.
     pub peak_mm_s: f64,
 }
 

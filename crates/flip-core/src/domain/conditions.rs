@@ -5,13 +5,13 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// What something was: a number in the unit that its name ends in, or a name.
+/// A recorded condition: a number in the unit its name ends in, or a name.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(untagged)]
 pub enum Condition {
-    /// As of `relative_humidity_pct`.
+    /// For example `relative_humidity_pct`.
     Number(f64),
-    /// As of `batch`.
+    /// For example `batch`.
     Name(String),
 }
 
@@ -34,27 +34,27 @@ impl fmt::Display for Condition {
     }
 }
 
-/// An extended version of the simulator, and the conditions that it simulates.
+/// An extended simulator version, and the conditions it simulates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Under {
     /// Version, `sv-…`.
     pub simulator: String,
-    /// What was given; a calibration without is at the version's reference, and a training draws what is left out.
+    /// The conditions given; a calibration without any is at the version's reference, and a training draws those left out.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Conditions,
 }
 
-/// What conditions change about a simulated powder and its experiments. Nothing by default: the base simulator, bit for bit.
+/// Changes that conditions make to a simulated powder and its experiments. Nothing by default: the base simulator, bit for bit.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Patch {
-    /// Amplitudes of mechanisms that the base simulator leaves out, by name.
+    /// Amplitudes of mechanisms missing from the base simulator, by name.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub amplitudes: BTreeMap<String, f64>,
-    /// What is added to the powder's parameters, by key.
+    /// Offsets of the powder's parameters, by key.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub parameters: BTreeMap<String, f64>,
-    /// What is added to settings of the heap experiment, by name; a spoon has none of them.
+    /// Offsets of the heap experiment's settings, by name; not used for a spoon.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub heap: BTreeMap<String, f64>,
 }

@@ -2,35 +2,35 @@
 
 use serde::{Deserialize, Serialize};
 
-/// What a job computes.
+/// Kind of job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum JobKind {
-    /// Flowability to parameter sets.
+    /// From a flowability to parameter sets.
     Calibration,
-    /// Parameter sets to a policy.
+    /// From parameter sets to a policy.
     Training,
     /// A policy's errors on the simulated bench.
     Evaluation,
-    /// Measured angles to what the simulator gets wrong.
+    /// From measured angles to what the simulator gets wrong.
     Investigation,
-    /// Piles under a camera to an angle of repose.
+    /// From piles under a camera to an angle of repose.
     Repose,
 }
 
-/// Where a job stands.
+/// State of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum JobState {
-    /// Waits for a worker.
+    /// Waiting for a worker.
     Queued,
-    /// A worker holds its lease.
+    /// Running; a worker holds its lease.
     Running,
     /// Done; the result is stored.
     Succeeded,
-    /// Gave up; the error says why.
+    /// Failed; the error gives the reason.
     Failed,
-    /// Ended on request.
+    /// Cancelled on request.
     Cancelled,
 }
 
@@ -41,11 +41,11 @@ impl JobState {
     }
 }
 
-/// How far a job is.
+/// Progress of a job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Progress {
     /// 0 to 1.
     pub fraction: f64,
-    /// What it is doing, for people: `trial 12, 4 of 10 sets`.
+    /// Current activity, for people: `trial 12, 4 of 10 sets`.
     pub message: String,
 }

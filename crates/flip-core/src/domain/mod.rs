@@ -19,7 +19,7 @@ pub mod weighing;
 
 /// What is wrong with one field of an input: which field, what was expected, what to do.
 ///
-/// Every layer that refuses an input says it with this; the API turns it into problem+json.
+/// Every layer that refuses an input reports it with this; the API turns it into problem+json.
 #[derive(Debug, Clone, PartialEq, thiserror::Error, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
 #[error("{field}: {message}")]
 pub struct FieldError {

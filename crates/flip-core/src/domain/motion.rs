@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MotionLimits {
-    /// Largest speed, m/s.
+    /// Maximum speed, m/s.
     pub velocity_m_s: f64,
-    /// Largest acceleration, m/s^2.
+    /// Maximum acceleration, m/s^2.
     pub acceleration_m_s2: f64,
-    /// Largest jerk, m/s^3.
+    /// Maximum jerk, m/s^3.
     pub jerk_m_s3: f64,
 }
 

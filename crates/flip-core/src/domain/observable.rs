@@ -3,27 +3,27 @@
 use super::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
-/// A quantity that an experiment measures, with the settings of the experiment.
+/// A quantity measured in an experiment, with the experiment's settings.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Observable {
-    /// Time in which a mass runs out of a flat-bottomed cup through a round hole, s. A Hall flow meter: 50 g, 2.54 mm (ASTM B213).
+    /// Time for a mass to run out of a flat-bottomed cup through a round hole, s. A Hall flow meter: 50 g, 2.54 mm (ASTM B213).
     FlowTime {
         /// Mass that runs out, 0.01 to 1000 g.
         mass_g: f64,
         /// Diameter of the hole, 1.5 to 4 mm.
         orifice_mm: f64,
     },
-    /// Mass that one shake of a full spoon lets fall, mg.
+    /// Mass that falls from a full spoon in one shake, mg.
     ShakeMass {
         /// Pitch of the spoon, tip down, 0 to 50 deg.
         pitch_deg: f64,
         /// Amplitude of the shake along the spoon, 0.9 to 16 mm.
         shake_mm: f64,
     },
-    /// Slope of what stays in a flat-bottomed cup when the powder has run out of a hole in its middle, deg.
+    /// Slope of the powder left in a flat-bottomed cup after it has run out through a hole in the middle, deg.
     DrainedAngle {},
-    /// Height of a heap on a round base that it covers to the rim, mm.
+    /// Height of a heap that covers a round base to the rim, mm.
     PileHeight {
         /// Diameter of the base, 5 to 500 mm.
         base_diameter_mm: f64,
@@ -42,7 +42,7 @@ pub struct Observation {
     pub mean: f64,
     /// Standard deviation over the repeats, above 0.
     pub sd: f64,
-    /// Number of repeats, 2 to 10000: a single one says nothing of its own spread.
+    /// Number of repeats, 2 to 10000: a single one gives no spread.
     pub n: u32,
 }
 

@@ -9,13 +9,13 @@ use sha2::{Digest, Sha256};
 pub struct Parameter {
     /// The name in JSON, in the database and (with dashes) on the command line.
     pub key: &'static str,
-    /// Unit of the value; empty when it has none.
+    /// Unit of the value; empty if it has none.
     pub unit: &'static str,
     /// Lower published bound, inclusive.
     pub lower: f64,
     /// Upper published bound, inclusive.
     pub upper: f64,
-    /// Value where the caller names none.
+    /// Value if none is given.
     pub default: f64,
     /// What it does, in one sentence; `sim/mod.rs` has the equation.
     pub meaning: &'static str,

@@ -2,18 +2,18 @@
 
 use serde::{Deserialize, Serialize};
 
-/// An angle and how sure it is.
+/// An angle and its uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Angle {
     /// Degrees.
     pub deg: f64,
-    /// Combined standard uncertainty of one measurement, degrees: frames, fit and calibration. Twice this holds about 95 %.
+    /// Combined standard uncertainty of one measurement, degrees: frames, fit and calibration. Twice this covers about 95 %.
     pub u_deg: f64,
-    /// What the spread from frame to frame alone says of the mean, degrees.
+    /// Uncertainty of the mean from the frame-to-frame spread alone, degrees.
     pub u_frames_deg: f64,
 }
 
-/// What frames say of a pile.
+/// What the frames show of a pile.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[schema(as = PileMeasurement)]
 pub struct Measurement {
@@ -21,22 +21,22 @@ pub struct Measurement {
     pub tip: Angle,
     /// Slope of the cone fitted between 20 % and 80 % of the height.
     pub cone: Angle,
-    /// h: height of the apex over the base, mm.
+    /// h: height of the apex above the base, mm.
     pub height_mm: f64,
-    /// Distance of apex and tip, mm.
+    /// Distance between apex and funnel tip, mm.
     pub tip_to_apex_mm: f64,
-    /// Height of the tip over the base as the frames state it, mm: to be compared with D.
+    /// Height of the funnel tip above the base as seen in the frames, mm: to be compared with D.
     pub tip_height_seen_mm: f64,
     /// Distance of the apex from the spout's axis, mm.
     pub off_centre_mm: f64,
-    /// How far the camera looks down, and its turn about its axis, degrees.
+    /// Downward angle of the camera, and its roll about its axis, degrees.
     pub elevation_deg: f64,
     /// See `elevation_deg`.
     pub roll_deg: f64,
-    /// Pixels of the flank.
+    /// Number of pixels on the flank.
     pub flank_pixels: u32,
     /// Share of the pile's pixels without depth.
     pub pile_invalid: f64,
-    /// Frames.
+    /// Number of frames.
     pub frames: u32,
 }

@@ -3,22 +3,22 @@
 use super::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
-/// Who puts powder on the spoon.
+/// Who fills the spoon.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FilledBy {
-    /// The arm, from the powder's container, if it says that it can.
+    /// The arm, from the powder's container, if it reports that it can.
     #[default]
     Arm,
     /// A person or a station, before each dose.
     Hand,
 }
 
-/// A spoon. What is left out is that of FLIP's own, which holds some 40 mg.
+/// A spoon. Values left out are those of FLIP's own, which holds about 40 mg.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Spoon {
-    /// What one filling brings, mg, 1 to 100000; without it, what a bowl of these measures holds of the simulated powder.
+    /// Mass of one filling, mg, 1 to 100000; if omitted, what a bowl of these dimensions holds of the simulated powder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub capacity_mg: Option<f64>,
     /// Inner length of the bowl, mm, 2 to 60; with `width_mm` and `depth_mm`.

@@ -20,14 +20,14 @@ const SPREADS: f64 = 6.0;
 /// And within this of it, mg, however alike the five were.
 const ALIKE_MG: f64 = 5.0;
 
-/// Whether somebody has to say that the vial is in before a dose begins, where the bench cannot exchange it.
+/// Whether a person must confirm that the vial is in before a dose starts, where the bench cannot exchange vials.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum VialCheck {
-    /// Somebody says so, and the balance is asked whether it is another vial and empty.
+    /// A person confirms, and the balance checks that it is another vial and empty.
     #[default]
     Confirm,
-    /// Nobody is asked and nothing is compared: whatever stands on the pan is poured into.
+    /// No confirmation and no check: FLIP doses into whatever is on the pan.
     Skip,
 }
 
@@ -70,16 +70,16 @@ impl EmptyVial {
     }
 }
 
-/// The vial on the pan, as far as it is known.
+/// The vial on the pan, as far as known.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Vial {
-    /// Its name, where one was given.
+    /// Its name, if one was given.
     pub name: Option<String>,
-    /// The weighing that poured into it last.
+    /// The weighing that last poured into it.
     pub weighing: String,
-    /// What was poured into it by the display, mg; absent where nobody knows.
+    /// Mass poured into it by the display, mg; absent if unknown.
     pub holds_mg: Option<f64>,
-    /// When the first dose into it began.
+    /// Start of the first dose into it.
     pub since: Timestamp,
 }
 

@@ -33,21 +33,21 @@ pub struct WeighRequest {
     pub vial_check: VialCheck,
 }
 
-/// What follows an overdose, which nobody can take back.
+/// What follows an overdose, which cannot be undone.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(tag = "action", rename_all = "snake_case", deny_unknown_fields)]
 pub enum OnOverdose {
-    /// It is told, and nothing more is done.
+    /// It is reported, and nothing more is done.
     #[default]
     Stop,
-    /// The vial is exchanged for an empty one and the dose is made again. Only where the bench can exchange vials.
+    /// The vial is exchanged for an empty one and the dose is repeated. Only if the bench can exchange vials.
     DiscardAndRetry {
-        /// How often at most, 1 to 5.
+        /// Maximum number of retries, 1 to 5.
         max: u32,
     },
 }
 
-/// What a weighing is for and under which conditions, beside the mass.
+/// Purpose and conditions of a weighing, besides the mass.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Asked {
@@ -57,7 +57,7 @@ pub struct Asked {
     /// Vial on the balance.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vial: Option<String>,
-    /// Who asked for it.
+    /// Name of the operator.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub operator: Option<String>,
     /// Temperature at the balance, degrees C.
@@ -66,7 +66,7 @@ pub struct Asked {
     /// Relative humidity at the balance, %.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub relative_humidity_pct: Option<f64>,
-    /// Share of the net mass that the weighing may be uncertain by, %; the smallest mass that may be weighed follows from it. Default 0.1 (USP <41>).
+    /// Permitted uncertainty as a share of the net mass, %; it determines the smallest mass that may be weighed. Default 0.1 (USP <41>).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accuracy_pct: Option<f64>,
     /// What follows an overdose.
@@ -81,42 +81,42 @@ impl Asked {
     }
 }
 
-/// What a weighing measured beside its final reading.
+/// Measured values of a weighing, besides its final reading.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct MeasuredMass {
-    /// The vial, mg; absent where the balance does not say.
+    /// The vial, mg; absent if the balance does not report it.
     pub tare_mg: Option<f64>,
     /// Vial and powder, mg.
     pub gross_mg: Option<f64>,
-    /// What the display showed in the mean after the tare, mg: the net mass counts from there; absent where nobody watched.
+    /// Mean reading after the tare, mg: the net mass is counted from there; absent if it was not watched.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub zero_mg: Option<f64>,
-    /// Powder, mg: what the balance showed in the mean when everything stood still, less the zero.
+    /// Powder, mg: mean reading once everything stood still, minus the zero.
     pub net_mg: f64,
     /// Expanded uncertainty of the net mass (k = 2), mg: readability, wander or repeatability, drift.
     pub uncertainty_mg: f64,
-    /// The outcome holds over all of the net mass and its uncertainty; false of a dose that is within, not proven. Absent where the outcome says nothing of
-    /// the tolerance.
+    /// The outcome holds over the whole uncertainty interval of the net mass; false for a dose that is within, not proven. Absent if the outcome does
+    /// not concern the tolerance.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub proven: Option<bool>,
-    /// Smallest net mass that this balance may weigh at the accuracy asked for, mg; absent without a repeatability check.
+    /// Smallest net mass this balance may weigh at the requested accuracy, mg; absent without a repeatability check.
     pub minimum_mg: Option<f64>,
-    /// The net mass is smaller than that.
+    /// The net mass is below that minimum.
     pub below_minimum_weight: Option<bool>,
     /// The balance's own flag at the last reading.
     pub stable_by_balance: bool,
-    /// Our own criterion at the last reading.
+    /// FLIP's own criterion at the last reading.
     pub stable_by_window: bool,
-    /// Slope of the readings before the dose, mg/min; 0 where they prove none.
+    /// Slope of the readings before the dose, mg/min; 0 if not significant.
     pub drift_before_mg_min: Option<f64>,
-    /// And after it.
+    /// Slope of the readings after the dose, mg/min.
     pub drift_after_mg_min: Option<f64>,
-    /// What the last reading while dosing did not show yet, mg.
+    /// Mass not yet shown by the last reading during dosing, mg.
     pub in_flight_mg: Option<f64>,
-    /// Devices by role, with maker, model and serial number as they say themselves.
+    /// Devices by role, with manufacturer, model and serial number as they report them.
     #[serde(default)]
     pub devices: std::collections::BTreeMap<String, String>,
-    /// Doses that were made before this one and thrown away.
+    /// Doses made before this one and discarded.
     #[serde(default)]
     pub discarded_mg: Vec<f64>,
 }
@@ -125,42 +125,42 @@ pub struct MeasuredMass {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// Within tolerance by the reading. Where nothing was poured it is not.
+    /// Within tolerance by the reading. Never if nothing was poured.
     Within,
-    /// Short of the target beyond tolerance by the reading.
+    /// By the reading, below the target by more than the tolerance.
     Under,
-    /// By the reading above the target beyond tolerance. Powder cannot be taken back.
+    /// By the reading, above the target by more than the tolerance. Powder cannot be taken back.
     Over,
-    /// The balance did not come to rest: what it showed is no mass.
+    /// The balance did not settle: its display is not a valid mass.
     NotStable,
-    /// Nothing more leaves the spoon.
+    /// No more powder leaves the spoon.
     Blocked,
     /// Stopped on request.
     Stopped,
-    /// A device failed or the guard refused to go on.
+    /// A device failed, or the guard refused to continue.
     Aborted,
-    /// The process ended during the weighing: a person must look.
+    /// The process ended during the weighing: a person must check.
     Unknown,
 }
 
-/// Where a weighing stands.
+/// State of a weighing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WeighingState {
-    /// Accepted and stored; waits for the bench.
+    /// Accepted and stored; waiting for the bench.
     Planned,
-    /// It is its turn; waits until somebody says that its vial is in.
+    /// Its turn has come; waiting for confirmation that its vial is in.
     AwaitingVial,
     /// The bench is about to move.
     Armed,
     /// Powder may be falling.
     Dosing,
-    /// The spoon is level and away; the balance comes to rest.
+    /// The spoon is level and retracted; the balance is settling.
     Settling,
     /// Ended with an outcome.
     Done,
     /// Ended by a stop, a fault or the guard.
     Aborted,
-    /// The process ended while it ran; nothing resumes by itself.
+    /// The process ended while it ran; nothing resumes automatically.
     Unknown,
 }
