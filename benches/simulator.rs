@@ -1,5 +1,6 @@
-//! What the simulator costs: the kernel on a column that flows and one that rests, its neighbour list, one heap and one step of the
-//! spoon, the two things that every calibration and every training are made of: `cargo bench --bench simulator`.
+//! The cost of the simulator: the kernel on a flowing column and on a resting one, its neighbour
+//! list, one heap and one step of the spoon (the two building blocks of every calibration and
+//! training): `cargo bench --bench simulator`.
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use flip_core::domain::bench::Action;
@@ -30,7 +31,7 @@ fn kernel(criterion: &mut Criterion) {
                 bencher.iter_batched_ref(|| column.clone(), |column| column.advance(STRETCH), BatchSize::LargeInput);
             });
         }
-        // What this costs more than 1/25 of a measurement above is the list.
+        // Any cost beyond 1/25 of a measurement above is the list's.
         group.throughput(Throughput::Elements(u64::from(particles)));
         group.bench_function(format!("{particles} grains, one substep and list"), |bencher| {
             let mut column = column_after(particles, 50);

@@ -1,6 +1,8 @@
-//! The story of one calibration: a measured angle of repose goes in, ten simulated powders that pile like it come out.
+//! The story of one calibration: a measured angle of repose goes in, ten simulated powders that
+//! pile like it come out.
 //!
-//! `cargo run --release --example calibrate_powder [sand|sugar|salt|semolina|sodium_bicarbonate|all] [seed]`
+//! `cargo run --release --example calibrate_powder
+//! [sand|sugar|salt|semolina|sodium_bicarbonate|all] [seed]`
 
 use flip_core::domain::powder::{PUBLISHED, Published};
 use flip_learn::calibrate::{Calibration, Error, Heap, Outcome, Phase, Settings, calibrate};

@@ -1,19 +1,24 @@
-//! A driver process for a Franka Research 3, as `proto/flip/bench/v1/arm.proto` asks for.
+//! A driver process for a Franka Research 3, as required by `proto/flip/bench/v1/arm.proto`.
 //!
 //! It has been compiled and never run on a robot. Before it moves one:
-//! * The machine wired to the robot needs a PREEMPT_RT kernel and the right to set real-time priorities: the control loop has 1 ms.
-//! * The crate's notes keep a caveat about validating its impedance control on an FR3; this driver uses the robot's own Cartesian impedance controller.
-//! * The end effector's frame is set in the robot's administration: origin in the middle of the spoon's bowl, x towards the tip, y across to the
-//!   left, z up when the spoon is level.
-//! * Collision thresholds below are guesses for a light gripper and spoon. Try every motion without powder, slowly, the user stop in hand.
-//! * There is no scoop, discard or invert: these depend on the container. They answer UNIMPLEMENTED.
+//! * The machine wired to the robot needs a PREEMPT_RT kernel and the right to set real-time
+//!   priorities: the control loop has 1 ms.
+//! * The crate's notes keep a caveat about validating its impedance control on an FR3; this driver
+//!   uses the robot's own Cartesian impedance controller.
+//! * The end effector's frame is set in the robot's administration: origin in the middle of the
+//!   spoon's bowl, x towards the tip, y across to the left, z up when the spoon is level.
+//! * Collision thresholds below are guesses for a light gripper and spoon. Try every motion without
+//!   powder, slowly, the user stop in hand.
+//! * There is no scoop, discard or invert: these depend on the container. They return
+//!   UNIMPLEMENTED.
 //!
 //! ```text
 //! cargo run --release --features franka --example fr3_driver -- 172.16.0.2 0.0.0.0:50061 way.json
 //! ```
 //!
-//! `way.json` is a list of points in the robot's base frame, m, from the retracted station to over the vial: `[[0.4,0.2,0.3],[0.5,0.0,0.3]]`. The spoon
-//! goes straight from one to the next and keeps its orientation. The robot must stand at the first, the spoon level, when this starts.
+//! `way.json` is a list of points in the robot's base frame, m, from the retracted station to over
+//! the vial: `[[0.4,0.2,0.3],[0.5,0.0,0.3]]`. The spoon goes straight from one to the next and
+//! keeps its orientation. On start the robot must stand at the first, the spoon level.
 
 use flip::telemetry;
 use flip_bench::emulate::arm::{Asked, Brake, Desk, Driver, End, Robot, Why};
@@ -28,7 +33,7 @@ use std::time::Duration;
 
 /// From full speed to rest when a motion is ended, s.
 const BRAKING_S: f64 = 0.04;
-/// Where the retracted spoon may be when this starts, m, and how far from level (sine of the angle).
+/// Tolerance on the retracted spoon's position on start, m, and on its level (sine of the angle).
 const START: [f64; 2] = [0.002, 0.02];
 /// Largest amplitude of a shake, mm.
 const SHAKE_MM_MAX: f64 = 16.0;
@@ -51,7 +56,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err("the way must have two points or more, all of them numbers".into());
     }
     stands_at(robot, &way[0])?;
-    // A motion must not wait for whoever reads what is said, nor end because nobody does.
+    // A motion must not wait for a reader of the log, nor end because there is none.
     telemetry::start(telemetry::Format::Text, telemetry::COMMAND);
     let fr3 = Fr3 { address: robot.clone(), way, reached: 0, robot: None };
     let driver = Driver::serve(listen.parse()?, description(), Duration::from_millis(300), fr3)?;
@@ -61,7 +66,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
 }
 
-/// The contract lets nobody have control of a spoon that is not known to be level and retracted.
+/// The contract gives control only of a spoon known to be level and retracted.
 fn stands_at(address: &str, retracted: &Point) -> Result<(), Box<dyn Error>> {
     let pose = franka::Robot::new(address, RealtimeConfig::Ignore)?.read_once()?.O_T_EE;
     let away = (0..3).map(|k| (pose[12 + k] - retracted[k]).powi(2)).sum::<f64>().sqrt();
@@ -94,17 +99,18 @@ fn description() -> Description {
     }
 }
 
-/// The robot and where it is on its way.
+/// The robot and its position on the way.
 struct Fr3 {
     address: String,
     way: Vec<Point>,
     /// The last point of the way that was reached.
     reached: usize,
-    /// Connected by the thread that controls it, whose priority the connection raises.
+    /// Connected by the control thread, whose priority the connection raises.
     robot: Option<franka::Robot>,
 }
 
-/// Where the spoon is relative to the start of a path: turned about its width, shifted along its axis, moved in the base frame.
+/// Where the spoon is relative to the start of a path: turned about its width, shifted along its
+/// axis, moved in the base frame.
 #[derive(Clone, Copy, Default)]
 struct Offset {
     turned_deg: f64,
@@ -112,7 +118,7 @@ struct Offset {
     moved_m: Point,
 }
 
-/// What was measured on a path.
+/// Measurements along a path.
 #[derive(Default)]
 struct Measured {
     furthest_m: f64,
@@ -131,7 +137,7 @@ impl Robot for Fr3 {
                 self.turn(0.0, brake, desk)?;
                 self.travel(0, Station::Retracted, brake, desk)?
             }
-            // The desk refuses what the description does not offer.
+            // The desk refuses anything the description does not offer.
             Asked::Scoop | Asked::Discard | Asked::Invert => return Err(End::Reflex),
         };
         let is_shake = matches!(asked, Asked::Shake(_));
@@ -145,7 +151,7 @@ impl Robot for Fr3 {
 }
 
 impl Fr3 {
-    /// Connected, and recovered from errors where a person has looked.
+    /// Connects, and recovers from errors once a person has checked.
     fn ready(&mut self, why: Why) -> Result<(), End> {
         if self.robot.is_none() {
             let robot = franka::Robot::new(&self.address, RealtimeConfig::Enforce).map_err(failed)?;
@@ -159,7 +165,7 @@ impl Fr3 {
         }
     }
 
-    /// To this pitch; a stroke that was left half way is brought back on the way.
+    /// Turns to this pitch; an interrupted stroke is brought back on the way.
     fn turn(&mut self, to_deg: f64, brake: &Brake, desk: &Desk) -> Result<Measured, End> {
         let (from_deg, displacement_mm) = desk.pose();
         let back = Move::new(displacement_mm.abs() * 1e-3, MotionLimits::PAPER);
@@ -185,7 +191,7 @@ impl Fr3 {
         Ok(measured)
     }
 
-    /// Along the way to one of its ends, point by point.
+    /// Moves along the way to one of its ends, point by point.
     fn travel(&mut self, to: usize, station: Station, brake: &Brake, desk: &Desk) -> Result<Measured, End> {
         let mut whole = Measured::default();
         if desk.station() == station {
@@ -193,7 +199,7 @@ impl Fr3 {
         }
         desk.arrive(Station::Between);
         loop {
-            // A travel that was ended between two points goes back over the one it had reached.
+            // A travel interrupted between two points goes back over the last one reached.
             if to > self.reached {
                 self.straight(self.reached + 1, brake, desk, &mut whole)?;
                 self.reached += 1;
@@ -225,7 +231,8 @@ impl Fr3 {
         Ok(())
     }
 
-    /// Follow a path at 1 kHz. When the brake is set, time on the path slows down to a stand within [`BRAKING_S`].
+    /// Follows a path at 1 kHz. When the brake is set, time on the path slows to a stop within
+    /// [`BRAKING_S`].
     fn follow(
         &self,
         duration_s: f64,

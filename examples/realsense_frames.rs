@@ -1,14 +1,17 @@
-//! A RealSense camera for measurements of the angle of repose: waits for a pile, takes its frames, uploads them.
+//! A RealSense camera for measurements of the angle of repose: waits for a pile, takes its frames,
+//! uploads them.
 //!
-//! It has been compiled and never run with a camera; it was written for a D405. It needs librealsense 2.56 or newer.
+//! It has been compiled and never run with a camera; it was written for a D405. It needs
+//! librealsense 2.56 or newer.
 //!
 //! ```text
 //! cargo run --release --features realsense --example realsense_frames -- http://127.0.0.1:8080 <id of the measurement>
 //! ```
 //!
-//! A server that wants a token finds it in `FLIP_TOKEN` (role operator). Depth and colour come from one imager on a D405, pixel on pixel, so nothing
-//! is aligned; a camera whose two streams differ in their lens is refused, since depth would be read where colour is not. Every frame says its
-//! own lens, distortion, unit of depth and time, as the service demands.
+//! If the server requires a token, it is read from `FLIP_TOKEN` (role operator). Depth and colour
+//! come from one imager on a D405, pixel on pixel, so nothing is aligned; a camera whose two
+//! streams differ in their lens is refused, because depth would be read where colour is not. Every
+//! frame carries its own lens, distortion, unit of depth and time, as the service demands.
 
 use anyhow::{Context as _, bail, ensure};
 use base64::Engine;
@@ -28,9 +31,9 @@ use std::time::Duration;
 /// Size and rate of both streams: the D405's most exact depth.
 const SIZE: [usize; 2] = [1280, 720];
 const PER_SECOND: usize = 5;
-/// Frames that are thrown away before the first is kept: exposure has to settle.
+/// Frames discarded before the first is kept: exposure has to settle.
 const SETTLING: usize = 10;
-/// Between two looks at the measurement.
+/// Time between two polls of the measurement.
 const LOOK: Duration = Duration::from_millis(500);
 /// Longest wait for a frame.
 const FRAME: Duration = Duration::from_secs(5);
@@ -66,7 +69,7 @@ async fn main() -> anyhow::Result<()> {
     }
 }
 
-/// The first camera that is found, taking depth and colour.
+/// Starts depth and colour on the first camera found.
 fn started() -> anyhow::Result<ActivePipeline> {
     let context = Context::new()?;
     let [width, height] = SIZE;
@@ -76,7 +79,7 @@ fn started() -> anyhow::Result<ActivePipeline> {
     InactivePipeline::try_from(&context)?.start(Some(config)).context("no camera with depth and colour of this size")
 }
 
-/// One frame as the service reads it.
+/// One frame in the format of the service.
 fn taken(frames: &CompositeFrame) -> anyhow::Result<Frame> {
     let depth = frames.frames_of_type::<DepthFrame>().pop().context("no depth")?;
     let colour = frames.frames_of_type::<ColorFrame>().pop().context("no colour")?;
@@ -162,7 +165,7 @@ impl Service {
         let body = json!({ "depth": depth, "colour": colour, "description": description });
         let response = self.request(true, &format!("{}/frames", self.measurement)).json(&body).send().await?;
         match response.status() {
-            // In a conflict the pile got all its frames in the meantime.
+            // In a conflict the pile received all its frames in the meantime.
             StatusCode::ACCEPTED | StatusCode::CONFLICT => Ok(()),
             status => bail!("the frame was refused: {status}: {}", response.text().await?),
         }

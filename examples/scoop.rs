@@ -1,5 +1,5 @@
-//! Scoop a powder from a bed and see what the spoon took: `cargo run --release --example scoop -- 2.0 0.4 0.0`
-//! (immersion mm, friction, cohesion).
+//! Scoops a powder from a bed and shows what the spoon took: `cargo run --release --example scoop
+//! -- 2.0 0.4 0.0` (immersion mm, friction, cohesion).
 
 use flip_core::domain::parameters::ParameterSet;
 use flip_sim::scoop::{Settings, scoop};

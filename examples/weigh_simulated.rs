@@ -1,4 +1,5 @@
-//! The story of one weighing: a full spoon over a vial, a controller that proposes, a guard that disposes, a balance.
+//! The story of one weighing: a full spoon over a vial, a controller that proposes, a guard that
+//! decides, a balance.
 //!
 //! `cargo run --release --example weigh_simulated [target mg] [seed]`
 
@@ -15,14 +16,15 @@ fn main() -> anyhow::Result<()> {
     let target_mg = arguments.next().map_or(Ok(15.0), |text| text.parse())?;
     let seed = arguments.next().map_or(Ok(1), |text| text.parse())?;
 
-    // A powder that flows about as well as salt, in the spoon of a bench that is simulated.
+    // A powder that flows about as well as salt, in the spoon of a simulated bench.
     let powder = ParameterSet::default().with("friction", 0.8)?;
     let mut bench = SimulatedBench::new(&powder, &dispense::Settings::default(), &balance::Settings::default(), seed);
 
-    // Gentle shakes at a slant. A learned policy is `Controller::Learned`, and nothing else changes.
+    // Gentle shakes at a slant. A learned policy is `Controller::Learned`, and nothing else
+    // changes.
     let controller = Controller::Fixed(ScheduledStep { pitch_deg: 24.0, shake_mm: 8.0 });
     let order = Order { target_mg, tolerance_lower_mg: 1.0, tolerance_upper_mg: 1.0, readability_mg: 1.0 };
-    // Whoever listens hears of each phase and decision before the motion that follows, and could forbid it.
+    // The listener gets each phase and decision before the motion that follows, and could veto it.
     let print = |event: &Event<'_>| {
         match event {
             Event::Phase(phase) => println!("{phase:?}"),

@@ -1,4 +1,4 @@
-//! Build script: generates the gRPC code and tells the linker where libtorch lies.
+//! Build script: generates the gRPC code and sets the linker's path to libtorch.
 
 use prost::Message;
 use std::error::Error;
@@ -12,7 +12,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     generate_grpc()
 }
 
-/// No LD_LIBRARY_PATH: the program finds libtorch beside itself (a container) or where it was fetched.
+/// No LD_LIBRARY_PATH: the program finds libtorch next to itself (a container) or where it was
+/// fetched.
 fn link_libtorch(root: &std::path::Path) {
     let libtorch = std::env::var("LIBTORCH").map(PathBuf::from).unwrap_or_else(|_| root.join(".libtorch"));
     println!("cargo:rerun-if-env-changed=LIBTORCH");
@@ -20,16 +21,17 @@ fn link_libtorch(root: &std::path::Path) {
     println!("cargo:rustc-link-arg=-Wl,-rpath,{}", libtorch.join("lib").display());
 }
 
-/// The page is built apart from cargo; watching its (git-ignored) folder embeds it again when it was rebuilt. The folder
-/// must exist to be watched: cargo takes a missing path for a change and would build the crate anew every time.
+/// The page is built separately from cargo; watching its (git-ignored) folder embeds it again after
+/// a rebuild. The folder must exist to be watched: cargo treats a missing path as changed and would
+/// rebuild the crate every time.
 fn embed_page(root: &std::path::Path) -> Result<(), Box<dyn Error>> {
     std::fs::create_dir_all(root.join("web/dist"))?;
     println!("cargo:rerun-if-changed=web/dist");
     Ok(())
 }
 
-/// `flip.v1.rs` for the server and the tests' client, `flip.v1.bin` for reflection. protox is a protobuf compiler in Rust, so no
-/// protoc has to be installed.
+/// `flip.v1.rs` for the server and the tests' client, `flip.v1.bin` for reflection. protox is a
+/// protobuf compiler in Rust, so protoc need not be installed.
 fn generate_grpc() -> Result<(), Box<dyn Error>> {
     let files = protox::compile(["flip/v1/flip.proto"], ["proto"])?;
     let out = PathBuf::from(std::env::var("OUT_DIR")?);

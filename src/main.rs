@@ -1,4 +1,4 @@
-//! The program: `flip --help` lists its commands.
+//! The `flip` binary: `flip --help` lists its commands.
 
 fn main() -> std::process::ExitCode {
     flip::cli::main()

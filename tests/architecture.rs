@@ -1,4 +1,5 @@
-//! The map of `src/ARCHITECTURE.md`, checked: who may import whom, which crate is used where, what no file may hold.
+//! Checks the map of `src/ARCHITECTURE.md`: who may import whom, which crate is used where, and
+//! what no file may contain.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -45,7 +46,8 @@ const EXCEPTIONS: [(&str, &[&str]); 1] = [
     ("crates/flip-bench/src/hardware/simulated.rs", &["sim"]),
 ];
 
-/// What may be named only in some modules: crates that talk to the world, and words that mark asynchronous code.
+/// Names allowed in some modules only: crates that talk to the world, and words that mark
+/// asynchronous code.
 const CONFINED: [(&str, &[&str]); 27] = [
     ("sqlx::", &["store", "jobs"]),
     ("apalis::", &["jobs"]),
@@ -70,7 +72,7 @@ const CONFINED: [(&str, &[&str]); 27] = [
     ("indicatif::", &["cli"]),
     ("rustix::", &["api", "cli", "emulate", "hardware", "jobs", "store"]),
     ("anyhow::", &["cli"]),
-    // Drivers and emulators are synchronous outside; runtimes of their own wait for remote calls.
+    // Drivers and emulators are synchronous outside; their own runtimes wait for remote calls.
     ("tokio::", &["store", "jobs", "app", "api", "cli", "hardware", "emulate"]),
     ("async fn", &["store", "jobs", "app", "api", "cli", "hardware", "emulate"]),
     ("std::fs", &["store", "api", "cli", "emulate"]),
@@ -81,7 +83,7 @@ const CONFINED: [(&str, &[&str]); 27] = [
 /// Names that say nothing about what a file holds.
 const BANNED_NAMES: [&str; 8] = ["utils", "util", "helpers", "helper", "common", "manager", "misc", "model"];
 
-/// Lines a file may have; the house looks again at 400.
+/// Maximum lines of a file; files are reviewed from 400.
 const LINES_MAX: usize = 500;
 
 /// One source file: its path below the root, its room, its text, and that text without comments and unit tests.
@@ -146,7 +148,7 @@ fn named_rooms(code: &str) -> Vec<&str> {
     inside("crate::").into_iter().chain(within).chain(crates).collect()
 }
 
-/// Every place where `code` holds `word` that does not continue an identifier.
+/// Every occurrence of `word` in `code` that does not continue an identifier.
 fn holds(code: &str, word: &str) -> bool {
     let starts_identifier = |at: usize| !code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_' || c == ':');
     code.match_indices(word).any(|(at, _)| starts_identifier(at))

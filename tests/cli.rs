@@ -1,4 +1,4 @@
-//! The command line as scripts see it: the real binary, its exit status, its one document.
+//! The command line as scripts see it: the real binary, its exit status, its single document.
 
 use flip_policy::{self as policy, Controller, Done, Gains, Kind, Manifest, Observation, Pid, Policy, Rules};
 use serde_json::{Value, json};
@@ -45,7 +45,7 @@ fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
-/// The one document on stdout; anything beside it does not parse.
+/// The single document on stdout; anything in addition to it does not parse.
 fn document(output: &Output) -> Value {
     let text = String::from_utf8(output.stdout.clone()).unwrap();
     serde_json::from_str(&text).unwrap_or_else(|e| panic!("{e}: stdout {text:?}, stderr {:?}", stderr(output)))
@@ -317,7 +317,7 @@ fn measurements_come_from_a_file_and_go_back_into_one() {
     assert_eq!((all["measurements"].as_array().unwrap().len(), all["observations"].as_array().unwrap().len()), (11, 1));
 }
 
-/// Twelve days, two runs each of three powders, all the steeper the damper the day.
+/// Twelve days, two runs each of three powders, which pile steeper on damper days.
 fn campaign() -> String {
     let mut text = String::from("powder,repose_deg,session,relative_humidity_pct\n");
     for run in 0..72_u32 {
@@ -451,7 +451,7 @@ fn discover_of_one_to_five_sessions_says_that_it_cannot_judge_and_what_that_take
         ] {
             assert!(text.contains(said), "{said} is missing in {text}");
         }
-        // The job's report reads back, and says the same.
+        // The job's report reads back unchanged.
         let jobs = document(&flip(&data, &["jobs", "--json"]));
         assert!(jobs["items"].as_array().unwrap().iter().all(|job| job["state"] == "succeeded"), "{jobs}");
         let report: Value = serde_json::from_slice(&std::fs::read(out.join("report.json")).unwrap()).unwrap();
@@ -531,7 +531,8 @@ fn a_version_is_used_and_rolled_back(data: &Path, file: &Path) {
     assert_eq!(by_current.stdout, flip(data, &[&predict[..], &["--simulator", version]].concat()).stdout);
 }
 
-/// Sixteen weighings of six shakes, eight readings each, and a log of the empty pan, by a balance that drifts by this many mg/s.
+/// Sixteen weighings of six shakes, eight readings each, and a log of the empty pan, by a balance
+/// that drifts by this many mg/s.
 fn weighings(drift: f64) -> String {
     let mut text = String::from("weighing_id,t_s,balance_mg,shake_index,kind\n");
     let noise = |reading: u32| f64::from((reading * 7919 + reading * reading * 31) % 101) / 500.0 - 0.1;
@@ -622,7 +623,8 @@ impl Service {
         let mut command = command(data_dir, &["serve", "--listen", "127.0.0.1:0", "--json"]);
         let mut process = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let mut text = String::new();
-        // The document is printed once the service listens, and ends with the brace in the first column.
+        // The document is printed once the service listens, and ends with the brace in the first
+        // column.
         for line in BufReader::new(process.stdout.take().unwrap()).lines() {
             let line = line.unwrap();
             text.push_str(&line);
@@ -638,7 +640,7 @@ impl Service {
         self.document["url"].as_str().unwrap().trim_start_matches("http://").to_owned()
     }
 
-    /// Ask it to end as systemd and Docker do; its exit status.
+    /// Sends SIGTERM, as systemd and Docker do, and returns its exit status.
     fn terminate(mut self) -> Option<i32> {
         let kill = format!("kill -TERM {}", self.process.id());
         assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
@@ -745,7 +747,8 @@ fn bench_writes_the_same_bed_twice_as_centres_in_metres() {
     assert_eq!(first, bed());
 }
 
-/// A PID rule whose sum alone tilts and whose error alone shakes, as a file: its answers can be done by hand.
+/// A policy file with a PID rule in which only the sum tilts and only the error shakes: its answers
+/// can be computed by hand.
 fn policy_file(folder: &Path) -> String {
     let gains = |p, i| Gains { p, i, d: 0.0 };
     let pid = Pid { incline: gains(0.0, 0.01), shake: gains(0.05, 0.0) };
@@ -770,11 +773,11 @@ fn a_policy_out_of_a_file_answers_once_with_its_history_or_line_by_line() {
         assert!((answer["shake_mm"].as_f64().unwrap() - shake_mm).abs() < 1e-9, "{answer}");
         assert_eq!(answer["episode"], episode);
     };
-    // The sum needs what was missing before.
+    // The sum needs the previously missing mass.
     let alone = infer(&["--json"]);
     expect_status(&alone, 2);
     assert!(stderr(&alone).contains("reading_mg: must be within 1 mg of the tare"), "{}", stderr(&alone));
-    // With the 10 mg that were missing before, the sum is 16.
+    // With the 10 mg missing before, the sum is 16.
     let action = flip_core::domain::bench::Action { incline_change_deg: 0.8, shake_mm: 8.0 };
     let history = folder.path().join("history.json");
     let steps = [Done { before: seen(0.0, 0.0), action, after: seen(4.0, 0.8) }];

@@ -1,14 +1,16 @@
-//! The image's build, without Docker: what the Dockerfile copies must be all that cargo and the program ask for.
+//! The image's build, without Docker: the Dockerfile must copy everything that cargo and the
+//! program need.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
-/// What the stand-in for the compiler says when cargo has got past its manifest and begins to compile.
+/// Printed by the compiler's stand-in once cargo has got past its manifest and begins to compile.
 const REACHED: &str = "cargo began to compile";
 
-/// Sources of the `COPY` lines of the stage that builds the program, other stages' left out.
+/// Sources of the `COPY` lines of the stage that builds the program, excluding those from other
+/// stages.
 fn copied() -> Vec<String> {
     let dockerfile = fs::read_to_string(Path::new(ROOT).join("Dockerfile")).unwrap();
     let stage = dockerfile.split("\nFROM ").find(|stage| stage.contains("cargo build")).expect("a stage that builds");
@@ -16,7 +18,8 @@ fn copied() -> Vec<String> {
     lines.flat_map(|line| line.rsplit_once(' ').unwrap().0.split(' ').map(str::to_owned)).collect()
 }
 
-/// Whether `.dockerignore`, which takes back a closed door name by name, lets a path of the top level through.
+/// Whether `.dockerignore`, which excludes everything and re-includes paths by name, lets a
+/// top-level path through.
 fn is_let_through(name: &str) -> bool {
     let ignore = fs::read_to_string(Path::new(ROOT).join(".dockerignore")).unwrap();
     ignore.lines().any(|line| line.strip_prefix('!') == Some(name))
@@ -43,7 +46,8 @@ fn context() -> tempfile::TempDir {
     folder
 }
 
-/// A program in the compiler's place that answers what cargo asks before it compiles, and ends at the first unit.
+/// A stand-in for the compiler that answers cargo's queries before compilation and exits at the
+/// first unit.
 fn stand_in(folder: &Path) -> PathBuf {
     use std::os::unix::fs::PermissionsExt;
     let path = folder.join("rustc-stand-in");
@@ -69,7 +73,7 @@ fn the_images_build_context_gets_past_cargos_manifest() {
     assert!(said.contains(REACHED), "{said}");
 }
 
-/// Files that the program's sources, tests aside, take into themselves.
+/// Files that the program's sources, tests excepted, include.
 fn included() -> Vec<(PathBuf, PathBuf)> {
     let source = Path::new(ROOT).join("src");
     let (mut waiting, mut found) = (vec![source.clone()], Vec::new());

@@ -1,7 +1,9 @@
-//! `flip serve` is killed at random moments of doses on an emulated laboratory that lives on: nothing is poured twice, nothing goes on by itself.
+//! `flip serve` is killed at random moments of doses on an emulated laboratory that keeps running:
+//! nothing is poured twice, nothing continues by itself.
 //!
-//! The laboratory is a process of its own, so that its arm, vial and balance see what a real bench would see: the driver's renewals end, its
-//! dead-man levels and retracts the spoon. `FLIP_KILLS` says how often (`make reliability`: 300).
+//! The laboratory is a separate process, so its arm, vial and balance see what a real bench would
+//! see: the driver's renewals end, and its dead-man levels and retracts the spoon. `FLIP_KILLS`
+//! sets the number of kills (`make reliability`: 300).
 
 use flip_core::domain::bench::Action;
 use serde::Deserialize;
@@ -16,24 +18,25 @@ use tempfile::TempDir;
 
 /// Kills in `make test`.
 const KILLS: u64 = 30;
-/// Laboratories whose services are killed side by side: a dose is mostly waiting.
+/// Laboratories whose services are killed in parallel: a dose is mostly waiting.
 const LABORATORIES: u64 = 8;
 /// Longest wait for anything.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// Bench seconds in a second of the room.
+/// Bench seconds per wall-clock second.
 const SPEED: &str = "20";
 const TARGET_MG: f64 = 12.0;
 const TOLERANCE_MG: f64 = 1.0;
-/// Masses are the same but for rounding, mg.
+/// Masses that differ by less are equal up to rounding, mg.
 const SAME_MG: f64 = 1e-6;
-/// Amplitudes are the same but for rounding, mm.
+/// Amplitudes that differ by less are equal up to rounding, mm.
 const SAME_MM: f64 = 1e-6;
-/// Most that a dose is to leave in its vial, mg.
+/// Most a dose may leave in its vial, mg.
 const LIMIT_MG: f64 = TARGET_MG + TOLERANCE_MG;
-/// Most beyond the limit, mg, whatever gave it: what a dose's own display may be off by, four standard deviations of the difference of two readings of a
-/// balance that wanders by 0.5 mg, as the emulated one does, and half a step. A dose that is poured twice has the target too much.
+/// Most beyond the limit, mg, whatever the cause: the possible error of a dose's own display, four
+/// standard deviations of the difference of two readings of a balance that wanders by 0.5 mg, as
+/// the emulated one does, and half a step. A dose poured twice has an entire target too much.
 const DISPLAY_MG: f64 = 4.0 * std::f64::consts::SQRT_2 * 0.5 + 0.5;
-/// Shakes that may be written down after a kill: one that was under way, and one that had just ended.
+/// Shakes that may be recorded after a kill: one in progress, and one that had just ended.
 const LAST_SHAKES: usize = 2;
 
 /// A process that is killed when it is dropped.
@@ -46,7 +49,7 @@ impl Drop for Process {
     }
 }
 
-/// Start `flip` and read the first document that it prints.
+/// Starts `flip` and reads the first document it prints.
 fn started(arguments: &[&str]) -> (Process, Value) {
     let mut process = Command::new(env!("CARGO_BIN_EXE_flip"))
         .args(arguments)
@@ -60,26 +63,27 @@ fn started(arguments: &[&str]) -> (Process, Value) {
     (Process(process), said.expect("it says where it is").unwrap())
 }
 
-/// One motion that the arm made, complete or not.
+/// One motion of the arm, complete or not.
 #[derive(Debug, Clone, Deserialize)]
 struct Motion {
     motion: String,
     /// Pitch at its end, deg.
     pitch_deg: f64,
-    /// What fell in it, mg.
+    /// Mass that fell during it, mg.
     poured_mg: f64,
-    /// Powder in the vial when it was written down, mg.
+    /// Powder in the vial when it was recorded, mg.
     vial_mg: f64,
 }
 
 impl Motion {
-    /// The amplitude that was asked for, if it is a shake, mm.
+    /// The requested amplitude, if it is a shake, mm.
     fn shake_mm(&self) -> Option<f64> {
         Some(self.motion.strip_prefix("Shake(")?.strip_suffix(')')?.parse().expect("an amplitude"))
     }
 }
 
-/// What the arm did, read on from where the last look ended: the file grows by every motion of every dose.
+/// The arm's motions, read on from where the last read ended: the file grows by every motion of
+/// every dose.
 struct Motions {
     file: BufReader<File>,
     unfinished: String,
@@ -100,7 +104,7 @@ impl Motions {
     }
 }
 
-/// The emulated laboratory: its bench file and what its arm did.
+/// The emulated laboratory: its bench file and its arm's motions.
 struct Laboratory {
     _process: Process,
     bench: PathBuf,
@@ -116,7 +120,7 @@ impl Laboratory {
         Self { _process: process, bench, motions: RefCell::new(Motions::open(&motions)) }
     }
 
-    /// Every motion that was written down so far.
+    /// Every motion recorded so far.
     fn motions(&self) -> RefMut<'_, Motions> {
         let mut motions = self.motions.borrow_mut();
         motions.read_on();
@@ -128,7 +132,8 @@ impl Laboratory {
         self.motions().made.last().map_or(0.0, |motion| motion.vial_mg)
     }
 
-    /// Wait until nothing has moved for as long as the dead-man and the way back take; how many motions were made by then.
+    /// Waits until nothing has moved for the time that the dead-man and the way back take; returns
+    /// the number of motions made by then.
     fn wait_until_still(&self) -> usize {
         let mut count = self.motions().made.len();
         let mut since = Instant::now();
@@ -143,7 +148,7 @@ impl Laboratory {
     }
 }
 
-/// The service, which dies and comes back.
+/// The service, which is killed and restarted.
 struct Service {
     process: Process,
     url: String,
@@ -162,7 +167,7 @@ impl Service {
         Self { process, url, client: reqwest::Client::new(), token }
     }
 
-    /// SIGKILL: no destructor, no last word.
+    /// SIGKILL: no destructor, no final output.
     fn kill(mut self) -> String {
         self.process.0.kill().unwrap();
         self.process.0.wait().unwrap();
@@ -199,7 +204,7 @@ impl Service {
         ["done", "aborted", "unknown"].contains(&self.state(id).await.as_str())
     }
 
-    /// The shakes that the guard let through, as the audit trail has them, mm.
+    /// The shakes the guard let through, according to the audit trail, mm.
     async fn decided_mm(&self, id: &str) -> Vec<f64> {
         let records = self.get(&format!("/v1/audit.json?weighing={id}")).await;
         let decisions = records.as_array().unwrap().iter().filter(|record| record["kind"] == "decision");
@@ -237,10 +242,12 @@ async fn calibrate(service: &Service) {
     }
 }
 
-/// What a dose left in its vial, mg, if each of its shakes was decided on record, in this order, and none began above the limit.
+/// Mass a dose left in its vial, mg, if each of its shakes was decided on record, in this order,
+/// and none began above the limit.
 ///
-/// So what lies above the limit began to fall with the last shake, which the guard had decided before the kill: the chance that it takes with each shake
-/// (`Forecast::risk`), and nothing that a restart did.
+/// Anything above the limit therefore began to fall with the last shake, which the guard had
+/// decided before the kill: that is the risk it takes with each shake (`Forecast::risk`), and not
+/// the effect of a restart.
 fn accounted_mg(made: &[Motion], decided_mm: &[f64]) -> Result<f64, String> {
     let (mut fallen_mg, mut decided) = (0.0, decided_mm.iter());
     for motion in made {
@@ -257,19 +264,19 @@ fn accounted_mg(made: &[Motion], decided_mm: &[f64]) -> Result<f64, String> {
     Ok(fallen_mg)
 }
 
-/// What became of the doses that were killed.
+/// Outcomes of the killed doses.
 #[derive(Default)]
 struct Tally {
     unknown: u64,
-    /// How each dose that had ended did so, and what it left in its vial.
+    /// The outcome of each ended dose, and the mass it left in its vial.
     ended: Vec<String>,
-    /// What each kill left in its vial, mg.
+    /// Mass that each kill left in its vial, mg.
     poured_mg: Vec<f64>,
-    /// Which left more than the limit.
+    /// Those that left more than the limit.
     over: Vec<String>,
 }
 
-/// The service of one laboratory, killed in each of these doses.
+/// Kills one laboratory's service in each of these doses.
 async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
     let folder = TempDir::new().unwrap();
     let laboratory = Laboratory::start(folder.path());
@@ -286,7 +293,8 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
         service.wait_for("the bench does not move", &id, &["armed", "dosing", "settling", "done"]).await;
         let drawn = flip_core::domain::seed::derive(20_261_124, &[kill]);
         let share = (drawn % 1000) as f64 / 1000.0;
-        // Every third at any time from the beginning, before powder falls too; the others when that share of the target lies in the vial, and a little later.
+        // Every third at any time from the start, including before powder falls; the others once
+        // that share of the target lies in the vial, and a little later.
         let later_ms = match kill % 3 {
             0 => drawn % 8000,
             _ => {

@@ -1,9 +1,11 @@
-//! Updates per second of the learner on one thread, beside Stable-Baselines3's: `make bench-learner`.
+//! Updates per second of the learner on one thread, compared with Stable-Baselines3: `make
+//! bench-learner`.
 //!
-//! `cargo bench --bench learner [-- --json]`. An update draws its batch from the replay memory and steps critics, actor,
-//! temperature and targets. Both take turns window by window and are timed in processor time, so what else the machine does
-//! falls on both; one that `benches/learner/run.sh setup` has not installed is left out, with the reason. The recurrent networks are the
-//! `paper` preset's, whose batch is of whole episodes of 10 steps; they have no peer.
+//! `cargo bench --bench learner [-- --json]`. An update draws its batch from the replay memory and
+//! steps critics, actor, temperature and targets. Both take turns window by window and are timed in
+//! processor time, so other load on the machine affects both; one that `benches/learner/run.sh
+//! setup` has not installed is left out, with the reason. The recurrent networks are those of the
+//! `paper` preset, whose batch consists of whole episodes of 10 steps; they have no peer.
 
 use flip_core::domain::bench::PitchLimits;
 use flip_core::domain::parameters::{COUNT, ParameterSet};
@@ -55,7 +57,7 @@ fn processor_s() -> f64 {
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
-/// FLIP's learner at work.
+/// FLIP's learner under test.
 struct Ours {
     learner: Learner,
     settings: Settings,
@@ -72,7 +74,7 @@ impl Ours {
         ours
     }
 
-    /// Processor seconds of one update, over `updates` of them.
+    /// Processor seconds per update, over `updates` of them.
     fn window(&mut self, updates: u32) -> f64 {
         let before = processor_s();
         for _ in 0..updates {
@@ -84,7 +86,7 @@ impl Ours {
     }
 }
 
-/// Stable-Baselines3 in a process of its own; it answers a line with a line.
+/// Stable-Baselines3 in a separate process, with a line-based request and reply protocol.
 struct Peer {
     process: Child,
     ask: ChildStdin,
@@ -93,12 +95,12 @@ struct Peer {
 }
 
 impl Peer {
-    /// The peer, if it is installed: its own words on stderr say what is missing.
+    /// The peer, if it is installed: its stderr reports what is missing.
     fn start() -> Option<Self> {
         let script = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/learner/run.sh");
         let mut command = Command::new("bash");
         command.args([script, "one"]).stdin(Stdio::piped()).stdout(Stdio::piped());
-        // It brings a libtorch of its own.
+        // It comes with its own libtorch.
         let mut process = command.env_remove("LD_LIBRARY_PATH").spawn().ok()?;
         let (ask, answers) = (process.stdin.take()?, BufReader::new(process.stdout.take()?));
         let mut peer = Self { process, ask, answers, version: String::new() };
@@ -124,7 +126,8 @@ impl Peer {
     }
 }
 
-/// Median, least and most of updates per second, from seconds per update; null when nothing was measured.
+/// Median, least and most of updates per second, from seconds per update; null if nothing was
+/// measured.
 fn rates(costs_s: &[f64]) -> Value {
     let mut rates: Vec<f64> = costs_s.iter().map(|cost| 1.0 / cost).collect();
     rates.sort_unstable_by(f64::total_cmp);
@@ -141,7 +144,7 @@ fn main() {
     for (hidden, batch) in CASES {
         let mut ours = Ours::new(Settings { hidden, batch, ..Settings::of(Preset::Flip, Order::Curriculum, 1) });
         let inputs = ours.settings.encoding.width();
-        // The peer makes its learner at the first question: that window is warm-up, not measured.
+        // The peer builds its learner at the first request: that window is warm-up, not measured.
         peer = peer.and_then(|mut peer| peer.window((hidden, batch), inputs, 1).map(|_| peer));
         let (mut own, mut theirs) = (Vec::new(), Vec::new());
         for _ in 0..WINDOWS {

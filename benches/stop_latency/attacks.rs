@@ -1,4 +1,4 @@
-//! What others do to a service while it is told to stop. None of them has a token.
+//! Load from other clients while the service is stopped. None of them has a token.
 
 use crate::Service;
 use axum::body::Body;
@@ -13,16 +13,16 @@ use tokio::net::TcpStream;
 use tokio::runtime::Runtime;
 use tower::ServiceExt;
 
-/// One way to be in the way.
+/// One kind of attack.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Attack {
-    /// 300 messages of gRPC on three connections that never come to their end.
+    /// 300 gRPC messages on three connections that never complete.
     Messages,
     /// 1200 connections that send nothing, half a preface of HTTP/2 or half a head.
     Silent,
-    /// 60 clients that ask for all that was ever measured or recorded, half of which take it slowly.
+    /// 60 clients that request everything ever measured or recorded, half of which read slowly.
     Readers,
-    /// 300 clients that ask again and again.
+    /// 300 clients that poll repeatedly.
     Pollers,
     /// 300 streams of events.
     Streams,
@@ -40,10 +40,10 @@ const NAMES: [(Attack, &str); 6] = [
 ];
 
 impl Attack {
-    /// Every one.
+    /// Every attack.
     pub const ALL: [Self; 6] = [Self::Messages, Self::Silent, Self::Readers, Self::Pollers, Self::Streams, Self::Lock];
 
-    /// By its name; `all` and `none` are names too.
+    /// The attack of this name; `all` and `none` are names too.
     pub fn named(name: &str) -> anyhow::Result<Vec<Self>> {
         match name {
             "all" => return Ok(Self::ALL.to_vec()),
@@ -66,14 +66,15 @@ pub fn raise_the_limit_of_files() -> anyhow::Result<()> {
     Ok(setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum })?)
 }
 
-/// Threads for what would run on other machines: here they share the cores, and give way so that the service is what is measured.
+/// Threads for work that would run on other machines: here they share the cores, at low priority so
+/// that the service is what is measured.
 pub fn elsewhere() -> std::io::Result<Runtime> {
     let mut builder = tokio::runtime::Builder::new_multi_thread();
     builder.on_thread_start(|| assert!(setpriority_process(None, 15).is_ok()));
     builder.worker_threads(2).enable_all().build()
 }
 
-/// Begins the attacks, on threads of their own, which end with what is returned.
+/// Starts the attacks on threads of their own, which end when the returned value is dropped.
 pub async fn begin(attacks: &[Attack], service: &Arc<Service>) -> anyhow::Result<Runtime> {
     let runtime = elsewhere()?;
     if attacks.contains(&Attack::Readers) {
@@ -118,7 +119,7 @@ async fn silent(url: String, k: usize) {
     loop {
         if let Ok(mut connection) = TcpStream::connect(url.trim_start_matches("http://")).await {
             let _sent = connection.write_all(begun[k % 3]).await;
-            // Until it is closed.
+            // Until the peer closes it.
             let _closed = connection.read(&mut [0; 64]).await;
         }
         tokio::time::sleep(Duration::from_millis(500)).await;
@@ -175,7 +176,7 @@ async fn database(service: &Service) -> anyhow::Result<SqlitePool> {
     Ok(SqlitePool::connect_with(file.busy_timeout(Duration::from_secs(5))).await?)
 }
 
-/// Measurements of a powder that nobody weighs, so that the file of all of them is long.
+/// Measurements of a powder that nobody weighs, so that the export of all of them is long.
 async fn fill(service: &Service) -> anyhow::Result<()> {
     let database = database(service).await?;
     sqlx::query(

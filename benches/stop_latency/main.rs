@@ -1,12 +1,15 @@
-//! How soon a stop that arrives makes the arm stand still, while others do their worst:
-//! `cargo bench --bench stop_latency -- [stops] [clients] [laboratories] [attack …]`.
+//! How soon an arriving stop brings the arm to a standstill, under attack: `cargo bench --bench
+//! stop_latency -- [stops] [clients] [laboratories] [attack …]`.
 //!
-//! The service is a process of its own, as in a laboratory; the emulated laboratory lives in this one and tells when its arm was stopped. Measured is from
-//! before the request is sent until the motion has ended, so connection, queueing and the arm's call are in it; every stop comes on a connection of its own.
-//! Only stops that ended a motion count. `attacks.rs` says what the attacks are; each named one is measured by itself, `all` is all of them at once.
+//! The service is a separate process, as in a laboratory; the emulated laboratory lives in this one
+//! and reports when its arm was stopped. The time runs from before the request is sent until the
+//! motion has ended, so it includes connection, queueing and the arm's call; every stop comes on
+//! its own connection. Only stops that ended a motion count. `attacks.rs` describes the attacks;
+//! each named one is measured by itself, `all` is all of them at once.
 //!
-//! A balance is watched for three seconds of the room before each dose, so a thousand stops take an hour; several laboratories side by side, each with a service,
-//! clients and attackers of its own, share them and the machine.
+//! A balance is watched for three wall-clock seconds before each dose, so a thousand stops take an
+//! hour; several laboratories in parallel, each with its own service, clients and attackers, share
+//! them and the machine.
 
 mod attacks;
 
@@ -20,7 +23,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Bench seconds in a second of the room: so that a scoop of eight seconds does not take eight seconds.
+/// Bench seconds per wall-clock second, so that a scoop of eight seconds does not take eight
+/// seconds.
 const SPEED: f64 = 40.0;
 /// A stop comes at any time from the first motion up to here, bench s.
 const LATEST_S: f64 = 7.0;
@@ -28,10 +32,10 @@ const LATEST_S: f64 = 7.0;
 /// A service under attack.
 pub struct Service {
     process: Child,
-    /// Where it is.
+    /// Its address.
     pub url: String,
     token: String,
-    /// Where its database is.
+    /// The folder of its database.
     pub data: std::path::PathBuf,
     client: reqwest::Client,
 }
@@ -139,11 +143,11 @@ struct Stopped {
     latencies_ms: Vec<f64>,
     /// Stops that found nothing moving.
     idle: u64,
-    /// Stops that were answered with something else than success.
+    /// Stops answered with anything but success.
     refused: u64,
-    /// Shakes that were completed although a stop had been sent.
+    /// Shakes completed although a stop had been sent.
     shakes_after: u64,
-    /// Requests of clients that were answered in a second.
+    /// Client requests answered per second.
     rate: f64,
 }
 
@@ -203,7 +207,7 @@ async fn calibrate(service: &Service) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A request of the operator whose own way is not what is measured: asked until it is answered with success.
+/// Sends a request of the operator that is not itself measured, and retries until it succeeds.
 async fn insist(service: &Service, path: &str, key: Option<String>, body: &Value) -> anyhow::Result<Value> {
     for _ in 0..600 {
         match service.post(path, key.clone(), body).await {
@@ -216,7 +220,7 @@ async fn insist(service: &Service, path: &str, key: Option<String>, body: &Value
     anyhow::bail!("{path} is not answered")
 }
 
-/// Begin a dose, stop it somewhere, and see how long that took, ms.
+/// Begins a dose, stops it at some point, and returns how long that took, ms.
 async fn one_stop(
     service: &Service,
     laboratory: &Laboratory,

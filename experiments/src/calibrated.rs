@@ -1,4 +1,4 @@
-//! What the experiments read of the document of `flip calibrate --json`.
+//! The parts of the `flip calibrate --json` document that the experiments read.
 
 use flip_core::domain::parameters::ParameterSet;
 use serde::Deserialize;
@@ -11,7 +11,7 @@ pub struct Calibrated {
 
 #[derive(Deserialize)]
 pub struct Powder {
-    /// Empty where an angle was calibrated, not a powder.
+    /// Empty if an angle was calibrated, not a powder.
     pub powder: String,
     pub target_deg: f64,
     pub sets: Vec<Set>,

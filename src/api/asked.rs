@@ -1,12 +1,12 @@
-//! When a request was asked: at its head, before anything of it is waited for. Counted in stops of the bench, so that one which comes before the body does
-//! makes void what the request would let move.
+//! When a request was made: at its head, before waiting for anything else. Measured in stops of the
+//! bench, so that a stop that arrives before the body cancels any motion the request would allow.
 
 use crate::app::{App, asked_after};
 use axum::extract::{Request, State};
 use axum::middleware::Next;
 use axum::response::Response;
 
-/// Stops of the bench until the head of a request was there.
+/// Number of bench stops by the time the request head had arrived.
 #[derive(Debug, Clone, Copy)]
 struct Stops(u64);
 
@@ -16,7 +16,8 @@ pub async fn at_head(State(app): State<App>, mut request: Request, next: Next) -
     next.run(request).await
 }
 
-/// Lets all that a request does know them, on the task that carries it out: its body is there by then.
+/// Makes the count available to everything the request does, in the task that handles it; by then
+/// its body has arrived.
 pub async fn as_of_head(request: Request, next: Next) -> Response {
     match request.extensions().get().copied() {
         Some(Stops(stops)) => asked_after(stops, next.run(request)).await,

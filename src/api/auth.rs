@@ -1,4 +1,4 @@
-//! Who calls, and what they may do: one layer for REST and gRPC.
+//! Authentication and authorization: one layer for REST and gRPC.
 //!
 //! | caller                                   | reads | writes | tokens |
 //! |------------------------------------------|-------|--------|--------|
@@ -8,10 +8,11 @@
 //! | operator                                 | yes   | yes    | no     |
 //! | admin                                    | yes   | yes    | yes    |
 //!
-//! A latched bench is cleared by an admin, or by an operator whose token was made for that.
+//! A latched bench can be cleared by an admin, or by an operator whose token permits it.
 //!
-//! A handler names its role with an extractor ([`Viewer`], [`Operator`], [`Admin`], [`Clearer`]) or, in gRPC, with [`require`]
-//! and [`require_clearer`]. Who calls is known to all that the request does ([`acting`]), so that records can name them.
+//! A handler states its role with an extractor ([`Viewer`], [`Operator`], [`Admin`], [`Clearer`])
+//! or, in gRPC, with [`require`] and [`require_clearer`]. The caller is available to everything the
+//! request does ([`acting`]), so that records can name them.
 
 use super::listen::is_loopback_name;
 use super::problem::Problem;
@@ -37,7 +38,8 @@ pub enum Caller {
 }
 
 impl Caller {
-    /// As [`identify`] found; whoever never passed it may nothing.
+    /// The caller as found by [`identify`]; a request that did not pass through it has no
+    /// permissions.
     pub fn of(extensions: &Extensions) -> Self {
         extensions.get().cloned().unwrap_or(Self::Anonymous { may_read: false })
     }
@@ -47,10 +49,10 @@ impl Caller {
         matches!(self, Self::Anonymous { .. })
     }
 
-    /// Nothing, if the caller may do what needs `role`.
+    /// Succeeds if the caller has at least `role`.
     ///
     /// # Errors
-    /// 401 without a token, 403 with one of too low a role.
+    /// 401 without a token, 403 if the token's role is too low.
     pub fn require(&self, role: Role) -> Result<(), Problem> {
         match self {
             Self::Anonymous { may_read: true } if role == Role::Viewer => Ok(()),
@@ -66,10 +68,10 @@ impl Caller {
         }
     }
 
-    /// Nothing, if the caller may clear a latched bench.
+    /// Succeeds if the caller may clear a latched bench.
     ///
     /// # Errors
-    /// 401 without a token, 403 with one that was not made for it.
+    /// 401 without a token, 403 if the token does not permit it.
     pub fn require_clearer(&self) -> Result<(), Problem> {
         self.require(Role::Operator)?;
         match self {
@@ -81,7 +83,7 @@ impl Caller {
         }
     }
 
-    /// How records name the caller.
+    /// The caller as named in records.
     fn who(&self) -> Who {
         match self {
             Self::Anonymous { .. } => Who::anonymous(),
@@ -94,7 +96,7 @@ impl Caller {
 
 #[cfg(test)]
 impl Caller {
-    /// The holder of some token of this role.
+    /// The holder of some token with this role.
     pub fn of_role(role: Role) -> Self {
         Self::Holder(Holder { id: "1".to_owned(), name: "test".to_owned(), role, may_clear: false })
     }
@@ -108,16 +110,17 @@ fn name(role: Role) -> &'static str {
     }
 }
 
-/// What the layer needs to know.
+/// State of the layer.
 #[derive(Clone)]
 pub struct Gate {
-    /// Knows the tokens.
+    /// The application, which holds the tokens.
     pub app: App,
     /// Whether anonymous callers may read.
     pub loopback: bool,
 }
 
-/// Finds out who calls and leaves a [`Caller`] in the request. A token that is not known is refused whatever it asks for.
+/// Identifies the caller and stores a [`Caller`] in the request. An unknown token is refused on
+/// every route.
 pub async fn identify(State(gate): State<Gate>, mut request: Request, next: Next) -> Response {
     let caller = match request.headers().get(header::AUTHORIZATION).cloned() {
         Some(value) => holder(&gate.app, &value).await,
@@ -133,7 +136,8 @@ pub async fn identify(State(gate): State<Gate>, mut request: Request, next: Next
     }
 }
 
-/// Lets all that a request does know who called, as [`identify`] found: on the task that carries it out, which may be another than identified them.
+/// Makes the caller found by [`identify`] available to everything the request does, in the task
+/// that handles it, which may differ from the one that identified the caller.
 pub async fn on_behalf(request: Request, next: Next) -> Response {
     let who = Caller::of(request.extensions()).who();
     acting(who, next.run(request)).await
@@ -161,7 +165,8 @@ fn authority(request: &Request) -> &str {
     request.uri().authority().map(|a| a.as_str()).or_else(host).unwrap_or_default()
 }
 
-/// Refuses requests of HTTP/1.1 that do not name exactly one host: two readers of such a request may believe two things.
+/// Refuses HTTP/1.1 requests that do not name exactly one host: two parsers may disagree about such
+/// a request.
 pub async fn one_host(request: Request, next: Next) -> Response {
     let hosts = request.headers().get_all(header::HOST).iter().count();
     if hosts > 1 || hosts == 0 && request.version() == Version::HTTP_11 {
@@ -187,15 +192,16 @@ fn is_same_origin(headers: &HeaderMap, authority: &str) -> bool {
     site_ok && origin_ok
 }
 
-/// Nothing, if the caller found by [`identify`] may do what needs `role`.
+/// Succeeds if the caller found by [`identify`] has at least `role`.
 ///
 /// # Errors
-/// As [`Caller::require`]; a request that never passed [`identify`] is anonymous and may nothing.
+/// As [`Caller::require`]; a request that did not pass through [`identify`] is anonymous and has no
+/// permissions.
 pub fn require(extensions: &Extensions, role: Role) -> Result<(), Problem> {
     Caller::of(extensions).require(role)
 }
 
-/// Nothing, if the caller found by [`identify`] may clear a latched bench.
+/// Succeeds if the caller found by [`identify`] may clear a latched bench.
 ///
 /// # Errors
 /// As [`Caller::require_clearer`].

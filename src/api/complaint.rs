@@ -1,12 +1,12 @@
-//! A complaint that the log hears often enough to be seen and seldom enough not to fill a disk.
+//! Rate-limited complaints: logged often enough to be noticed and seldom enough not to fill a disk.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Time between two lines about one thing.
+/// Minimum time between two log lines about the same thing.
 const QUIET: Duration = Duration::from_secs(10);
 
-/// One thing to complain about.
+/// One recurring complaint.
 #[derive(Debug, Default)]
 pub struct Complaint {
     heard: Mutex<Heard>,
@@ -15,12 +15,13 @@ pub struct Complaint {
 #[derive(Debug, Default)]
 struct Heard {
     last: Option<Instant>,
-    /// Times that were kept quiet since.
+    /// Occurrences suppressed since the last line.
     quiet: u64,
 }
 
 impl Complaint {
-    /// It happened `times` more: `log` is called with how often since it was last called, at most once in [`QUIET`].
+    /// Records `times` more occurrences: calls `log` with the number since its last call, at most
+    /// once per [`QUIET`].
     pub fn happened(&self, times: u64, log: impl FnOnce(u64)) {
         if let Some(times) = self.due(times, Instant::now()) {
             log(times);

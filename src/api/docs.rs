@@ -1,4 +1,5 @@
-//! The documentation: the files of `web/docs-dist` (`make docs`), embedded when the program was built, below `/docs/`.
+//! The documentation under `/docs/`: the files of `web/docs-dist` (`make docs`), embedded at build
+//! time.
 
 use super::page::serve;
 use super::problem::Problem;
@@ -11,7 +12,7 @@ use rust_embed::{EmbeddedFile, RustEmbed};
 #[allow_missing = true]
 struct Files;
 
-/// The answer for a path of the documentation; `None` for another path.
+/// The response for a documentation path; `None` for any other path.
 pub fn answer(path: &str) -> Option<Response> {
     match path {
         "docs" => Some(moved("/docs/")),

@@ -1,4 +1,5 @@
-//! The outermost layer: gives a request its id, answers in the caller's protocol, hardens the headers, counts and logs.
+//! The outermost layer: assigns the request id, answers in the caller's protocol, sets security
+//! headers, counts and logs.
 
 use super::grpc;
 use super::problem::Problem;
@@ -10,7 +11,8 @@ use axum::response::{IntoResponse, Response};
 use std::time::Instant;
 use tracing::Instrument;
 
-/// Headers on every answer. No script, style or connection but our own; nobody may frame or sniff.
+/// Headers on every response. Scripts, styles and connections only from our own origin; no framing,
+/// no content sniffing.
 const HARDENING: [(HeaderName, &str); 5] = [
     (
         header::CONTENT_SECURITY_POLICY,
@@ -22,7 +24,7 @@ const HARDENING: [(HeaderName, &str); 5] = [
     (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
 ];
 
-/// See the module.
+/// The layer described in the module documentation.
 pub async fn edge(request: Request, next: Next) -> Response {
     let id = uuid::Uuid::now_v7().to_string();
     let grpc = grpc::is_grpc(request.headers());
@@ -32,7 +34,7 @@ pub async fn edge(request: Request, next: Next) -> Response {
 
     let started = Instant::now();
     let mut response = next.run(request).instrument(span.clone()).await;
-    // The route, not the path: ids would make a metric per weighing.
+    // The route rather than the path: ids would create a metric per weighing.
     let route = response.extensions_mut().remove::<MatchedPath>().or(own_route);
     let route = route.as_ref().map_or("none", MatchedPath::as_str).to_owned();
     span.record("route", route.as_str());
@@ -48,7 +50,8 @@ pub async fn edge(request: Request, next: Next) -> Response {
     response
 }
 
-/// The name that a method is counted and logged under: callers invent others, and each label is kept for ever.
+/// Label under which a method is counted and logged: callers make up methods, and every label is
+/// kept forever.
 fn counted(method: &Method) -> &str {
     let known = [
         Method::GET,
@@ -64,7 +67,7 @@ fn counted(method: &Method) -> &str {
     if known.contains(method) { method.as_str() } else { "other" }
 }
 
-/// Tells [`edge`], which stands before another router, which route was taken.
+/// Passes the matched route to [`edge`], which sits in front of another router.
 pub async fn tell_route(request: Request, next: Next) -> Response {
     let route = request.extensions().get::<MatchedPath>().cloned();
     let mut response = next.run(request).await;
@@ -74,7 +77,7 @@ pub async fn tell_route(request: Request, next: Next) -> Response {
     response
 }
 
-/// Writes a [`Problem`] as the caller reads it: with the request's id, and as a status over gRPC.
+/// Writes a [`Problem`] in the caller's protocol: with the request's id, and as a status over gRPC.
 fn in_callers_protocol(mut response: Response, grpc: bool, id: &str) -> Response {
     let Some(problem) = response.extensions_mut().remove::<Problem>() else {
         return if grpc { grpc::status::explain(response, id) } else { response };
@@ -83,7 +86,7 @@ fn in_callers_protocol(mut response: Response, grpc: bool, id: &str) -> Response
     if grpc {
         return grpc::status::from_problem(problem).into_http();
     }
-    // Keeps what inner layers said in headers, such as Allow.
+    // Keeps headers set by inner layers, such as Allow.
     let mut written = problem.into_response();
     for (name, value) in response.headers() {
         if name != header::CONTENT_LENGTH {
@@ -94,18 +97,18 @@ fn in_callers_protocol(mut response: Response, grpc: bool, id: &str) -> Response
 }
 
 fn harden(headers: &mut HeaderMap, id: &str) {
-    // A page that brings its own style has a policy of its own.
+    // A page with its own style sets its own policy.
     for (name, value) in HARDENING {
         headers.entry(name).or_insert(HeaderValue::from_static(value));
     }
-    // Answers change and may be private; what may be cached says so itself.
+    // Responses change and may be private; cacheable ones set their own header.
     headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
     if let Ok(id) = HeaderValue::from_str(id) {
         headers.insert("x-request-id", id);
     }
 }
 
-/// What a handler that panicked answers; the panic itself is in the log.
+/// The response of a handler that panicked; the panic itself is logged.
 pub fn panicked(cause: Box<dyn std::any::Any + Send>) -> Response {
     let text = cause.downcast_ref::<String>().map(String::as_str).or_else(|| cause.downcast_ref::<&str>().copied());
     tracing::error!(panic = text.unwrap_or("of unknown cause"), "a request handler panicked");

@@ -1,7 +1,8 @@
-//! What happens on the bench, for those who watch over the service: a line in the log for each beginning, end, latch and clearance, and
-//! measures of each dose.
+//! The bench journal for operations staff: a log line for each start, end, latch and clearance, and
+//! metrics of each dose.
 //!
-//! It follows the committed events, as every live view does, so that no way to begin, end or latch can be forgotten here.
+//! It follows the committed events, like every live view, so no way of starting, ending or latching
+//! can be missed here.
 
 use crate::app::{App, BENCH_TOPIC, Event, Topic, Weighing};
 use flip_core::domain::weighing::{Outcome, WeighingState};
@@ -12,10 +13,10 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use tracing::Level;
 
-/// Pause before the events are followed again after reading them failed.
+/// Delay before following the events again after reading them failed.
 const AGAIN: Duration = Duration::from_secs(1);
 
-/// Keep the journal from now on until the service closes.
+/// Keeps the journal from now on until the service closes.
 pub async fn keep(app: App, closing: CancellationToken) {
     let mut last = app.last_event();
     while !closing.is_cancelled() {
@@ -47,7 +48,7 @@ fn tell(event: &Event) {
     }
 }
 
-/// A line for what happened to the bench.
+/// Logs what happened to the bench.
 fn bench(kind: &str, data: &Value) {
     let text = |field: &str| data.get(field).and_then(Value::as_str).unwrap_or_default();
     let (weighing, by) = (text("weighing"), text("by"));
@@ -57,13 +58,13 @@ fn bench(kind: &str, data: &Value) {
             tracing::warn!(weighing, reason = text("reason"), "the bench is latched until a person has looked");
         }
         "cleared" => tracing::info!(by, note = text("note"), "the bench was cleared"),
-        // Told by the doses that change it.
+        // Logged by the doses that change it.
         "vial" => {}
         other => tracing::info!(by, weighing, reason = text("reason"), "the bench is {other}"),
     }
 }
 
-/// A line for how a dose ended: the level of a line must be known when FLIP is compiled.
+/// Logs how a dose ended; a macro because the level must be known at compile time.
 macro_rules! ended {
     ($level:expr, $weighing:expr, $outcome:expr) => {
         tracing::event!(
@@ -82,7 +83,7 @@ macro_rules! ended {
     };
 }
 
-/// A line for where a dose stands; measures of one that ran.
+/// Logs the state of a dose; records metrics of one that ran.
 fn dose(weighing: &Weighing) {
     let Weighing { id, powder, target_mg, .. } = weighing;
     let (lot, vial) = (weighing.asked.lot.as_deref(), weighing.asked.vial.as_deref());
@@ -104,7 +105,7 @@ fn dose(weighing: &Weighing) {
     measure(weighing, word(&outcome));
 }
 
-/// Counts every end; error, duration and shakes of those that ran their course.
+/// Counts every end; records error, duration and shakes of doses that ran their course.
 fn measure(weighing: &Weighing, outcome: String) {
     let bench = weighing.bench.map_or_else(|| "none".to_owned(), |bench| word(&bench));
     let labels = [("bench", bench), ("outcome", outcome)];
@@ -123,7 +124,7 @@ fn measure(weighing: &Weighing, outcome: String) {
     }
 }
 
-/// An enum's variant as the rest of the API writes it.
+/// An enum's variant as written elsewhere in the API.
 pub(super) fn word(variant: &impl serde::Serialize) -> String {
     serde_json::to_value(variant).ok().and_then(|json| json.as_str().map(str::to_owned)).unwrap_or_default()
 }

@@ -1,6 +1,6 @@
-//! What one client may take from the others: seats of its class, and streams.
+//! Limits on what one client can take from the others: seats of its class, and streams.
 //!
-//! A stop needs neither, and what only tells that the service lives has a row of its own.
+//! A stop needs neither, and liveness probes have seats of their own.
 
 use super::complaint::Complaint;
 use super::front::Connection;
@@ -13,40 +13,42 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 /// How long a request may wait for a seat.
 const WAIT: Duration = Duration::from_secs(5);
-/// Streams of events that may be open at once.
+/// Maximum number of event streams open at once.
 const STREAMS: usize = 256;
-/// Of these, without a token.
+/// Of these, streams without a token.
 const STREAMS_ANONYMOUS: usize = 128;
-/// Of these, for one address of the network; on this machine all have one.
+/// Of these, streams of one network address; on this machine all clients share one.
 const STREAMS_PEER: usize = 64;
-/// Of these, on one connection: HTTP/2 carries no more requests beside them than it has streams left.
+/// Of these, streams on one connection: the rest of an HTTP/2 connection's streams stay free for
+/// other requests.
 const STREAMS_CONNECTION: usize = 32;
 
-/// Who waits with whom.
+/// Class of request; requests of one class share seats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Class {
     /// Health, reflection and metrics.
     Probe,
     /// Without a token.
     Anonymous,
-    /// With a token, only reading.
+    /// With a token, read-only.
     Reader,
-    /// With a token, changing something.
+    /// With a token, making changes.
     Writer,
-    /// A long answer, without a token.
+    /// A long response, without a token.
     LongAnonymous,
-    /// A long answer, with a token.
+    /// A long response, with a token.
     Long,
 }
 
-/// Requests worked on at once; cheap to clone.
+/// Limits the requests processed at once; cheap to clone.
 #[derive(Debug, Clone)]
 pub struct Seats(Arc<[Row; 6]>);
 
 #[derive(Debug)]
 struct Row {
     seats: Arc<Semaphore>,
-    /// Requests that may wait for a seat; more are refused at once, which is kinder than a queue that nobody outlives.
+    /// Requests that may wait for a seat; more are refused at once, which is kinder than a queue
+    /// that outlasts the clients' patience.
     queue: Semaphore,
     full: Complaint,
 }
@@ -66,7 +68,8 @@ impl Row {
 }
 
 impl Default for Seats {
-    /// 256 in all, so that no class can take the seats of another. Long answers take a seat until they are sent.
+    /// 256 in all, split so that no class can take another's seats. Long responses hold a seat
+    /// until they are sent.
     fn default() -> Self {
         let rows = [(24, 64), (96, 256), (64, 256), (64, 128), (4, 16), (4, 16)];
         Self(Arc::new(rows.map(|(seats, queue)| Row::new(seats, queue))))
@@ -74,10 +77,10 @@ impl Default for Seats {
 }
 
 impl Seats {
-    /// A seat, at once or after a short wait.
+    /// Takes a seat, at once or after a short wait.
     ///
     /// # Errors
-    /// 503 when too many wait already or none became free in time.
+    /// 503 if too many are waiting already or none became free in time.
     pub async fn take(&self, class: Class) -> Result<OwnedSemaphorePermit, Problem> {
         let row = &self.0[class as usize];
         if let Some(seat) = row.take().await {
@@ -89,7 +92,7 @@ impl Seats {
     }
 }
 
-/// Streams of events that are open; cheap to clone.
+/// Open event streams; cheap to clone.
 #[derive(Debug, Clone, Default)]
 pub struct Streams(Arc<Following>);
 
@@ -106,7 +109,7 @@ struct Open {
     by_peer: HashMap<IpAddr, usize>,
 }
 
-/// One stream's seat, until it is dropped.
+/// Seat of one stream, held until dropped.
 #[derive(Debug)]
 pub struct StreamSeat {
     streams: Streams,
@@ -115,10 +118,10 @@ pub struct StreamSeat {
 }
 
 impl Streams {
-    /// A seat for a stream on this connection, which counts it already.
+    /// Takes a seat for a stream on this connection, which already counts it.
     ///
     /// # Errors
-    /// 429 for a connection or an address with too many, 503 when too many are open in all.
+    /// 429 if the connection or address has too many, 503 if too many are open in all.
     pub fn take(&self, connection: &Connection, anonymous: bool) -> Result<StreamSeat, Problem> {
         let refused = match connection.streams() > STREAMS_CONNECTION {
             true => Some(Problem::too_many(format!(

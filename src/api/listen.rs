@@ -9,7 +9,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use tokio_rustls::TlsAcceptor;
 
-/// Connections that may wait to be taken: a flood of others fills a short queue, and then a stop waits a second for its second try.
+/// Listen backlog: a flood of connections fills a short queue, and a stop then waits a second for
+/// its retry.
 const BACKLOG: i32 = 4096;
 
 /// Where and how to serve.
@@ -19,7 +20,7 @@ pub struct ServeConfig {
     pub listen: SocketAddr,
     /// Certificate chain and private key, PEM files.
     pub tls: Option<Tls>,
-    /// Accept a non-loopback address without TLS: tokens then cross the network readable.
+    /// Accept a non-loopback address without TLS: tokens then cross the network in clear text.
     pub insecure_lan: bool,
 }
 
@@ -35,29 +36,29 @@ pub struct Tls {
 /// Why the service did not start or did not end well.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// An address others can reach, without encryption and without the explicit flag.
+    /// An address reachable from other machines, without encryption and without the explicit flag.
     #[error(
         "{0} can be reached from other machines: give --tls-cert and --tls-key, or accept readable traffic with --insecure-lan"
     )]
     Exposed(SocketAddr),
-    /// The port is taken or the address is not ours.
+    /// The port is taken or the address is not local.
     #[error("cannot listen on {address}: {source}")]
     Listen {
-        /// The address asked for.
+        /// The requested address.
         address: SocketAddr,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
     /// The certificate or the key cannot be used.
     #[error("TLS files cannot be used: {0}")]
     Tls(std::io::Error),
-    /// The server broke down.
+    /// The server failed.
     #[error("the server stopped: {0}")]
     Broken(#[from] std::io::Error),
 }
 
 impl ServeConfig {
-    /// Plain HTTP on an address, which must be a loopback one.
+    /// Plain HTTP on `listen`, which must be a loopback address.
     pub fn loopback(listen: SocketAddr) -> Self {
         Self { listen, tls: None, insecure_lan: false }
     }
@@ -77,19 +78,20 @@ impl ServeConfig {
         }
         let broken = |source| ServeError::Listen { address: self.listen, source };
         let listener = TcpListener::bind(self.listen).map_err(broken)?;
-        // A second call only makes the queue longer than the standard library's 128.
+        // A second call only extends the queue beyond the standard library's 128.
         rustix::net::listen(&listener, BACKLOG).map_err(|error| broken(error.into()))?;
         listener.set_nonblocking(true).map_err(broken)?;
         Ok(listener)
     }
 
-    /// The TLS settings, read from their files.
+    /// Loads the TLS settings from their files.
     ///
     /// # Errors
-    /// [`ServeError::Tls`] if a file is missing, is not PEM, or certificate and key do not belong together.
+    /// [`ServeError::Tls`] if a file is missing, is not PEM, or certificate and key do not belong
+    /// together.
     pub fn tls(&self) -> Result<Option<TlsAcceptor>, ServeError> {
         let Some(tls) = &self.tls else { return Ok(None) };
-        // A second call in one process finds the provider in place, which is as good.
+        // A second call in the same process finds the provider already installed, which is fine.
         let _installed = ring::default_provider().install_default();
         let config = tls.config().map_err(|error| ServeError::Tls(std::io::Error::other(error)))?;
         Ok(Some(TlsAcceptor::from(Arc::new(config))))
@@ -108,7 +110,8 @@ impl Tls {
 
 /// Whether a Host header or authority, with or without port, names this machine.
 ///
-/// A page elsewhere can point its own name at 127.0.0.1 (DNS rebinding) and then read as if it were ours; its name gives it away.
+/// A page elsewhere can point its own name at 127.0.0.1 (DNS rebinding) and then read as if it were
+/// ours; the host name gives it away.
 pub fn is_loopback_name(authority: &str) -> bool {
     let Ok(authority) = authority.parse::<axum::http::uri::Authority>() else { return false };
     if authority.as_str().contains('@') {

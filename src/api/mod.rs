@@ -1,8 +1,10 @@
-//! REST, gRPC and the page on one port, all through [`crate::app`].
+//! REST, gRPC and the web page on one port, all through [`crate::app`].
 //!
-//! A request passes, from the outside in: [`front`] (connections, on threads of its own), [`asked`] (before how many stops), [`edge`] (id, protocol of
-//! refusals, headers, counts), a net for panics, [`auth::same_origin`], [`auth::identify`]; a stop then goes to the bench, and everything else waits for its body and its seat
-//! ([`limits`]) and goes on to its route in [`rest`], [`grpc`], [`probes`] or [`page`] on the runtime of the rest.
+//! A request passes, from the outside in: [`front`] (connections, on dedicated threads), [`asked`]
+//! (number of stops so far), [`edge`] (id, protocol of errors, headers, metrics), a panic handler,
+//! [`auth::same_origin`], [`auth::identify`]; a stop then goes to the bench, and everything else
+//! waits for its body and its seat ([`limits`]) and goes on to its route in [`rest`], [`grpc`],
+//! [`probes`] or [`page`] on the main runtime.
 
 mod asked;
 mod auth;
@@ -31,17 +33,17 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use tower_http::catch_panic::CatchPanicLayer;
 
-/// How long open requests may take to end once the service shuts down.
+/// How long open requests may take to finish once the service shuts down.
 const DRAIN: Duration = Duration::from_secs(10);
 
-/// The service, bound to its address and not yet answering.
+/// The service, bound to its address but not yet answering.
 pub struct Server {
     app: App,
     config: ServeConfig,
     listener: TcpListener,
 }
 
-/// Listens and answers until `shutdown` completes; [`bind`] and [`Server::run`] in one.
+/// Listens and answers until `shutdown` completes; combines [`bind`] and [`Server::run`].
 ///
 /// # Errors
 /// As [`bind`] and [`Server::run`].
@@ -49,32 +51,34 @@ pub async fn serve(app: App, config: ServeConfig, shutdown: impl Future<Output =
     bind(app, config)?.run(shutdown).await
 }
 
-/// Binds the address, so that the caller can tell where the service is before it runs.
+/// Binds the address, so that the caller can report it before the service runs.
 ///
 /// # Errors
-/// [`ServeError::Exposed`] for an address that others can reach unencrypted, [`ServeError::Listen`] if it is not free.
+/// [`ServeError::Exposed`] for an address reachable unencrypted from other machines,
+/// [`ServeError::Listen`] if it is not free.
 pub fn bind(app: App, config: ServeConfig) -> Result<Server, ServeError> {
     let listener = config.listen()?;
     Ok(Server { app, config, listener })
 }
 
 impl Server {
-    /// Where the service listens.
+    /// The address the service listens on.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system's error.
     pub fn address(&self) -> Result<SocketAddr, ServeError> {
         Ok(self.listener.local_addr()?)
     }
 
-    /// Answers until `shutdown` completes. Then takes no more connections, gives open requests [`DRAIN`] to end, and closes
-    /// the application: the spoon is levelled, running jobs are checkpointed, event streams end.
+    /// Answers until `shutdown` completes. Then accepts no more connections, gives open requests
+    /// [`DRAIN`] to finish, and closes the application: the spoon is levelled, running jobs save a
+    /// checkpoint, event streams end.
     ///
     /// # Errors
-    /// [`ServeError::Tls`] for unusable certificates, [`ServeError::Broken`] if the server breaks down.
+    /// [`ServeError::Tls`] for unusable certificates, [`ServeError::Broken`] if the server fails.
     pub async fn run(self, shutdown: impl Future<Output = ()> + Send) -> Result<(), ServeError> {
         let closing = CancellationToken::new();
-        // However this ends: who follows tokens, health and the journal must not outlive it.
+        // However this ends, the followers of tokens, health and the journal must not outlive it.
         let _ending = closing.clone().drop_guard();
         let tls = self.config.tls()?;
         let main = main_router(&self.app, closing.clone());
@@ -94,7 +98,7 @@ impl Server {
     }
 }
 
-/// All that the front hands over.
+/// Everything that the front end hands over.
 fn main_router(app: &App, closing: CancellationToken) -> Router {
     rest::router(app.clone())
         .merge(grpc::router(app.clone(), closing))

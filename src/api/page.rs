@@ -1,7 +1,7 @@
-//! The page: the files of `web/dist`, embedded when the program was built.
+//! The web page: the files of `web/dist`, embedded at build time.
 //!
-//! The page answers browsers, which say that they take HTML. To a program a path that nobody knows is an error, or it would believe that it
-//! had found an interface.
+//! The page is for browsers, which accept HTML. A program gets an error for an unknown path;
+//! otherwise it would believe it had found an endpoint.
 
 use super::problem::Problem;
 use super::{docs, grpc};
@@ -15,8 +15,8 @@ use rust_embed::{EmbeddedFile, RustEmbed};
 #[allow_missing = true]
 struct Files;
 
-/// Answers everything that no route takes: a file of the page, the page itself for the addresses it makes up
-/// (`/weighings/…`), or a problem.
+/// Answers every path without a route: a file of the page, the page itself for its client-side
+/// routes (`/weighings/…`), or a problem.
 pub async fn fallback(method: Method, uri: Uri, headers: HeaderMap) -> Response {
     if grpc::is_grpc(&headers) {
         return tonic::Status::unimplemented("no such service; reflection lists all").into_http();
@@ -28,7 +28,7 @@ pub async fn fallback(method: Method, uri: Uri, headers: HeaderMap) -> Response 
     docs::answer(path).unwrap_or_else(|| answer(path, takes_html(&headers), Files::get))
 }
 
-/// Whether the caller names HTML among what it takes; `*/*` alone is what programs send.
+/// Whether the caller explicitly accepts HTML; `*/*` alone is what programs send.
 fn takes_html(headers: &HeaderMap) -> bool {
     let accepted = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
     let kinds =
@@ -41,7 +41,7 @@ fn takes_html(headers: &HeaderMap) -> bool {
 fn answer(path: &str, takes_html: bool, find: impl Fn(&str) -> Option<EmbeddedFile>) -> Response {
     let is_page = path.is_empty() || path == "index.html";
     if let Some(file) = find(path).filter(|_| !is_page) {
-        // Vite puts a hash of the content in the name of everything below assets/.
+        // Vite puts a content hash in every file name below assets/.
         let hashed = path.starts_with("assets/");
         return serve(file, if hashed { "public, max-age=31536000, immutable" } else { "no-cache" });
     }
@@ -59,7 +59,7 @@ fn answer(path: &str, takes_html: bool, find: impl Fn(&str) -> Option<EmbeddedFi
     }
 }
 
-/// A file, kept by browsers as `cache` says.
+/// Serves a file with this cache policy.
 pub(super) fn serve(file: EmbeddedFile, cache: &'static str) -> Response {
     let kind =
         HeaderValue::from_str(file.metadata.mimetype()).unwrap_or(HeaderValue::from_static("application/octet-stream"));
@@ -75,7 +75,7 @@ mod tests {
     #[folder = "proto"]
     struct Any;
 
-    /// A page made of `index.html` and one asset; what the files hold does not matter here.
+    /// A page made of `index.html` and one asset; the contents do not matter here.
     fn built(name: &str) -> Option<EmbeddedFile> {
         matches!(name, "index.html" | "assets/app-1a2b.js").then(|| Any::get("build.rs").unwrap())
     }

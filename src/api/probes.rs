@@ -1,4 +1,4 @@
-//! For those who watch over the service: `/healthz`, `/readyz`, `/metrics`.
+//! Endpoints for monitoring: `/healthz`, `/readyz`, `/metrics`.
 
 use super::auth::{Viewer, require};
 use super::journal::word;
@@ -13,7 +13,8 @@ use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
 use std::sync::OnceLock;
 use tokio_util::sync::CancellationToken;
 
-/// Upper bounds of the histograms: seconds to an answer or a stop, mg of error, seconds and shakes of a dose.
+/// Bucket bounds of the histograms: seconds to a response or a stop, error in mg, duration in
+/// seconds and shakes of a dose.
 const BUCKETS: [(&str, &[f64]); 5] = [
     ("flip_request_seconds", &[0.001, 0.005, 0.02, 0.1, 0.5, 2.0, 10.0, 60.0]),
     ("flip_stop_seconds", &[0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.5, 2.0]),
@@ -29,7 +30,8 @@ pub fn metrics(app: App) -> Router {
     Router::new().route("/metrics", get(exposition)).with_state(app).method_not_allowed_fallback(refused)
 }
 
-/// `/healthz` and `/readyz`, which answer whatever the rest of the service does; `closing` is cancelled once it shuts down.
+/// `/healthz` and `/readyz`, which answer whatever the rest of the service does; `closing` is
+/// cancelled once it shuts down.
 pub fn alive(app: App, closing: CancellationToken) -> Router {
     let ready = move |extensions: Extensions| async move {
         match closing.is_cancelled() {
@@ -43,7 +45,8 @@ pub fn alive(app: App, closing: CancellationToken) -> Router {
         .method_not_allowed_fallback(async || Problem::method_not_allowed())
 }
 
-/// 200 when a weighing could be carried out and recorded, else 503; each thing that was looked at by its name, and why to those who may read.
+/// 200 if a weighing could be carried out and recorded, else 503; each check by name, with reasons
+/// for callers who may read.
 async fn readiness(app: &App, extensions: &Extensions) -> Response {
     let mut found = app.readiness().await;
     if require(extensions, Role::Viewer).is_err() {
@@ -60,7 +63,8 @@ async fn exposition(_: Viewer, State(app): State<App>) -> Result<impl IntoRespon
     Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text))
 }
 
-/// What the database holds, written out here: a recorder would go on telling of states that nothing is in any more.
+/// Gauges from the database, written out here: a recorder would go on exporting states that no
+/// longer occur.
 fn gauges(counts: &Counts) -> String {
     let jobs = counts.jobs.iter().map(|((kind, state), n)| {
         let (kind, state) = (word(kind), word(state));
@@ -108,7 +112,8 @@ fn of_the_bench(bench: &BenchStatus) -> String {
     .concat()
 }
 
-/// The process's one recorder, started at the first call; tests run several services beside each other.
+/// The process's single recorder, started at the first call; tests run several services side by
+/// side.
 fn recorder() -> Option<&'static PrometheusHandle> {
     static RECORDER: OnceLock<Option<PrometheusHandle>> = OnceLock::new();
     let start = || {

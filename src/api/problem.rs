@@ -1,7 +1,8 @@
-//! One kind of refusal for both transports: RFC 9457 problem details.
+//! One error format for both transports: RFC 9457 problem details.
 //!
-//! A handler, an extractor or a layer returns a [`Problem`]; [`super::edge`] gives it the request's id and writes it as
-//! `application/problem+json`, or as a gRPC status ([`super::grpc::status`]) when the caller speaks gRPC.
+//! A handler, an extractor or a layer returns a [`Problem`]; [`super::edge`] adds the request's id
+//! and writes it as `application/problem+json`, or as a gRPC status ([`super::grpc::status`]) if
+//! the caller speaks gRPC.
 
 use crate::app;
 use axum::Json;
@@ -34,7 +35,8 @@ pub struct Problem {
 /// The content type of [`Problem`].
 pub const CONTENT_TYPE: &str = "application/problem+json";
 
-/// When to ask again after a 503, s: another program's lock is waited for about as long before it is one.
+/// Retry delay after a 503, s: about as long as another program's lock is waited for before the
+/// request fails.
 const RETRY_AFTER_S: &str = "5";
 
 impl Problem {
@@ -49,24 +51,24 @@ impl Problem {
         }
     }
 
-    /// 400: fields with their bounds.
+    /// 400: invalid fields, with their bounds.
     pub fn invalid(errors: impl IntoIterator<Item = FieldError>) -> Self {
         let errors: Vec<_> = errors.into_iter().collect();
         let detail = errors.iter().map(|e| format!("{} {}", e.field, e.message)).collect::<Vec<_>>().join("; ");
         Self { errors, ..Self::new(StatusCode::BAD_REQUEST, "invalid", "The request is not valid", detail) }
     }
 
-    /// 400: the request cannot be read at all.
+    /// 400: the request cannot be parsed.
     pub fn malformed(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::BAD_REQUEST, "malformed", "The request cannot be read", detail)
     }
 
-    /// 401: a token is needed, or the one given is not known.
+    /// 401: a token is missing or unknown.
     pub fn unauthorized(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::UNAUTHORIZED, "unauthorized", "A valid token is needed", detail)
     }
 
-    /// 403: the token's role does not reach.
+    /// 403: the token's role is too low.
     pub fn forbidden(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::FORBIDDEN, "forbidden", "Not allowed", detail)
     }
@@ -82,17 +84,17 @@ impl Problem {
         Self::new(StatusCode::METHOD_NOT_ALLOWED, "method-not-allowed", "Method not allowed", detail)
     }
 
-    /// 409: the state of things is in the way; `code` names how.
+    /// 409: conflicts with the current state; `code` names how.
     pub fn conflict(code: &str, detail: impl Into<String>) -> Self {
         Self::new(StatusCode::CONFLICT, code, "In conflict with the present state", detail)
     }
 
-    /// 410: it was stored, and cannot be read any more.
+    /// 410: it was stored, and can no longer be read.
     pub fn lost(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::GONE, "lost", "Lost", detail)
     }
 
-    /// 408: a request that does not come to its end.
+    /// 408: a request that does not complete in time.
     pub fn too_slow(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::REQUEST_TIMEOUT, "too-slow", "The request did not come in time", detail)
     }
@@ -103,13 +105,13 @@ impl Problem {
         Self::new(StatusCode::PAYLOAD_TOO_LARGE, "too-large", "The body is too large", detail)
     }
 
-    /// 415: not what the operation reads, such as `application/json`.
+    /// 415: not the content type the operation reads, such as `application/json`.
     pub fn unsupported_media_type(expected: &str) -> Self {
         let detail = format!("send the body as Content-Type: {expected}");
         Self::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", "Unsupported media type", detail)
     }
 
-    /// 422: an idempotency key came back with another request.
+    /// 422: an idempotency key was reused with another request.
     pub fn key_reused(detail: impl Into<String>) -> Self {
         Self::new(
             StatusCode::UNPROCESSABLE_ENTITY,
@@ -119,12 +121,12 @@ impl Problem {
         )
     }
 
-    /// 429: this client has too much of it already.
+    /// 429: this client already has too many.
     pub fn too_many(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::TOO_MANY_REQUESTS, "too-many", "Too many at once", detail)
     }
 
-    /// 500: our fault; the cause is in the log under the request's id.
+    /// 500: our fault; the cause is logged under the request's id.
     pub fn internal() -> Self {
         let detail = "the request failed for a reason of ours; the log tells it under this instance";
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", "Internal error", detail)

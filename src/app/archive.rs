@@ -7,12 +7,14 @@ use flip_store::archiving::Archived;
 use serde::Deserialize;
 
 impl App {
-    /// Move what was recorded of weighings that ended before a day, or a point in time, into files of the data folder. Their intents and outcomes and
-    /// what people did stay where they are; certificates, listings and verification read the files.
+    /// Moves the records of weighings that ended before a day, or a point in time, into files of
+    /// the data folder. Intents, outcomes and people's actions stay in the database; certificates,
+    /// listings and verification read the files.
     ///
     /// # Errors
-    /// `Invalid`: `before`, as `2026-11-26` (its beginning, UTC) or in RFC 3339; `Unavailable`: another archiving is under way; `Internal`, `Unavailable`: whatever
-    /// was moved is in files that the record names, and everything else is where it was.
+    /// `Invalid`: `before` is neither a day such as `2026-11-26` (its start, UTC) nor RFC 3339;
+    /// `Unavailable`: another archiving is in progress; `Internal`, `Unavailable`: what was already
+    /// moved is in files named by the record, and everything else is where it was.
     pub async fn archive_audit(&self, before: &str) -> Result<Archived> {
         let before = point_in_time(before)?;
         Ok(self.store().archive_audit(before).await?)

@@ -1,4 +1,4 @@
-//! Copies of a data folder, and data folders of copies.
+//! Backups of a data folder, and restoring them.
 
 use flip_store::Error as StoreError;
 use flip_store::backup::{self, Copied};
@@ -7,7 +7,7 @@ use std::path::Path;
 /// Why nothing was copied.
 #[derive(Debug, thiserror::Error)]
 pub enum BackupError {
-    /// What was asked for cannot be done: there is nothing to copy, or something is there already.
+    /// The request cannot be carried out: there is nothing to copy, or the target exists.
     #[error("{0}")]
     Refused(String),
     /// Anything else.
@@ -15,8 +15,9 @@ pub enum BackupError {
     Failed(String),
 }
 
-/// Copy a data folder, also while `flip serve` holds it, to a folder that is not there yet or is empty. The copy was read back: the database hangs
-/// together, its audit trail was gone through, each file is what its name says.
+/// Copies a data folder, even while `flip serve` holds it, to a folder that does not exist yet or
+/// is empty. The copy is verified: the database is consistent, its audit trail was checked, and
+/// each file matches its name.
 ///
 /// # Errors
 /// [`BackupError`]; nothing is left behind.
@@ -24,9 +25,10 @@ pub async fn back_up(data_dir: &Path, to: &Path) -> Result<Copied, BackupError> 
     backup::copy(data_dir, to).await.map_err(BackupError::of)
 }
 
-/// Make a data folder of a backup; the backup stays as it is. Nothing is written over. Its bench is held until a person resumes: what was poured since
-/// the backup, the database does not know. Its tokens are revoked in the new folder, because the backup does not know which have been revoked since;
-/// `keep_tokens` leaves them as the backup has them.
+/// Restores a data folder from a backup, which is left unchanged. Nothing is overwritten. The bench
+/// is held until a person resumes: the database does not know what was poured since the backup.
+/// Tokens are revoked in the new folder, because the backup does not know which have been revoked
+/// since; `keep_tokens` leaves them as they are in the backup.
 ///
 /// # Errors
 /// [`BackupError`]; nothing is left behind.

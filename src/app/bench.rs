@@ -1,4 +1,5 @@
-//! The bench: what it is, whether it may be used, who cleared it, and the record of all that happened on it.
+//! The bench: its state, whether it may be used, who cleared it, and the record of everything that
+//! happened on it.
 
 use super::check::Check;
 use super::weighings::latched;
@@ -19,7 +20,7 @@ use flip_store::weighings::{Waiting, Weighing};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Longest name and note of a person.
+/// Maximum length of a person's name and note, characters.
 const WORDS_MAX: usize = 2000;
 
 /// The bench, and whether it may be used.
@@ -66,7 +67,8 @@ pub struct ClearRequest {
     pub looked: bool,
     /// Confirms that the vial is empty or new and that the balance will be tared. Must be true.
     pub vial_ready: bool,
-    /// Waiting weighings may start at once, even after a stop; otherwise the bench is held until a person resumes.
+    /// Waiting weighings may start at once, even after a stop; otherwise the bench is held until a
+    /// person resumes.
     #[serde(default)]
     pub resume: bool,
 }
@@ -93,7 +95,7 @@ pub struct RepeatabilityRequest {
 }
 
 impl App {
-    /// What the bench is and whether it may be used.
+    /// The state of the bench, and whether it may be used.
     ///
     /// # Errors
     /// `Internal`
@@ -119,36 +121,39 @@ impl App {
         })
     }
 
-    /// Stop whatever moves on the bench, and let nothing begin until a person resumes. Not an emergency stop.
+    /// Stops anything that moves on the bench, and lets nothing start until a person resumes. Not
+    /// an emergency stop.
     ///
-    /// Nothing is waited for: the stop flag and the hold are set when this returns, the arm is being told, and the record follows when the database lets it.
-    /// `by` is who stops, where that is known.
+    /// This does not block: the stop flag and the hold are set when it returns, the arm is being
+    /// notified, and the record follows when the database allows. `by` is the person who stops, if
+    /// known.
     ///
     /// # Errors
-    /// `Unavailable` when opened to read.
+    /// `Unavailable` if opened read-only.
     pub fn halt(&self, by: Option<&str>) -> Result<BenchStatus> {
         let bench = self.jobs_or_refuse()?.bench();
         bench.halt(by);
         Ok(status(bench))
     }
 
-    /// The same, if it is this weighing that moves; what is known of it.
+    /// The same, if it is this weighing that moves; returns what is known of it.
     ///
     /// # Errors
-    /// `Unavailable` when opened to read.
+    /// `Unavailable` if opened read-only.
     pub fn halt_weighing(&self, id: &str, by: Option<&str>) -> Result<Option<Weighing>> {
         Ok(self.jobs_or_refuse()?.bench().halt_weighing(id, by))
     }
 
-    /// As [`App::halt`], by nobody who is known.
+    /// As [`App::halt`], by an unknown person.
     ///
     /// # Errors
-    /// `Unavailable` when opened to read.
+    /// `Unavailable` if opened read-only.
     pub async fn stop_bench(&self) -> Result<BenchStatus> {
         self.halt(None)
     }
 
-    /// Let weighings begin again after a stop. One that comes after this was asked holds the bench all the same.
+    /// Lets weighings start again after a stop. A stop that comes after the request was made still
+    /// holds the bench.
     ///
     /// # Errors
     /// `Invalid`; `Conflict` (`bench_not_held`, `bench_latched`, `stopped_meanwhile`).
@@ -170,11 +175,13 @@ impl App {
         }
     }
 
-    /// A person has looked: the bench, or its arm where that alone is latched, may be used again. Where weighings wait it is held, unless they are to begin;
-    /// the hold of a stop stays as long. Of two who clear at once one does.
+    /// Clears the bench, or its arm if that alone is latched, after a person's check. If weighings
+    /// are waiting, the bench is held unless they are to start, and the hold of a stop stays too.
+    /// If two people clear at once, one succeeds.
     ///
     /// # Errors
-    /// `Invalid`; `Conflict` (`bench_not_latched`, `bench_differs`, `arm_not_recovered`, `ending_unwritten`, `stopped_meanwhile`).
+    /// `Invalid`; `Conflict` (`bench_not_latched`, `bench_differs`, `arm_not_recovered`,
+    /// `ending_unwritten`, `stopped_meanwhile`).
     pub async fn clear_bench(&self, request: ClearRequest) -> Result<BenchStatus> {
         let bench = self.jobs_or_refuse()?.bench();
         let stops = self.stops_when_asked()?;
@@ -190,13 +197,13 @@ impl App {
         let alone = bench.alone().await;
         let cleared = self.clear_alone(by, &request, stops).await;
         drop(alone);
-        // What could not begin meanwhile, and what waited.
+        // Anything that could not start meanwhile, and waiting weighings.
         bench.wake();
         cleared?;
         self.bench().await
     }
 
-    /// While nobody else clears, and no dose begins or ends.
+    /// Clears while no other clearance runs and no dose starts or ends.
     async fn clear_alone(&self, by: &str, request: &ClearRequest, stops: u64) -> Result<()> {
         let bench = self.jobs_or_refuse()?.bench();
         let Standing { moving, unwritten, .. } = bench.standing();
@@ -228,7 +235,8 @@ impl App {
         }
     }
 
-    /// Before the latch is gone: a bench whose arm cannot move must not look free. The arm may be latched where the bench is not.
+    /// Before the latch is removed: a bench whose arm cannot move must not appear free. The arm may
+    /// be latched when the bench is not.
     async fn recover(&self, by: &str, is_latched: bool) -> Result<()> {
         let bench = self.jobs_or_refuse()?.bench();
         let failed = |error: DeviceError| Error::conflict("arm_not_recovered", error.to_string());
@@ -249,7 +257,7 @@ impl App {
         }
     }
 
-    /// Keep a check of how well the balance repeats.
+    /// Stores a repeatability check of the balance.
     ///
     /// # Errors
     /// `Invalid`
@@ -265,7 +273,7 @@ impl App {
         Ok(found)
     }
 
-    /// What the arm makes of a commanded shake, as it was measured last.
+    /// The arm's actual shakes against the commanded ones, as last measured.
     ///
     /// # Errors
     /// `Conflict` (`shakes_not_calibrated`).
@@ -275,18 +283,19 @@ impl App {
         measured.map(|(_, calibration)| calibration).ok_or_else(|| Error::conflict("shakes_not_calibrated", advice))
     }
 
-    /// Keep what the arm makes of commanded shakes; weighings command accordingly from now on.
+    /// Stores the arm's actual shakes against the commanded ones; weighings command accordingly
+    /// from now on.
     ///
     /// # Errors
-    /// `Unavailable` when opened to read.
+    /// `Unavailable` if opened read-only.
     pub async fn keep_shakes(&self, found: &ShakeCalibration) -> Result<()> {
         self.keep_check(CheckKind::Shakes, found).await
     }
 
-    /// Keep a dry test of the devices, whatever it found.
+    /// Stores a dry test of the devices, whatever its result.
     ///
     /// # Errors
-    /// `Unavailable` when opened to read.
+    /// `Unavailable` if opened read-only.
     pub async fn keep_conformance(&self, found: &impl Serialize) -> Result<()> {
         self.keep_check(CheckKind::Conformance, found).await
     }
@@ -299,7 +308,7 @@ impl App {
         Ok(())
     }
 
-    /// Records of the audit trail, newest first; of one weighing when named.
+    /// Records of the audit trail, newest first; optionally of one weighing.
     ///
     /// # Errors
     /// `Invalid`
@@ -307,7 +316,7 @@ impl App {
         Ok(self.store().audit_records(weighing, page.window(LIST_LIMIT_MAX)?).await?)
     }
 
-    /// Hand every record to `take`, oldest first; of one weighing when named.
+    /// Passes every record to `take`, oldest first; optionally of one weighing.
     ///
     /// # Errors
     /// `Internal`
@@ -321,7 +330,7 @@ impl App {
         }
     }
 
-    /// Whether the audit trail is whole, and holds a hash that somebody kept.
+    /// Whether the audit trail is intact and contains a hash that was kept elsewhere.
     ///
     /// # Errors
     /// `Invalid`
@@ -335,12 +344,12 @@ impl App {
     }
 }
 
-/// What somebody asked before a stop is void after it.
+/// The refusal of a request made before a stop.
 pub(super) fn stopped_meanwhile(advice: &str) -> Error {
     Error::conflict("stopped_meanwhile", format!("the bench was stopped after this was asked: {advice}"))
 }
 
-/// What is known of a bench, from memory.
+/// The status of a bench, from memory.
 fn status(bench: &Bench) -> BenchStatus {
     let Standing { latch, held, waiting, vial, repeatability, reservation, moving, unwritten } = bench.standing();
     BenchStatus {
@@ -359,7 +368,7 @@ fn status(bench: &Bench) -> BenchStatus {
     }
 }
 
-/// The name of who did something, checked with what he says of it.
+/// The person's name, checked together with the note.
 pub(super) fn check_person<'a>(check: &mut Check, by: &'a str, note: &str) -> &'a str {
     let by = by.trim();
     if by.is_empty() || by.len() > WORDS_MAX || by.chars().any(char::is_control) {
@@ -371,7 +380,7 @@ pub(super) fn check_person<'a>(check: &mut Check, by: &'a str, note: &str) -> &'
     by
 }
 
-/// A record as a line of CSV; [`AUDIT_CSV_HEADER`] is the first.
+/// A record as a CSV line; [`AUDIT_CSV_HEADER`] is the first line.
 pub fn audit_csv(record: &AuditRecord) -> String {
     let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
     let weighing = record.weighing.as_deref().unwrap_or_default();
@@ -379,5 +388,5 @@ pub fn audit_csv(record: &AuditRecord) -> String {
     format!("{},{},{weighing},{},{body},{}\n", record.seq, record.at, record.kind, record.hash)
 }
 
-/// Header of the audit trail's CSV.
+/// Header of the audit trail as CSV.
 pub const AUDIT_CSV_HEADER: &str = "seq,at,weighing,kind,body,hash\n";

@@ -24,7 +24,8 @@ pub struct CalibrationRequest {
     pub powder: Option<String>,
     /// Target angle of repose instead of a powder, degrees.
     pub repose_deg: Option<f64>,
-    /// Standard deviation of the repeats behind `repose_deg`, 0 to 45 degrees; default 0, an exact target.
+    /// Standard deviation of the repeats behind `repose_deg`, 0 to 45 degrees; default 0, an exact
+    /// target.
     pub sd_deg: Option<f64>,
     /// Repeats behind `repose_deg`, 1 to 10000; default 1.
     pub n: Option<u32>,
@@ -32,11 +33,13 @@ pub struct CalibrationRequest {
     pub method: Option<Method>,
     /// Parameter sets to find, 1 to 100; default 10.
     pub sets: Option<u32>,
-    /// Accepted difference between simulated and measured angle, 0.1 to 10 degrees; default 0.5, with the other methods 1.5.
+    /// Accepted difference between simulated and measured angle, 0.1 to 10 degrees; default 0.5,
+    /// with the other methods 1.5.
     pub tolerance_deg: Option<f64>,
     /// Grains per simulated heap, 100 to 100000; default 2000.
     pub particles: Option<u32>,
-    /// Maximum simulations, search and verification together, 1 to 20000; default three times what verifying all sets takes, with the other methods
+    /// Maximum simulations, search and verification together, 1 to 20000; default three times what
+    /// verifying all sets takes, with the other methods
     /// 150. For the published method, which verifies afterwards, it limits the search alone.
     pub trials_max: Option<u32>,
     /// Heaps simulated to verify each set, 1 to 50; default 8, with the method `sequential` 2.
@@ -45,20 +48,23 @@ pub struct CalibrationRequest {
     pub readings: Option<u32>,
     /// Seed; default 1.
     pub seed: Option<u64>,
-    /// Other measurements, up to 8 observations, for the method `emulator`; default those registered for the powder.
+    /// Other measurements, up to 8 observations, for the method `emulator`; default those
+    /// registered for the powder.
     pub observations: Option<Vec<Observation>>,
-    /// Grains per verification heap, 100 to 100000; default as many as in the other heaps. Not for the method `sequential`.
+    /// Grains per verification heap, 100 to 100000; default as many as in the other heaps. Not for
+    /// the method `sequential`.
     pub verify_particles: Option<u32>,
     /// Extended simulator version, `sv-…`; default the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulator: Option<String>,
-    /// Conditions under which the target was measured, as `{"relative_humidity_pct": 55}`; the target is converted to the version's reference.
-    /// Default: the angle that the version predicts there, for a powder of its campaign.
+    /// Conditions under which the target was measured, as `{"relative_humidity_pct": 55}`; the
+    /// target is converted to the version's reference. Default: the angle that the version predicts
+    /// there, for a powder of its campaign.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Conditions,
 }
 
-/// Most observations of a calibration.
+/// Maximum number of observations per calibration.
 const OBSERVATIONS_MAX: usize = 8;
 
 /// A calibration: its job, its target, and its result once it has succeeded.
@@ -83,10 +89,10 @@ pub struct Calibration {
 }
 
 impl App {
-    /// Queue a calibration. `false`: the same one was asked for before, and this is its job.
+    /// Queues a calibration. `false`: the same one was requested before, and this is its job.
     ///
     /// # Errors
-    /// `Invalid`; `Conflict` (`measurement_missing`) for a powder that nobody has measured.
+    /// `Invalid`; `Conflict` (`measurement_missing`) for a powder without measurements.
     pub async fn start_calibration(&self, request: CalibrationRequest) -> Result<(Job, bool)> {
         let (powder, target) = self.target_of(&request).await?;
         let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
@@ -100,7 +106,7 @@ impl App {
             sets: request.sets.unwrap_or(defaults.sets),
             tolerance_deg: request.tolerance_deg.unwrap_or(defaults.tolerance_deg),
             particles,
-            // As many as in the others is what it is without.
+            // The same number as in the other heaps means the same as none.
             verify_particles: request.verify_particles.filter(|count| *count != particles),
             verify_repeats: request.verify_repeats.unwrap_or(defaults.verify_repeats),
             readings: request.readings.unwrap_or(defaults.readings),
@@ -116,7 +122,7 @@ impl App {
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Calibration(spec)).await?)
     }
 
-    /// What else was measured: what the request says, else what is registered.
+    /// Other measurements: those of the request, else those registered.
     async fn observations_of(&self, request: &CalibrationRequest, method: Method) -> Result<Vec<Observation>> {
         let refuse = |message: &str| Err(FieldError::new("observations", message).into());
         let registered = match (&request.observations, &request.powder) {
@@ -138,7 +144,7 @@ impl App {
         Ok(checked.collect::<std::result::Result<_, _>>()?)
     }
 
-    /// What to aim at: a powder's measurement, or a bare angle.
+    /// The target: a powder's measurement, or a bare angle.
     async fn target_of(&self, request: &CalibrationRequest) -> Result<(Option<String>, Flowability)> {
         let only_one = "name a powder, or a `repose_deg` to aim at without one, and not both";
         let stray = request.sd_deg.map(|_| "sd_deg").or(request.n.map(|_| "n"));
@@ -173,10 +179,11 @@ impl App {
         self.jobs_as(JobKind::Calibration, page, calibration).await
     }
 
-    /// The posterior over the parameters that a calibration ended with.
+    /// The posterior over the parameters that a calibration produced.
     ///
     /// # Errors
-    /// `NotFound` without such a calibration; `Conflict` (`posterior_missing`) while it runs, and for a method that has none.
+    /// `NotFound` if there is no such calibration; `Conflict` (`posterior_missing`) while it runs,
+    /// or if its method has none.
     pub async fn posterior(&self, id: &str) -> Result<Posterior> {
         let found = self.calibration(id).await?;
         let sha256 = found.result.and_then(|result| result.posterior).ok_or_else(|| {
@@ -188,14 +195,15 @@ impl App {
         serde_json::from_slice(&bytes).map_err(|_| corrupt("a posterior"))
     }
 
-    /// Trials of a calibration in order; pages of up to 5000.
+    /// Trials of a calibration in order; up to 5000 per page.
     pub async fn trials(&self, calibration: &str, page: PageQuery) -> Result<Page<Trial>> {
         self.calibration(calibration).await?;
         Ok(self.store().trials(calibration, page.window(SERIES_LIMIT_MAX)?).await?)
     }
 }
 
-/// The angle at the reference of a version, where the extended simulator is its base.
+/// The angle under the reference conditions of a version, where the extended simulator equals its
+/// base.
 fn at_reference(
     measured: Flowability,
     powder: Option<&str>,

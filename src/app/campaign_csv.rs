@@ -1,4 +1,4 @@
-//! A campaign as CSV: one angle of repose a row, and beside it whatever was recorded with it.
+//! A campaign as CSV: one angle of repose per row, with everything that was recorded alongside it.
 //!
 //! | columns | what becomes of them |
 //! |---------|----------------------|
@@ -8,7 +8,8 @@
 //! | `flow_time_s` | a measurement beside the angle, judged by itself; of a summary the mean of its runs, which counts once |
 //! | any other | a covariate, of numbers or of names (`column`) |
 //!
-//! An empty cell is a missing value, never zero. What every column was taken as, and what was left out, is told beside the campaign.
+//! An empty cell is a missing value, never zero. How every column was interpreted, and what was
+//! left out, is returned with the campaign.
 
 mod column;
 mod sessions;
@@ -29,18 +30,19 @@ use flip_discover::{Campaign, Covariate, Run, repeats_of};
 use sessions::{Sessions, sessions};
 use summaries::Summaries;
 
-/// Most runs, the repeats behind summaries counted: an investigation holds some thirty matrices of runs times runs.
+/// Maximum number of runs, including the repeats behind summaries: an investigation holds about
+/// thirty runs-by-runs matrices.
 const RUNS_MAX: usize = 2000;
-/// Most repeats behind a summary.
+/// Maximum number of repeats behind a summary.
 pub(super) const REPEATS_MAX: u32 = 1000;
-/// Most columns; each one that FLIP does not know is one more cause to judge.
+/// Maximum number of columns; each unknown column is one more cause to judge.
 const COLUMNS_MAX: usize = 60;
-/// Longest name that is one; what is longer is prose.
+/// Longest text that counts as a name; longer text is prose.
 const NAME_CHARS_MAX: usize = 100;
 
 /// Columns of the run itself.
 const OWN: [&str; 6] = ["powder", "repose_deg", "repose_sd_deg", "n", "session", "flow_time_s"];
-/// Columns of names, also where the names look like numbers.
+/// Columns of names, even if the names look like numbers.
 const NAMES: [&str; 5] = ["method", "operator", "batch", "plate", "ioniser_on"];
 /// Columns of numbers: lowest, highest, unit.
 const NUMBERS: [(&str, f64, f64, &str); 10] = [
@@ -55,38 +57,39 @@ const NUMBERS: [(&str, f64, f64, &str); 10] = [
     (FLOW, 1e-3, 1e6, "s"),
     ("vibration_rms_m_s2", 0.0, 1e3, "m/s2"),
 ];
-/// A slip of the pen is one letter in so many, and two at most: `sesion` for `session`, but not `bench` for `batch`.
+/// Typos: one letter per this many, and two at most: `sesion` for `session`, but not `bench` for
+/// `batch`.
 const SLIP_CHARS: usize = 5;
 const SLIPS_MAX: usize = 2;
 const FLOW: &str = "flow_time_s";
 const ORDER: &str = "order_in_session";
 const ANGLE: &str = "repose_deg";
 
-/// A campaign, and how its file was read.
+/// A campaign, and how its file was interpreted.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct CampaignRead {
     pub campaign: Campaign,
     pub read: FileRead,
 }
 
-/// What a row says.
+/// Content of a row.
 struct Line<'a> {
     row: usize,
     powder: String,
     session: Cell<'a>,
-    /// Mean, SD and number of the runs behind it; none where the angle is to be predicted.
+    /// Mean, SD and number of the runs behind it; none if the angle is to be predicted.
     angle: Option<Flowability>,
     /// Cells of the covariates' columns, in their order.
     cells: Vec<Cell<'a>>,
     flow_time_s: Option<f64>,
-    /// Whether it says which run of its session it is.
+    /// Whether it gives the run's place in its session.
     has_order: bool,
-    /// The angle as it is written, and every other cell: two rows with the same may be one row twice.
+    /// The angle as written, and every other cell: two rows with equal values may be duplicates.
     angle_text: &'a str,
     beside: Vec<&'a str>,
 }
 
-/// A cell: its text, empty where nothing was recorded, and what it is.
+/// A cell: its text, empty if nothing was recorded, and what it is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Cell<'a> {
     text: &'a str,
@@ -103,18 +106,18 @@ impl<'a> Cell<'a> {
     }
 }
 
-/// The campaign that a file describes. Every one of the `required` columns is in its header and filled in each row; `dates` says what stands first
-/// in dates such as 2/3/2026.
+/// Reads the campaign in a file. Every one of the `required` columns must be in its header and
+/// filled in each row; `dates` gives the component that comes first in dates such as 2/3/2026.
 ///
 /// # Errors
-/// Every wrong cell by row and column, up to 50; a missing or repeated column by name.
+/// Every invalid cell by row and column, up to 50; a missing or repeated column by name.
 pub(super) fn read(text: &str, required: &[&str], dates: Option<DateOrder>) -> Result<CampaignRead> {
     let columns = Columns { required, known, meant, most: COLUMNS_MAX };
     let table = Table::open(text, &columns, check_header)?;
     let covariates = table.columns.iter().filter(|name| !OWN.contains(&name.as_str()) && !name.is_empty());
     let covariates: Vec<&str> = covariates.map(String::as_str).collect();
     let (mut lines, mut powders, mut summaries) = (Vec::new(), PowderNames::default(), Summaries::of(&table));
-    // Rows to be predicted are questions: none is left unanswered, and one may be asked twice.
+    // Rows to be predicted are queries: all of them are answered, and duplicates are allowed.
     let is_campaign = required.contains(&ANGLE);
     let refusals = table.each(|cells| {
         if is_campaign && summaries.has(cells) {
@@ -143,7 +146,7 @@ pub(super) fn read(text: &str, required: &[&str], dates: Option<DateOrder>) -> R
     Ok(CampaignRead { campaign: campaign(&lines, &session.places, &covariates, read), read: read_as })
 }
 
-/// Session and covariates of the rows, or all that is wrong with either.
+/// Sessions and covariates of the rows, or all errors in either.
 fn conditions(lines: &[Line<'_>], names: &[&str], dates: Option<DateOrder>) -> Result<(Sessions, Vec<Column>)> {
     let (mut columns, mut refusals) = (Vec::new(), Vec::new());
     let rows: Vec<usize> = lines.iter().map(|line| line.row).collect();
@@ -176,7 +179,8 @@ fn known(name: &str) -> Option<Holds> {
     }
 }
 
-/// What laboratories call the columns that are known, in letters and digits alone. A temperature without its unit may be of any.
+/// The known column behind a laboratory's name for it, in letters and digits alone. A temperature
+/// without a unit may be in any.
 fn meant(letters: &str) -> Option<&'static str> {
     Some(match letters {
         "date" | "day" | "sessiondate" | "measuredon" | "testdate" | "datum" | "tag" | "messtag" => "session",
@@ -206,7 +210,8 @@ fn meant(letters: &str) -> Option<&'static str> {
     })
 }
 
-/// A name that no column has is nearly that of one which the file lacks: taken as it stands it would be another condition.
+/// Refuses an unknown column whose name is nearly that of a missing known one: as it stands it
+/// would become a different condition.
 fn slips(names: &[String], check: &mut Check) {
     let columns = || OWN.into_iter().chain(NAMES).chain(NUMBERS.map(|column| column.0));
     for name in names.iter().filter(|name| known(name).is_none() && !is_again(name)) {
@@ -221,7 +226,8 @@ fn slips(names: &[String], check: &mut Check) {
     }
 }
 
-/// Without a session a column of days would be one more condition, and every difference between days its effect.
+/// Refuses a column of days without a session: it would be one more condition, and every difference
+/// between days its effect.
 fn days_without_session(names: &[&str], lines: &[Line<'_>], refusals: &mut Vec<FieldError>) {
     if lines.iter().any(|line| line.session.is_filled()) {
         return;
@@ -237,7 +243,7 @@ fn days_without_session(names: &[&str], lines: &[Line<'_>], refusals: &mut Vec<F
 
 fn check_header(names: &[String], check: &mut Check) {
     slips(names, check);
-    // As pandas renames what stands twice, and as repeats stand side by side.
+    // As pandas renames duplicate columns, and as repeats stand side by side.
     for name in names.iter().filter(|name| is_again(name)) {
         check.refuse(name, "is a column that stands twice, or a repeat beside another one: write one run a row");
     }
@@ -249,7 +255,7 @@ fn check_header(names: &[String], check: &mut Check) {
     }
 }
 
-/// `repose_deg.1`, `repose_deg_2`: what is measured of a run once more.
+/// `repose_deg.1`, `repose_deg_2`: another measurement of the same run.
 fn is_again(name: &str) -> bool {
     let name = name.to_lowercase().replace([' ', '-', '.'], "_");
     let column = name.trim_end_matches(|c: char| c.is_ascii_digit());
@@ -261,7 +267,7 @@ fn is_name(name: &str) -> bool {
     name.chars().count() <= NAME_CHARS_MAX && !name.chars().any(char::is_control)
 }
 
-/// A row, if it is right.
+/// A row, if it is valid.
 fn line<'a>(cells: &Cells<'a>, covariates: &[&str], required: &[&str], powders: &mut PowderNames) -> Refused<Line<'a>> {
     let row = cells.row;
     let mut check = Check::default();
@@ -272,7 +278,8 @@ fn line<'a>(cells: &Cells<'a>, covariates: &[&str], required: &[&str], powders: 
     let powder = powder.and_then(|id| check.keep(id));
     let angle = check.keep(angle(cells)).flatten();
     for (column, lower, upper, unit) in NUMBERS.into_iter().filter(|(column, ..)| cells.holds(column)) {
-        // Below or above what could be measured is not measured; of what is judged it would be a choice.
+        // A value beyond the measuring range is not a measurement; leaving it out of the judged
+        // quantity would be a selection.
         if column == FLOW || !matches!(cells.told(column), Told::Limit(_)) {
             check.keep(within(cells, column, lower, upper, unit));
         }
@@ -310,7 +317,7 @@ fn line<'a>(cells: &Cells<'a>, covariates: &[&str], required: &[&str], powders: 
     })
 }
 
-/// The name that a campaign has for a method.
+/// A campaign's name for a method.
 fn by(method: Option<Method>) -> &'static str {
     match method {
         Some(Method::Manual) => "manual",
@@ -340,13 +347,13 @@ fn angle(cells: &Cells<'_>) -> std::result::Result<Option<Flowability>, FieldErr
 }
 
 impl Line<'_> {
-    /// Runs behind it; a row to be predicted is one.
+    /// Number of runs behind it; a row to be predicted is one.
     fn runs(&self) -> usize {
         self.angle.map_or(1, |angle| angle.n as usize)
     }
 }
 
-/// Not more runs than are looked at together.
+/// Refuses more runs than can be processed together.
 fn bounded(lines: &[Line<'_>]) -> Result<()> {
     let mut runs = 0;
     for line in lines {
@@ -361,7 +368,7 @@ fn bounded(lines: &[Line<'_>]) -> Result<()> {
     Ok(())
 }
 
-/// What became of the columns of the run itself but for its session.
+/// How the columns of the run itself were interpreted, except for its session.
 fn own_columns(table: &Table, lines: &[Line<'_>]) -> Vec<ColumnRead> {
     let own = table.columns.iter().filter(|name| OWN.contains(&name.as_str()) && *name != "session");
     own.map(|name| {

@@ -1,6 +1,7 @@
-//! The certificate of a weighing: one page to print, which needs nothing else.
+//! The certificate of a weighing: a self-contained page to print.
 //!
-//! It says what was measured and where the record of it is; it claims no compliance with anything.
+//! It states what was measured and where the record of it is; it claims no compliance with
+//! anything.
 
 use super::{App, Error, Result, WeighingDetail};
 use flip_core::domain::weighing::{MeasuredMass, Outcome};
@@ -30,7 +31,8 @@ impl App {
         }
         let mut record = Recorded::default();
         match self.outcome_on_record(id).await? {
-            // From the record, not from the row: that anybody with the file can change.
+            // From the record rather than the row: anyone with access to the file can change the
+            // row.
             Some(said) => detail.weighing = said,
             None => record.unrecorded = true,
         }
@@ -38,7 +40,8 @@ impl App {
         Ok(html(&detail, &record))
     }
 
-    /// What the record says of a weighing that has ended; `None` of one from before there was a record.
+    /// The recorded outcome of a weighing that has ended; `None` for weighings that predate the
+    /// record.
     async fn outcome_on_record(&self, id: &str) -> Result<Option<Weighing>> {
         let row = self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
         match self.store().outcome_on_record(&row).await? {
@@ -54,16 +57,16 @@ impl App {
     }
 }
 
-/// What the certificate says of the record.
+/// Audit information on the certificate.
 #[derive(Default)]
 struct Recorded {
     records: usize,
     last: Option<AuditRecord>,
-    /// Who asked, by token.
+    /// The requester, by token.
     asked_by: Option<String>,
-    /// It ended before there was a record.
+    /// It ended before there was an audit trail.
     unrecorded: bool,
-    /// What is wrong with archives that held some of it.
+    /// Errors in archives that held some of the records.
     lost: Vec<String>,
 }
 
@@ -94,7 +97,7 @@ impl Recorded {
     }
 }
 
-/// The page; the same weighing always makes the same bytes.
+/// The page; the same weighing always gives the same bytes.
 fn html(detail: &WeighingDetail, record: &Recorded) -> String {
     let weighing = &detail.weighing;
     let mut body = format!(
@@ -130,7 +133,7 @@ fn section(body: &mut String, title: &str, rows: &[(&str, String)]) {
     body.push_str("</table>");
 }
 
-/// The net mass with its uncertainty, or that there is none.
+/// The net mass with its uncertainty, or a statement that there is none.
 fn result(weighing: &Weighing) -> String {
     let powder = escaped(&weighing.powder);
     match (&weighing.measured, weighing.reading_mg) {
@@ -142,7 +145,7 @@ fn result(weighing: &Weighing) -> String {
     }
 }
 
-/// What a reader must not miss, of the dose and of what is known of it.
+/// Warnings about the dose and about its record.
 fn all_warnings(detail: &WeighingDetail, record: &Recorded) -> Vec<String> {
     let mut all = warnings(&detail.weighing);
     all.extend(detail.trace_lost.clone());
@@ -153,7 +156,7 @@ fn all_warnings(detail: &WeighingDetail, record: &Recorded) -> Vec<String> {
     all
 }
 
-/// What a reader must not miss of the dose.
+/// Warnings about the dose.
 fn warnings(weighing: &Weighing) -> Vec<String> {
     let mut all = Vec::new();
     let told = |outcome: Outcome| match outcome {
@@ -280,7 +283,7 @@ fn yes(is: bool) -> &'static str {
     if is { "yes" } else { "no" }
 }
 
-/// To a hundredth, without zeros at the end.
+/// Rounded to a hundredth, without trailing zeros.
 fn digits(value: f64) -> String {
     let text = format!("{value:.2}");
     let text = text.trim_end_matches('0').trim_end_matches('.');

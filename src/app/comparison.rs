@@ -1,4 +1,5 @@
-//! Two calibrations side by side: what each cost, what it found, and whether their sets pile alike.
+//! Two calibrations side by side: their costs, their results, and whether their sets give the same
+//! angle of repose.
 
 use super::{App, Calibration, Error, Result};
 use crate::jobs::calibrate::{CalibrationResult, CalibrationSet, EmulatorUse, Method};
@@ -13,11 +14,14 @@ pub struct Comparison {
     pub calibration: ComparedCalibration,
     /// The calibration it is compared with.
     pub with: ComparedCalibration,
-    /// Mean verified angle of the first minus that of the second, degrees; absent if one of them has no sets.
+    /// Mean verified angle of the first minus that of the second, degrees; absent if one of them
+    /// has no sets.
     pub difference_deg: Option<f64>,
-    /// Standard error of that difference, degrees: the root of the sum of both squared standard errors; absent if one of them is.
+    /// Standard error of that difference, degrees: the root of the sum of both squared standard
+    /// errors; absent if one of them is.
     pub standard_error_deg: Option<f64>,
-    /// Whether the mean verified angles agree: their difference is at most two of its standard errors. Absent if unknown.
+    /// Whether the mean verified angles agree: their difference is at most two of its standard
+    /// errors. Absent if unknown.
     pub agree: Option<bool>,
 }
 
@@ -46,8 +50,9 @@ pub struct ComparedCalibration {
     pub verified_sd_deg: Option<f64>,
     /// Mean of the sets' simulated angles, degrees; absent without sets.
     pub repose_deg: Option<f64>,
-    /// Standard error of that mean, degrees: the root of the sum of the sets' squared standard errors over their number, where a set's is
-    /// `repose_sd_deg` / sqrt(`runs`). Absent without sets, or if one of them ran only once, as its spread is then unknown.
+    /// Standard error of that mean, degrees: the root of the sum of the sets' squared standard
+    /// errors over their number, where a set's is `repose_sd_deg` / sqrt(`runs`). Absent without
+    /// sets, or if one of them ran only once, as its spread is then unknown.
     pub standard_error_deg: Option<f64>,
     /// Each parameter over the sets; empty without sets.
     pub parameters: Vec<ParameterSpread>,
@@ -67,10 +72,11 @@ pub struct ParameterSpread {
 }
 
 impl App {
-    /// Two calibrations that have succeeded, side by side.
+    /// Compares two calibrations that have succeeded.
     ///
     /// # Errors
-    /// `NotFound` without one of them; `Conflict` (`calibration_unfinished`) while one has no result.
+    /// `NotFound` if one of them does not exist; `Conflict` (`calibration_unfinished`) while one
+    /// has no result.
     pub async fn compare_calibrations(&self, id: &str, with: &str) -> Result<Comparison> {
         Ok(Comparison::of(side(self.calibration(id).await?)?, side(self.calibration(with).await?)?))
     }

@@ -1,10 +1,10 @@
-//! How much there is of what.
+//! Counts of jobs and weighings.
 
 use super::{App, Result};
 use flip_store::counts::Counts;
 
 impl App {
-    /// Jobs by kind and state, weighings by state and outcome.
+    /// Number of jobs by kind and state, and of weighings by state and outcome.
     ///
     /// # Errors
     /// `Internal`

@@ -1,4 +1,5 @@
-//! Which version of the simulator is taken where none is named. Versions never change: to roll back is to choose another.
+//! The simulator version used where none is named. Versions never change: rolling back means
+//! choosing another.
 
 use super::{App, Result};
 use crate::jobs::SIMULATOR;
@@ -8,9 +9,9 @@ use flip_store::current_simulator::Choice;
 use flip_store::simulators::SimulatorVersion;
 use serde::{Deserialize, Serialize};
 
-/// The simulator that no investigation extended.
+/// The simulator without any extension from an investigation.
 pub const BASE: &str = "base";
-/// Whichever version is current.
+/// Alias of the current version.
 pub const CURRENT: &str = "current";
 
 /// The version used where none is named.
@@ -35,7 +36,7 @@ pub struct ChosenSimulator {
 }
 
 impl App {
-    /// The current version: the base until somebody has chosen.
+    /// The current version: the base until another is chosen.
     pub async fn current_simulator(&self) -> Result<CurrentSimulator> {
         let choices = self.store().simulator_choices().await?;
         let name = |choice: &Choice| choice.version.clone().unwrap_or_else(|| BASE.to_owned());
@@ -48,10 +49,10 @@ impl App {
         })
     }
 
-    /// Make a version current, or the base. Chosen again, it stays as it is.
+    /// Makes a version, or the base, current. Choosing the current one again changes nothing.
     ///
     /// # Errors
-    /// `Invalid`: no such version; `Unavailable` where the data folder was opened to read only.
+    /// `Invalid`: no such version; `Unavailable` if the data folder was opened read-only.
     pub async fn choose_simulator(&self, chosen: &ChosenSimulator) -> Result<CurrentSimulator> {
         let version = (chosen.simulator != BASE).then_some(chosen.simulator.as_str());
         if let Some(id) = version.filter(|id| *id != SIMULATOR)
@@ -67,10 +68,10 @@ impl App {
         self.current_simulator().await
     }
 
-    /// The version with this id; of `current` the one that is.
+    /// The version with this id; for `current`, the current one.
     ///
     /// # Errors
-    /// `NotFound`; `Invalid` for `current` while that is the base, which knows no cause.
+    /// `NotFound`; `Invalid` for `current` while that is the base, which has no causes.
     pub(super) async fn extended_simulator(&self, id: &str) -> Result<SimulatorVersion> {
         if id != CURRENT {
             return self.simulator(id).await;

@@ -1,12 +1,12 @@
-//! Why a request is refused, in terms of the caller.
+//! Why a request is refused, in the caller's terms.
 
 use flip_core::domain::FieldError;
 use flip_store as store;
 
-/// Why the application did not do what it was asked. REST and gRPC map each variant once.
+/// Why the application did not carry out a request. REST and gRPC map each variant once.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// One or more fields are wrong; each entry says which, the bound, and what to do.
+    /// One or more fields are invalid; each entry gives the field, the bound, and what to do.
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
     Invalid(Vec<FieldError>),
     /// There is no such thing.
@@ -14,16 +14,17 @@ pub enum Error {
     NotFound {
         /// `powder`, `job`, `policy`, ...
         what: &'static str,
-        /// What was asked for.
+        /// The requested id.
         id: String,
     },
-    /// The request is right but not now: something is missing, in use, or already there.
+    /// The request is valid but not possible now: something is missing, in use, or already there.
     #[error("{message}")]
     Conflict {
-        /// Stable name: `powder_exists`, `measurement_missing`, `calibration_missing`, `calibration_unfinished`,
-        /// `investigation_unfinished`, `job_finished`, `weighing_finished`.
+        /// Stable name: `powder_exists`, `measurement_missing`, `calibration_missing`,
+        /// `calibration_unfinished`, `investigation_unfinished`, `job_finished`,
+        /// `weighing_finished`.
         code: &'static str,
-        /// What is in the way and which command or endpoint helps.
+        /// What prevents it and which command or endpoint helps.
         message: String,
     },
     /// The Idempotency-Key was used before with another body.
@@ -33,27 +34,28 @@ pub enum Error {
     Unprocessable {
         /// The key.
         key: String,
-        /// The weighing that holds it.
+        /// The weighing created with it.
         weighing: String,
     },
     /// The bench's queue is full.
     #[error("{0}")]
     Busy(String),
-    /// Not now and not the caller's fault: shutting down, opened to read only, the database locked by another program, the disk full.
+    /// Temporary and not the caller's fault: shutting down, opened read-only, the database locked
+    /// by another program, the disk full.
     #[error("{0}")]
     Unavailable(String),
-    /// The token that this was asked for with has expired or was revoked meanwhile.
+    /// The token used for the request has expired or was revoked meanwhile.
     #[error("the token has expired or was revoked")]
     TokenEnded,
-    /// What was stored is gone or damaged; everything else of it is still there.
+    /// A stored part is missing or damaged; the other parts still exist.
     #[error("{0}")]
     Lost(String),
-    /// Ours. The cause goes to the log, never to the caller.
+    /// Our fault. The cause is logged, never returned to the caller.
     #[error("internal error")]
     Internal(#[source] Box<dyn std::error::Error + Send + Sync>),
 }
 
-/// What every function of the application returns.
+/// Result of every function of the application.
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
@@ -62,7 +64,7 @@ impl Error {
         Self::Conflict { code, message: message.into() }
     }
 
-    /// A part that was stored cannot be read any more; whatever else went wrong stays what it is.
+    /// The error of a stored part that can no longer be read; any other error is passed on.
     pub(crate) fn of_part(what: &str, error: store::Error) -> Self {
         match error.is_lost_part() {
             true => {
@@ -79,7 +81,7 @@ impl Error {
     }
 }
 
-/// What is said of a part that is lost.
+/// The message about a lost part.
 pub(crate) fn lost(what: &str) -> String {
     format!(
         "{what} is lost: its file in the data folder is gone or damaged (the log says which). A backup may hold it; nothing else is affected"

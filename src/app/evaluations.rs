@@ -1,4 +1,5 @@
-//! Evaluations: a policy's errors on the simulated bench, beside those of simple controllers.
+//! Evaluations: a policy's errors on the simulated bench, compared with those of simple
+//! controllers.
 
 use super::check::Check;
 use super::jobs::{corrupt, stored};
@@ -19,9 +20,9 @@ use flip_store::policies::Policy;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Targets when none are named, mg.
+/// Default targets, mg.
 const TARGETS_MG: [f64; 2] = [15.0, 20.0];
-/// Most entries of each list in a request.
+/// Maximum number of entries of each list in a request.
 const LIST_MAX: usize = 20;
 
 /// What to evaluate. Everything has a default.
@@ -30,8 +31,8 @@ const LIST_MAX: usize = 20;
 pub struct EvaluationRequest {
     /// Policy id; default the newest, or the shipped one until a policy is trained.
     pub policy: Option<String>,
-    /// Any of `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid`, `fuzzy`, `paced`; default all. A policy named by its id is always
-    /// included.
+    /// Any of `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid`, `fuzzy`, `paced`;
+    /// default all. A policy named by its id is always included.
     pub controllers: Option<Vec<String>>,
     /// Powder ids; default the five published ones.
     pub powders: Option<Vec<String>>,
@@ -43,13 +44,15 @@ pub struct EvaluationRequest {
     pub readability_mg: Option<f64>,
     /// Maximum steps per weighing, 1 to 100; default 10.
     pub max_shakes: Option<u32>,
-    /// Grains on the spoon, 500 to 4000; default 2500, about 37 mg. Their mass is all the powder there is, so a target must lie within it.
+    /// Grains on the spoon, 500 to 4000; default 2500, about 37 mg. Their mass is all the powder
+    /// there is, so a target must lie within it.
     pub particles: Option<u32>,
-    /// Mechanisms missing from the base simulator, by name with their amplitudes, as `{"rotation": 1}`; default none. No policy has met them in
-    /// training.
+    /// Mechanisms missing from the base simulator, by name with their amplitudes, as
+    /// `{"rotation": 1}`; default none. No policy has met them in training.
     #[serde(default)]
     pub extensions: BTreeMap<String, f64>,
-    /// Shake as the bench's arm was measured to shake (`flip bench calibrate-shake`); default as in the simulator.
+    /// Shake as the bench's arm was measured to shake (`flip bench calibrate-shake`); default as in
+    /// the simulator.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub as_calibrated: bool,
     /// The spoon used for dosing; default FLIP's own, which holds about 40 mg.
@@ -60,7 +63,8 @@ pub struct EvaluationRequest {
     /// Extended simulator version, `sv-…`; default the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulator: Option<String>,
-    /// Conditions of the version on the bench, each within the range of its campaign, as `{"relative_humidity_pct": 65}`.
+    /// Conditions of the version on the bench, each within the range of its campaign, as
+    /// `{"relative_humidity_pct": 65}`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Day,
 }
@@ -96,7 +100,7 @@ pub struct Evaluation {
 }
 
 impl App {
-    /// Queue an evaluation. `false`: the same one was asked for before, and this is its job.
+    /// Queues an evaluation. `false`: the same one was requested before, and this is its job.
     ///
     /// # Errors
     /// `Invalid`; `Conflict` (`calibration_missing`).
@@ -146,7 +150,8 @@ impl App {
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Evaluation(spec)).await?)
     }
 
-    /// The policy that is named, or the newest; where none weighs the one that ships, so that no other can change what is found.
+    /// The named policy, or the newest; if no policy takes part in the weighing, the shipped one,
+    /// so that no other can change the result.
     async fn policy_to_evaluate(&self, named: Option<&str>, weighs: bool) -> Result<Policy> {
         let named = named.or_else(|| (!weighs).then_some(shipped().id.as_str()));
         if let Some(id) = named {
@@ -158,8 +163,8 @@ impl App {
         newest.into_iter().next().ok_or_else(|| Error::not_found("policy", "shipped"))
     }
 
-    /// The sets that stand for a powder: those of its newest calibration, without the ones that a policy which weighs has met in its training, if others are
-    /// left.
+    /// The sets that represent a powder: those of its newest calibration, without those that a
+    /// policy taking part has met in training, if others are left.
     async fn sets_to_weigh(
         &self,
         powder: &str,
@@ -191,7 +196,7 @@ impl App {
     }
 }
 
-/// What can be checked without looking anything up; the conditions that the request names.
+/// Validates everything that needs no database; returns the conditions of the request.
 fn checked(request: &EvaluationRequest) -> Result<Conditions> {
     let mut check = Check::default();
     check.count("repeats", request.repeats.unwrap_or(5), 1, 100);

@@ -1,4 +1,4 @@
-//! Live views: events as they happen, resumable by their sequence number.
+//! Live views: events as they happen, resumable by sequence number.
 
 use super::keyring::Keyring;
 use super::{App, Error, Result, Who};
@@ -14,12 +14,12 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-/// Events read at once.
+/// Number of events read at once.
 const BATCH: u32 = 200;
-/// How often a follower looks by itself: what another process writes is announced to nobody here.
+/// How often a follower polls by itself: events written by another process are not announced here.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// Whose events to follow.
+/// Which events to follow.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Topic {
     /// Of one job, by id.
@@ -31,12 +31,13 @@ pub enum Topic {
 }
 
 impl App {
-    /// Events of a topic after `after_seq` (0 is from the beginning), then new ones as they happen, in order and
-    /// each once. The stream of a job or weighing ends after the event that ends it; every stream ends at shutdown, and with [`Error::TokenEnded`] when the
-    /// token of whoever asked for it does.
+    /// Events of a topic after `after_seq` (0 is from the beginning), then new ones as they happen,
+    /// in order and each once. The stream of a job or weighing ends after the event that ends it;
+    /// every stream ends at shutdown, and with [`Error::TokenEnded`] when the token it was
+    /// requested with ends.
     ///
-    /// An `after_seq` that no event has yet is of another data folder, or of one that was put back: it is taken for the beginning, or with
-    /// [`Topic::All`] for now.
+    /// An `after_seq` beyond the last event stems from another data folder, or from one that was
+    /// restored: it is taken as the beginning, or with [`Topic::All`] as now.
     pub async fn events(&self, topic: Topic, after_seq: i64) -> Result<BoxStream<'static, Result<Event>>> {
         match &topic {
             Topic::Job(id) => drop(self.job(id).await?),
@@ -66,7 +67,7 @@ impl App {
         Ok(stream::unfold(follower, next).boxed())
     }
 
-    /// Sequence number of the newest event: pass it to [`App::events`] to hear only what is new.
+    /// Sequence number of the newest event: pass it to [`App::events`] to get only new ones.
     pub fn last_event(&self) -> i64 {
         *self.store().watch_events().borrow()
     }
@@ -79,7 +80,7 @@ struct Follower {
     ready: VecDeque<Event>,
     newest: watch::Receiver<i64>,
     closing: CancellationToken,
-    /// With which it was asked for, if with one.
+    /// The token it was requested with, if any.
     token: Option<String>,
     keyring: Arc<Keyring>,
     /// Nothing follows an error.
@@ -87,7 +88,7 @@ struct Follower {
 }
 
 impl Follower {
-    /// The next event; `None` when there will be none.
+    /// The next event; `None` when there will be no more.
     async fn next(&mut self) -> Option<Result<Event>> {
         if self.over {
             return None;
@@ -106,7 +107,7 @@ impl Follower {
                 self.after = event.seq;
                 return Ok(Some(event));
             }
-            // Before the look, so that what comes between look and wait is not missed.
+            // Before the query, so that nothing that arrives between query and wait is missed.
             self.newest.mark_unchanged();
             let ended = self.closing.is_cancelled() || self.has_ended().await?;
             self.ready = self.read().await?.into();
@@ -143,7 +144,7 @@ impl Follower {
         Ok(self.store.events_after(topic.as_deref(), self.after, BATCH).await?)
     }
 
-    /// Whether the last event of the topic is already there.
+    /// Whether the last event of the topic is already stored.
     async fn has_ended(&self) -> Result<bool> {
         Ok(match &self.topic {
             Topic::Job(id) => self.store.job(id).await?.is_none_or(|row| row.job.state.is_terminal()),

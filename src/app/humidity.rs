@@ -1,21 +1,22 @@
-//! Relative humidity as it is written: per cent, or a fraction.
+//! Relative humidity as written in files: per cent, or a fraction.
 
 use super::csv_file::{Refused, at};
 
 /// The column.
 pub(super) const COLUMN: &str = "relative_humidity_pct";
 
-/// Whether a column that FLIP does not know is of relative humidity, by its name.
+/// Whether the name of an unknown column means relative humidity.
 pub(super) fn is_meant(column: &str) -> bool {
     let column = column.to_lowercase();
     let is_word = |word: &str| word == "rh" || word.contains("humid") || word.contains("feucht");
     column.split(|c: char| !c.is_alphanumeric()).any(is_word)
 }
 
-/// Where all values are from 0 to 1 they are fractions, and become per cent; what that is to say of the column. A value with its unit is what it says.
+/// Converts values to per cent if all are fractions from 0 to 1; returns the note on the column. A
+/// value with its unit is taken at face value.
 ///
 /// # Errors
-/// Fractions among per cents, by row: 0.41 beside 41.
+/// Fractions among percentages, by row: 0.41 next to 41.
 pub(super) fn to_percent(
     column: &str,
     values: &mut [Option<f64>],

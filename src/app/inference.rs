@@ -1,4 +1,5 @@
-//! A policy that drives another robot: what it has seen in, the next action out. Nothing moves here, and nothing is stored.
+//! A policy driving another robot: takes observations and returns the next action. Nothing moves
+//! here, and nothing is stored.
 
 use super::Result;
 use flip_core::domain::bench::Action;
@@ -9,21 +10,23 @@ use serde::Serialize;
 /// What a policy proposes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Proposal {
-    /// The action: the robot's own guard has to bound it, for the policy does not know what the robot may do.
+    /// The action: the robot's own guard must bound it, as the policy does not know the robot's
+    /// limits.
     #[serde(flatten)]
     pub action: Action,
-    /// Whether the rules that the policy was made for would go on: if not, level the spoon instead.
+    /// Whether the rules that the policy was made for would continue: if not, level the spoon
+    /// instead.
     pub episode: Episode,
 }
 
-/// Largest reading of a vial that was tared and into which nothing was poured, mg.
+/// Largest reading of a tared vial into which nothing was poured, mg.
 const TARE_MG_MAX: f64 = 1.0;
 
-/// A policy out of its file.
+/// A policy loaded from its file.
 #[derive(Debug, Clone)]
 pub struct Driver(Policy);
 
-/// One weighing that a policy drives; it remembers what it has seen and proposed.
+/// One weighing driven by a policy; it remembers observations and proposals.
 #[derive(Debug)]
 pub struct Driving<'a> {
     dosing: Dosing<'a>,
@@ -35,19 +38,19 @@ pub struct Driving<'a> {
 }
 
 impl Driver {
-    /// The policy in these bytes; `field` is what a refusal calls them.
+    /// Loads the policy in these bytes; `field` names them in errors.
     ///
     /// # Errors
-    /// `Invalid` if they are no policy.
+    /// `Invalid` if they are not a policy.
     pub fn read(field: &str, bytes: &[u8]) -> Result<Self> {
         let policy = policy::decode(bytes).map_err(|error| FieldError::new(field, error.to_string()))?;
         Ok(Self(policy))
     }
 
-    /// Begin a weighing on a balance that shows steps of `readability_mg`.
+    /// Starts a weighing on a balance with display steps of `readability_mg`.
     ///
     /// # Errors
-    /// `Invalid`: they are 0.001 to 10 mg.
+    /// `Invalid` outside 0.001 to 10 mg.
     pub fn begin(&self, readability_mg: f64) -> Result<Driving<'_>> {
         bounded("readability_mg", readability_mg, 0.001, 10.0, "mg")?;
         let rules = self.0.manifest.rules;
@@ -58,10 +61,10 @@ impl Driver {
 }
 
 impl Driving<'_> {
-    /// Steps that were carried out before, in order.
+    /// Adds steps that were carried out before, in order.
     ///
     /// # Errors
-    /// `Invalid` names the first number that is not possible, as `history[0].before.reading_mg`.
+    /// `Invalid` names the first impossible number, such as `history[0].before.reading_mg`.
     pub fn resume(&mut self, history: &[Done]) -> Result<()> {
         for (k, step) in history.iter().enumerate() {
             self.check(&format!("history[{k}].before."), &step.before)?;
@@ -76,10 +79,10 @@ impl Driving<'_> {
         Ok(())
     }
 
-    /// The action for the next step; the one before is taken as carried out.
+    /// The action for the next step; the previous one is taken as carried out.
     ///
     /// # Errors
-    /// `Invalid` names what is not possible.
+    /// `Invalid` names what is impossible.
     pub fn next(&mut self, seen: &Observation) -> Result<Proposal> {
         self.check("", seen)?;
         self.check_beginning("", seen)?;
@@ -88,7 +91,7 @@ impl Driving<'_> {
         Ok(Proposal { action: self.dosing.propose(seen), episode })
     }
 
-    /// A policy that remembers the weighing would take a reading that it met first for what the last step let fall.
+    /// A policy with memory would take a first reading for powder released by the previous step.
     fn check_beginning(&self, path: &str, seen: &Observation) -> Result<()> {
         if self.steps > 0 || !self.remembers || seen.reading_mg.abs() <= TARE_MG_MAX {
             return Ok(());
@@ -101,7 +104,8 @@ impl Driving<'_> {
         Err(FieldError::new(format!("{path}reading_mg"), message).into())
     }
 
-    /// Numbers that a balance and an arm can show, and one target for the whole weighing.
+    /// Checks that the numbers are possible for a balance and an arm, and that the target stays the
+    /// same throughout the weighing.
     fn check(&mut self, path: &str, seen: &Observation) -> Result<()> {
         bounded(&format!("{path}reading_mg"), seen.reading_mg, -1e6, 1e6, "mg")?;
         bounded(&format!("{path}target_mg"), seen.target_mg, 0.1, 1e6, "mg")?;

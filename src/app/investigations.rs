@@ -1,4 +1,5 @@
-//! Investigations: what measured angles and balance readings say that the calibrated simulator does not.
+//! Investigations: what measured angles and balance readings reveal that the calibrated simulator
+//! does not reproduce.
 
 use super::campaign_csv::{self, CampaignRead};
 use super::check::Check;
@@ -20,15 +21,16 @@ use flip_store::powders::Measurement;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
-/// Columns without which a row is no run.
+/// Columns without which a row is not a run.
 const REQUIRED: [&str; 2] = ["powder", "repose_deg"];
-/// Campaigns in which nothing is wrong that are simulated when no number is named: p-values down to 0.002.
+/// Default number of null campaigns, in which nothing is wrong: p-values down to 0.002.
 const SIMULATIONS: u32 = 499;
-/// Heaps that are simulated when no number is named: a minute or two.
+/// Default number of simulated heaps: a minute or two.
 const BUDGET_RUNS: u32 = 60;
-/// Most heaps.
+/// Maximum number of heaps.
 const BUDGET_RUNS_MAX: u32 = 10_000;
-/// Frictions that pile at these angles with a cohesion of 0.3, for powders where nothing is calibrated; `docs/repose_grid.csv`.
+/// Frictions that give these angles with a cohesion of 0.3, for powders without a calibration;
+/// `docs/repose_grid.csv`.
 const UNCALIBRATED: [[f64; 2]; 7] =
     [[0.163, 27.8], [0.325, 30.2], [0.488, 32.5], [0.65, 36.1], [0.812, 38.7], [0.975, 41.6], [1.137, 43.8]];
 
@@ -36,27 +38,34 @@ const UNCALIBRATED: [[f64; 2]; 7] =
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct InvestigationRequest {
-    /// The runs as CSV text, one per row; default every stored measurement of an angle of repose, or none if `traces_csv` is given.
+    /// The runs as CSV text, one per row; default every stored measurement of an angle of repose,
+    /// or none if `traces_csv` is given.
     ///
-    /// Columns: `powder` (id or name) and `repose_deg`; with `repose_sd_deg` and `n`, the row is a summary of n runs. Conditions: `session` (the
-    /// day), `order_in_session`, `method` (camera, manual), `operator`, `batch`, `plate`, `relative_humidity_pct`, `temperature_c`, `rest_min`,
-    /// `container_age_d`, `funnel_height_mm`, `base_diameter_mm`, `poured_mass_g`, `flow_time_s`, `vibration_rms_m_s2`, `ioniser_on`, and any other
-    /// column. Separators are commas, semicolons or tabs; decimals take a point or a comma; at most 20000 rows and 8 MiB. Empty cells, `NA` and the
-    /// like are missing values. A refusal names the cell, such as `row[2].repose_deg`; the header is row 1. The report's `files` lists how each
-    /// column was interpreted.
+    /// Columns: `powder` (id or name) and `repose_deg`; with `repose_sd_deg` and `n`, the row is a
+    /// summary of n runs. Conditions: `session` (the day), `order_in_session`, `method` (camera,
+    /// manual), `operator`, `batch`, `plate`, `relative_humidity_pct`, `temperature_c`, `rest_min`,
+    /// `container_age_d`, `funnel_height_mm`, `base_diameter_mm`, `poured_mass_g`, `flow_time_s`,
+    /// `vibration_rms_m_s2`, `ioniser_on`, and any other column. Separators are commas, semicolons
+    /// or tabs; decimals take a point or a comma; at most 20000 rows and 8 MiB. Empty cells, `NA`
+    /// and the like are missing values. A refusal names the cell, such as `row[2].repose_deg`; the
+    /// header is row 1. The report's `files` lists how each column was interpreted.
     pub measurements_csv: Option<String>,
     /// Balance readings of weighings as CSV text, one per row; default none.
     ///
-    /// Columns: `weighing_id`, `t_s` and `balance_mg`. Conditions: `stable`, `powder`, `session` (the day), `shake_index` (shakes so far),
-    /// `shake_mm`, `spoon_pitch_deg`, `spoon_fill_mg`, `target_mg`, `relative_humidity_pct`, `vibration_rms_m_s2`, and `kind`: `dose`, or for a
-    /// control log `zero` (empty pan) or `standard` (a standard mass). Formats and limits are those of `measurements_csv`.
+    /// Columns: `weighing_id`, `t_s` and `balance_mg`. Conditions: `stable`, `powder`, `session`
+    /// (the day), `shake_index` (shakes so far), `shake_mm`, `spoon_pitch_deg`, `spoon_fill_mg`,
+    /// `target_mg`, `relative_humidity_pct`, `vibration_rms_m_s2`, and `kind`: `dose`, or for a
+    /// control log `zero` (empty pan) or `standard` (a standard mass). Formats and limits are those
+    /// of `measurements_csv`.
     pub traces_csv: Option<String>,
-    /// Order of dates such as 2/3/2026 and 26/02/21, `day_first`, `month_first` or `year_first`; needed where the column is ambiguous.
+    /// Order of dates such as 2/3/2026 and 26/02/21, `day_first`, `month_first` or `year_first`;
+    /// needed where the column is ambiguous.
     pub dates: Option<DateOrder>,
     /// Null campaigns, in which nothing is wrong, to compare with, 99 to 9999; default 499.
     pub simulations: Option<u32>,
-    /// Maximum heaps to simulate, 0 to 10000; default 60. They check the simulator's own numerics and, if an extension is accepted, find and verify
-    /// its amplitude; with 0 the amplitude is read from a table and not verified.
+    /// Maximum heaps to simulate, 0 to 10000; default 60. They check the simulator's own numerics
+    /// and, if an extension is accepted, find and verify its amplitude; with 0 the amplitude is
+    /// read from a table and not verified.
     pub budget_runs: Option<u32>,
     /// Seed; default 1.
     pub seed: Option<u64>,
@@ -86,7 +95,8 @@ pub struct Investigation {
     pub seed: u64,
     /// Simulator version under test.
     pub simulator: String,
-    /// Whether anything is wrong, and whether its cause can be named; absent until it has succeeded, like the following fields.
+    /// Whether anything is wrong, and whether its cause can be named; absent until it has
+    /// succeeded, like the following fields.
     pub verdict: Option<Verdict>,
     /// Probability of equally strong evidence for any cause if nothing is wrong.
     pub p_value: Option<f64>,
@@ -97,10 +107,11 @@ pub struct Investigation {
 }
 
 impl App {
-    /// Queue an investigation. `false`: the same one was asked for before, and this is its job.
+    /// Queues an investigation. `false`: the same one was requested before, and this is its job.
     ///
     /// # Errors
-    /// `Invalid`: a file by row and column, runs that say nothing, a setting out of bounds. Nothing is stored then.
+    /// `Invalid`: errors in a file by row and column, uninformative runs, a setting out of bounds.
+    /// Nothing is stored then.
     pub async fn start_investigation(&self, request: InvestigationRequest) -> Result<(Job, bool)> {
         let mut check = Check::default();
         let simulations = request.simulations.unwrap_or(SIMULATIONS);
@@ -139,7 +150,8 @@ impl App {
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Investigation(spec)).await?)
     }
 
-    /// A parameter set for each measured powder: its own, else that of a calibrated powder as steep, else an uncalibrated one.
+    /// A parameter set for each measured powder: its own, else that of the calibrated powder with
+    /// the nearest angle, else an uncalibrated one.
     async fn stand_ins(&self, campaign: &Campaign) -> Result<Vec<(FitSet, ParameterSet)>> {
         let mut known: Vec<(String, CalibratedSet)> = Vec::new();
         let every = PageQuery::first(LIST_LIMIT_MAX).window(LIST_LIMIT_MAX)?;
@@ -184,7 +196,7 @@ impl App {
         self.jobs_as(JobKind::Investigation, page, without_report).await
     }
 
-    /// Every row of the file of an investigation as CSV, as [`predictions_csv`] writes it.
+    /// Every row of an investigation's file as CSV, in the format of [`predictions_csv`].
     ///
     /// # Errors
     /// `NotFound`; `Conflict` (`investigation_unfinished`) while there is no report.
@@ -204,20 +216,21 @@ impl App {
     }
 }
 
-/// The angle of every row, by the simulator as it was and by the extended one, as CSV; empty where nothing is known of a powder.
+/// The angle of every row, by the original simulator and by the extended one, as CSV; empty for an
+/// unknown powder.
 pub fn predictions_csv(rows: &[Row]) -> String {
     let mut text = String::from("row,powder,before_deg,before_sd_deg,after_deg,after_sd_deg\n");
     let cell = |mean: Option<f64>| mean.map_or_else(String::new, |mean| mean.to_string());
     for row in rows {
         let Row { row, powder, before_deg, before_sd_deg, after_deg, after_sd_deg, .. } = row;
         let (before, after) = (cell(*before_deg), cell(*after_deg));
-        // Numbers and powder ids: there is nothing to quote.
+        // Numbers and powder ids: nothing needs quoting.
         text += &format!("{row},{powder},{before},{before_sd_deg},{after},{after_sd_deg}\n");
     }
     text
 }
 
-/// The file of angles may have the same rows and columns: what is refused of the other says so.
+/// Marks errors as those of the traces file: the file of angles may have the same rows and columns.
 fn of_traces(error: Error) -> Error {
     let named = |it: FieldError| match it.field.as_str() {
         "traces" => it,
@@ -229,7 +242,7 @@ fn of_traces(error: Error) -> Error {
     }
 }
 
-/// Stored measurements as a campaign's file: nobody recorded their days.
+/// Stored measurements in the format of a campaign's file: their days were not recorded.
 fn as_runs(measurements: &[Measurement]) -> String {
     let mut text = String::from("powder,method,repose_deg,repose_sd_deg,n\n");
     for Measurement { powder, method, repose_deg, sd_deg, n, .. } in measurements {
@@ -242,7 +255,7 @@ fn as_runs(measurements: &[Measurement]) -> String {
     text
 }
 
-/// The part of a report that lists have.
+/// The part of a report that is included in lists.
 #[derive(Deserialize)]
 struct Glance {
     verdict: Verdict,

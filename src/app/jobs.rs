@@ -8,7 +8,7 @@ use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use serde::de::DeserializeOwned;
 
 impl App {
-    /// Jobs, newest first; of one kind or state when named.
+    /// Jobs, newest first; optionally of one kind or state.
     pub async fn jobs(&self, kind: Option<JobKind>, state: Option<JobState>, page: PageQuery) -> Result<Page<Job>> {
         Ok(self.store().jobs(kind, state, page.window(LIST_LIMIT_MAX)?).await?)
     }
@@ -19,7 +19,8 @@ impl App {
         Ok(row.job)
     }
 
-    /// Ask a job to end: at once when it waits, at its next step when it runs. `Conflict` when it has ended.
+    /// Cancels a job: at once if it is waiting, at its next step if it is running. `Conflict` if it
+    /// has ended.
     pub async fn cancel_job(&self, id: &str) -> Result<Job> {
         if let Some(job) = self.jobs_or_refuse()?.cancel(id).await? {
             return Ok(job);
@@ -29,7 +30,7 @@ impl App {
         Err(Error::conflict("job_finished", advice))
     }
 
-    /// Jobs of one kind, newest first, each as what its kind makes of it.
+    /// Jobs of one kind, newest first, each converted to its resource.
     pub(super) async fn jobs_as<T>(
         &self,
         kind: JobKind,
@@ -42,12 +43,12 @@ impl App {
     }
 }
 
-/// A stored JSON document.
+/// Parses a stored JSON document.
 pub(super) fn stored<T: DeserializeOwned>(text: &str) -> Result<T> {
     serde_json::from_str(text).map_err(|error| Error::Internal(error.into()))
 }
 
-/// Something stored is not what it should be.
+/// The error for invalid stored data.
 pub(super) fn corrupt(what: &str) -> Error {
     store::Error::Corrupt(format!("{what} is of another kind")).into()
 }

@@ -1,7 +1,9 @@
-//! The tokens in memory: who holds a secret is known without asking the database, so that a stop waits for no reader.
+//! The tokens in memory: the holder of a secret is found without querying the database, so that a
+//! stop waits for no reader.
 //!
-//! The table stays the truth. It is looked at again each second, after every change made here, and when a secret is not known: another process
-//! may have made it a moment ago. Guesses share one look at a time, no more than twenty a second, on a connection that nobody else waits for.
+//! The table remains authoritative. It is read again every second, after every change made here,
+//! and when a secret is not known: another process may just have created it. Unknown secrets share
+//! one query at a time, at most twenty a second, on a dedicated connection.
 
 use flip_core::domain::timestamp::Timestamp;
 use flip_store::tokens::{HashedToken, Role};
@@ -14,31 +16,31 @@ use std::time::{Duration, Instant};
 use subtle::ConstantTimeEq;
 use tokio::sync::{Mutex, watch};
 
-/// Looks that unknown secrets cause are at least this far apart.
+/// Minimum interval between queries caused by unknown secrets.
 const LOOKS_APART: Duration = Duration::from_millis(50);
-/// How long a look may take before the caller is told what is known so far.
+/// How long a query may take before the caller is answered from what is known so far.
 const LOOK_MAX: Duration = Duration::from_secs(1);
 
-/// Who holds a token that is good.
+/// Holder of a valid token.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Holder {
     /// The token's id.
     pub id: String,
     /// The token's name.
     pub name: String,
-    /// What they may do.
+    /// Role of the holder.
     pub role: Role,
-    /// Whether they may clear a latched bench.
+    /// Whether the holder may clear a latched bench.
     pub may_clear: bool,
 }
 
-/// Every token by its id.
+/// All tokens by id.
 #[derive(Default)]
 pub(super) struct Keyring {
     known: RwLock<HashMap<String, Key>>,
-    /// Told whenever the table was asked: a token may have ended.
+    /// Notified whenever the table was read: a token may have ended.
     asked: watch::Sender<()>,
-    /// When the table was last asked.
+    /// When the table was last read.
     looked: Mutex<Option<Instant>>,
 }
 
@@ -49,14 +51,14 @@ struct Key {
 }
 
 impl Keyring {
-    /// With what the table holds now.
+    /// Loads the current content of the table.
     pub(super) async fn of(store: &Store) -> store::Result<Self> {
         let keyring = Self::default();
         keyring.look(store).await?;
         Ok(keyring)
     }
 
-    /// Ask the table.
+    /// Reads the table.
     pub(super) async fn look(&self, store: &Store) -> store::Result<()> {
         let mut looked = self.looked.lock().await;
         *looked = Some(Instant::now());
@@ -64,13 +66,14 @@ impl Keyring {
         Ok(())
     }
 
-    /// Ask the table because a secret is not known; who asks while another look is due waits for it. Whether it was this caller who asked.
+    /// Reads the table because a secret is not known; callers that arrive while another query is
+    /// due wait for it. Returns whether this caller made the query.
     pub(super) async fn look_after_a_miss(&self, store: &Store) -> bool {
         let missed = Instant::now();
         let look = async {
             let mut looked = self.looked.lock().await;
             match *looked {
-                // It began after the miss, so it has seen what was there then.
+                // It started after the miss, so it has seen what was there then.
                 Some(last) if last >= missed => return Ok(false),
                 Some(last) => tokio::time::sleep(LOOKS_APART.saturating_sub(last.elapsed())).await,
                 None => {}
@@ -95,18 +98,18 @@ impl Keyring {
         self.asked.send_replace(());
     }
 
-    /// Whether the token of this id is still good.
+    /// Whether the token with this id is still valid.
     pub(super) fn is_good(&self, id: &str) -> bool {
         self.known().get(id).is_some_and(|key| key.is_good(now()))
     }
 
-    /// Completes when the token of this id is not good any more.
+    /// Completes when the token with this id is no longer valid.
     pub(super) async fn ended(&self, id: &str) {
         let mut asked = self.asked.subscribe();
         while self.is_good(id) {
             let expires_at = self.known().get(id).and_then(|key| key.token.entry.expires_at);
             let left_ms = expires_at.map_or(i64::MAX, |end| end.unix_ms() - now().unix_ms());
-            // Not longer than a look: clocks can be set.
+            // No longer than a polling interval: clocks can be set.
             let left = Duration::from_millis(u64::try_from(left_ms).unwrap_or(0)).min(LOOK_MAX);
             tokio::select! {
                 _ = asked.changed() => {}
@@ -115,7 +118,7 @@ impl Keyring {
         }
     }
 
-    /// Who holds this secret; `None` when nobody does, or not any more.
+    /// Holder of this secret; `None` if there is none, or none any longer.
     pub(super) fn holder(&self, secret: &str) -> Option<Holder> {
         let id = secret.strip_prefix("flip_").and_then(|rest| rest.split('_').next())?;
         let known = self.known();
@@ -131,7 +134,7 @@ impl Keyring {
         Some(Holder { id: entry.id.clone(), name: entry.name.clone(), role: entry.role, may_clear })
     }
 
-    /// Uses that are not written down yet.
+    /// Uses that are not stored yet.
     pub(super) fn uses(&self) -> Vec<(String, Timestamp)> {
         let known = self.known();
         let unwritten = known.values().filter_map(|key| {
@@ -148,7 +151,7 @@ impl Keyring {
 }
 
 impl Key {
-    /// A token as the table has it; its use is remembered.
+    /// A token as read from the table; its last use is carried over.
     fn new(token: HashedToken, before: &HashMap<String, Self>) -> Self {
         let used_ms = before.get(&token.entry.id).map_or(0, |key| key.used_ms.load(Ordering::Relaxed));
         Self { token, used_ms: AtomicI64::new(used_ms) }

@@ -1,4 +1,5 @@
-//! Answers that grow with all that was ever done, batch by batch, so that no reader and no memory is held for the whole of one.
+//! Responses that grow with the whole history, produced batch by batch, so that none of them
+//! occupies a reader or fills memory throughout.
 
 use super::measurement_csv;
 use super::{App, Error, Result};
@@ -6,7 +7,7 @@ use flip_store::audit::AuditRecord;
 use futures::StreamExt;
 use futures::stream::{self, BoxStream};
 
-/// Where the next batch begins: after this position of this part.
+/// Start of the next batch: after this position in this part.
 #[derive(Debug, Clone, Copy)]
 enum Next {
     Measurements(i64),
@@ -14,7 +15,8 @@ enum Next {
 }
 
 impl App {
-    /// The audit trail, oldest first; of one weighing when named. The first batch may be empty, no other is.
+    /// The audit trail, oldest first; optionally of one weighing. The first batch may be empty, no
+    /// other is.
     pub fn audit_trail(&self, weighing: Option<String>) -> BoxStream<'static, Result<Vec<AuditRecord>>> {
         let app = self.clone();
         let next = move |after: Option<i64>| {
@@ -24,14 +26,15 @@ impl App {
         stream::unfold(Some(0), next).boxed()
     }
 
-    /// One batch, and where the next one begins.
+    /// One batch, and where the next one starts.
     async fn trail_after(&self, weighing: Option<&str>, after: i64) -> Option<(Result<Vec<AuditRecord>>, Option<i64>)> {
         let records = self.store().audit_after(weighing, after).await.map_err(Error::from);
         let last = records.as_ref().ok().and_then(|records| records.last()).map(|last| last.seq);
         (after == 0 || last.is_some() || records.is_err()).then_some((records, last))
     }
 
-    /// Everything that was measured, as a file that [`App::import_measurements`] reads; of one powder when named.
+    /// All measurements, as a file that [`App::import_measurements`] reads; optionally of one
+    /// powder.
     ///
     /// # Errors
     /// `NotFound`
@@ -52,7 +55,7 @@ impl App {
         Ok(rows.boxed())
     }
 
-    /// One batch, and where the next one begins; the first has the header.
+    /// One batch, and where the next one starts; the first includes the header.
     async fn measured_after(&self, powder: Option<&str>, next: Next) -> Result<(String, Option<Next>)> {
         let header = measurement_csv::write(&[], &[]).len();
         Ok(match next {

@@ -1,7 +1,9 @@
-//! Measurements as CSV, the form in which laboratories keep them: one repeat or one summary a row, an empty cell for what was not measured.
+//! Measurements as CSV, in the form laboratories keep them: one repeat or one summary per row, with
+//! an empty cell for anything not measured.
 //!
-//! A row with `n` is a summary (mean, SD, n). Rows without are single repeats; those of one powder, method, source and experiment are
-//! gathered into one measurement in the place of the first of them. What [`write()`] writes, [`read`] reads.
+//! A row with `n` is a summary (mean, SD, n). Rows without it are single repeats; those of one
+//! powder, method, source and experiment are combined into one measurement at the position of the
+//! first of them. [`read`] reads the output of [`write()`].
 
 use super::check::Check;
 use super::csv_file::words;
@@ -16,7 +18,7 @@ use flip_store::observations::PowderObservation;
 use flip_store::powders::Measurement;
 use std::collections::HashMap;
 
-/// Every column, in the order of an export.
+/// All columns, in the order of an export.
 const COLUMNS: [&str; 22] = [
     "powder",
     "method",
@@ -45,10 +47,10 @@ const COLUMNS: [&str; 22] = [
 /// A measured quantity: the columns of its value, its SD and its settings.
 struct Quantity {
     value: &'static str,
-    /// Empty where a summary does not exist.
+    /// Empty if the quantity has no summary form.
     sd: &'static str,
     settings: &'static [&'static str],
-    /// A setting that may be left out.
+    /// An optional setting.
     option: &'static str,
 }
 
@@ -68,10 +70,10 @@ const PILE: Quantity = Quantity {
 };
 const QUANTITIES: [Quantity; 6] = [ANGLE, HEAP, FLOW, SHAKE, DRAINED, PILE];
 
-/// What a file says of a powder.
+/// A powder's entry in a file.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Entry {
-    /// Row of the file, the header being row 1.
+    /// Row number in the file, the header being row 1.
     pub row: usize,
     pub powder: String,
     pub source: String,
@@ -84,7 +86,7 @@ pub(super) enum Value {
     Observed(Observation),
 }
 
-/// What the repeats of a group are repeats of.
+/// What the repeats of a group measure.
 #[derive(Debug, Clone, Copy)]
 enum Subject {
     Angle(Method),
@@ -104,10 +106,10 @@ struct Group {
     summary: Option<Value>,
 }
 
-/// Everything that a file says, in the order of its rows, and the powders that it names by a name.
+/// Everything in a file, in the order of its rows, and the powders that it gives by name.
 ///
 /// # Errors
-/// Every wrong cell by row and column, up to 50; an unknown, missing or repeated column by name.
+/// Every invalid cell by row and column, up to 50; an unknown, missing or repeated column by name.
 pub(super) fn read(text: &str) -> Result<(Vec<Entry>, PowderNames)> {
     let (mut groups, mut powders) = (Groups::default(), PowderNames::default());
     let table = Table::open(
@@ -173,7 +175,8 @@ impl Row<'_> {
         Ok(())
     }
 
-    /// Every filled cell belongs to a quantity that was measured, and no two angles stand in one row.
+    /// Checks that every filled cell belongs to a measured quantity, and that a row has only one
+    /// angle.
     fn check_columns(&self, given: &[&Quantity], check: &mut Check) {
         let row = self.row;
         let values = QUANTITIES.map(|q| q.value).join(", ");
@@ -217,7 +220,7 @@ impl Row<'_> {
                     format!("does not go with {}, which is one heap: leave it empty", quantity.value),
                 ));
             }
-            // Of a single value nobody knows the spread.
+            // The spread of a single value is unknown.
             (true, column) if n == Some(1) && !self.cells.holds(column) => 0.0,
             (true, column) => self.cells.number(column)?,
             (false, column) if self.cells.holds(column) => {
@@ -251,8 +254,9 @@ impl Row<'_> {
             "drained_deg" => Observable::DrainedAngle {},
             _ => Observable::PileHeight { base_diameter_mm: setting(0)?, fall_mm: setting(1)? },
         };
-        // A single repeat is possible if a measurement of two such is, whatever their spread. A balance may read less than nothing after a shake
-        // that let nothing fall; the mean of the repeats may not.
+        // A single repeat is valid if a measurement of two such repeats is, whatever their spread.
+        // A balance may show a negative reading after a shake that released nothing; the mean of
+        // the repeats may not be negative.
         let (sd, mean) = match (is_summary, observable) {
             (true, _) => (sd, value),
             (false, Observable::ShakeMass { .. }) => (SD_MIN, value.abs()),
@@ -265,7 +269,7 @@ impl Row<'_> {
         Ok((quantity.value, Subject::Observed(observable), measured))
     }
 
-    /// A refusal in terms of the file: the domain's field is one of its columns.
+    /// Translates an error to the file: the domain's field is one of its columns.
     fn renamed(&self, quantity: &Quantity, error: FieldError) -> FieldError {
         let column = match error.field.split('[').next().unwrap_or_default() {
             "repose_deg" | "heights_mm" | "mean" => quantity.value,
@@ -279,7 +283,7 @@ impl Row<'_> {
     }
 }
 
-/// What a cell says.
+/// Quantity measured in a cell.
 enum Measured {
     Repeat(f64),
     Summary(Value),
@@ -289,7 +293,7 @@ enum Measured {
 #[derive(Debug, Default)]
 struct Groups {
     list: Vec<Group>,
-    /// Where the group of a key stands.
+    /// Position of each key's group.
     places: HashMap<String, usize>,
 }
 
@@ -315,7 +319,7 @@ impl Groups {
         match measured {
             Measured::Summary(value) => self.list.push(group(Vec::new(), Some(value))),
             Measured::Repeat(value) => {
-                // Unequal values print unequal, and no id or source holds a line break.
+                // Different values print differently, and no id or source contains a line break.
                 let place = *self.places.entry(format!("{powder}\n{source}\n{subject:?}")).or_insert(self.list.len());
                 match self.list.get_mut(place) {
                     Some(known) => known.repeats.push(value),
@@ -327,7 +331,7 @@ impl Groups {
 }
 
 impl Group {
-    /// The measurement that its repeats make.
+    /// The measurement formed by its repeats.
     fn entry(self) -> std::result::Result<Entry, FieldError> {
         let Self { row, column, powder, source, subject, repeats, summary } = self;
         let renamed = |error: FieldError| {
@@ -352,14 +356,15 @@ impl Group {
     }
 }
 
-/// A file that [`read`] reads: a summary a row, measurements before observations, numbers with all their digits.
+/// A file that [`read`] reads: one summary per row, measurements before observations, numbers with
+/// all their digits.
 pub(super) fn write(measurements: &[Measurement], observations: &[PowderObservation]) -> String {
     let angle = |m: &Measurement| {
         vec![
             ("powder", m.powder.clone()),
             ("method", m.method.name().to_owned()),
             ("repose_deg", m.repose_deg.to_string()),
-            // Of a single value nobody knows the spread.
+            // The spread of a single value is unknown.
             ("repose_sd_deg", if m.sd_unknown { String::new() } else { m.sd_deg.to_string() }),
             ("n", m.n.to_string()),
             ("source", m.source.clone()),
@@ -390,7 +395,7 @@ pub(super) fn write(measurements: &[Measurement], observations: &[PowderObservat
             |column| cells.iter().find(|(name, _)| *name == column).map_or_else(String::new, |(_, text)| text.clone());
         COLUMNS.map(cell).to_vec()
     })) {
-        // Rows of one length into memory: nothing can fail.
+        // Writing rows of equal length to memory cannot fail.
         let _infallible = text.write_record(row);
     }
     String::from_utf8(text.into_inner().unwrap_or_default()).unwrap_or_default()

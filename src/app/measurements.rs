@@ -1,4 +1,4 @@
-//! What was measured of a powder: its angle of repose, and what else an experiment tells.
+//! Measurements of a powder: its angle of repose, and the results of other experiments.
 
 use super::check::Check;
 use super::measurement_csv::{self, Entry, Value};
@@ -20,8 +20,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::HashSet;
 
-/// A measurement to register, in exactly one of three forms: `repose_deg` with `sd_deg` and `n`, or alone as a single value; the angles of all repeats in `repeats_deg`;
-/// or the heaps themselves, `heights_mm` with `base_diameters_mm`.
+/// A measurement to register, in exactly one of three forms.
+///
+/// `repose_deg` with `sd_deg` and `n`, or alone as a single value; the angles of all repeats in
+/// `repeats_deg`; or the heaps themselves, `heights_mm` with `base_diameters_mm`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewMeasurement {
@@ -29,17 +31,21 @@ pub struct NewMeasurement {
     pub method: Method,
     /// Mean angle of repose, 5 to 85 degrees.
     pub repose_deg: Option<f64>,
-    /// Standard deviation over the repeats, 0 to 45 degrees; left out for a single value, whose spread is unknown.
+    /// Standard deviation over the repeats, 0 to 45 degrees; left out for a single value, whose
+    /// spread is unknown.
     pub sd_deg: Option<f64>,
     /// Number of repeats, 1 to 10000; 1 if neither it nor `sd_deg` is given.
     pub n: Option<u32>,
-    /// Angle of repose of each of 1 to 10000 repeats, 5 to 85 degrees; mean, sample SD (0 for a single one) and number are computed.
+    /// Angle of repose of each of 1 to 10000 repeats, 5 to 85 degrees; mean, sample SD (0 for a
+    /// single one) and number are computed.
     pub repeats_deg: Option<Vec<f64>>,
-    /// Height of each of 1 to 10000 heaps above the base it covers, mm. The angle of each is atan(2 h / d), 5 to 85 degrees.
+    /// Height of each of 1 to 10000 heaps above the base it covers, mm. The angle of each is atan(2
+    /// h / d), 5 to 85 degrees.
     pub heights_mm: Option<Vec<f64>>,
     /// Diameter of the base, 5 to 500 mm: one for each height, or one for all.
     pub base_diameters_mm: Option<Vec<f64>>,
-    /// Height of the funnel's tip above the base, 0.1 to 3000 mm; a heap higher than this is refused.
+    /// Height of the funnel's tip above the base, 0.1 to 3000 mm; a heap higher than this is
+    /// refused.
     pub funnel_height_mm: Option<f64>,
     /// Where the numbers come from; up to 500 characters.
     pub source: Option<String>,
@@ -73,7 +79,8 @@ pub struct Imported {
     pub measurements: Vec<Measurement>,
     /// The observations other than the angle, in the order of the file.
     pub observations: Vec<PowderObservation>,
-    /// Entries of the file that were stored already, with the same powder, values and source, and were skipped.
+    /// Entries of the file that were stored already, with the same powder, values and source, and
+    /// were skipped.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub already_stored: usize,
 }
@@ -82,12 +89,12 @@ fn is_zero(count: &usize) -> bool {
     *count == 0
 }
 
-/// Everything that was measured.
+/// All measurements and observations.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Measured {
     /// Measurements, oldest first.
     pub measurements: Vec<Measurement>,
-    /// Observations beside the angle, oldest first.
+    /// Observations other than the angle, oldest first.
     pub observations: Vec<PowderObservation>,
 }
 
@@ -130,7 +137,7 @@ impl NewMeasurement {
             }
             (None, None, Some(repose_deg)) => {
                 stray(&bases, "`repose_deg`")?;
-                // Of a single value nobody knows the spread: 0 with n = 1, as of one repeat.
+                // The spread of a single value is unknown: 0 with n = 1, as for one repeat.
                 let (sd_deg, n) = match (*sd_deg, *n) {
                     (None, None | Some(1)) => (0.0, 1),
                     (Some(sd_deg), Some(n)) => (sd_deg, n),
@@ -153,23 +160,23 @@ impl NewObservation {
         let Self { observable, mean, sd, n, .. } = *self;
         Observation { observable, mean, sd, n }.checked().map_err(|error| match error.field.as_str() {
             "mean" | "sd" | "n" => error,
-            // A setting of the experiment, which the caller wrote one level further down.
+            // A setting of the experiment, which in the request is nested one level deeper.
             setting => FieldError { field: format!("observable.{setting}"), ..error },
         })
     }
 }
 
-/// What the powder of a file is to the powders that are registered.
+/// How a powder in a file relates to the registered powders.
 enum Registered {
-    /// This one.
+    /// It is this one.
     As(String),
-    /// None of them.
+    /// It is not registered.
     Not,
-    /// Its id is that of a powder with this other name.
+    /// Its id belongs to a powder with this different name.
     Another(String),
 }
 
-/// Which of the `known` powders, id and name, has this id, or this name where the file has one.
+/// Which of the `known` powders, id and name, has this id, or this name if the file gives one.
 fn registered(known: &[(String, String)], id: &str, name: Option<&str>) -> Registered {
     let of_id = known.iter().find(|(known, _)| known == id);
     let Some(name) = name else { return of_id.map_or(Registered::Not, |(id, _)| Registered::As(id.clone())) };
@@ -190,7 +197,7 @@ fn first_rows(entries: &[Entry]) -> Vec<(String, usize)> {
     first.map(|entry| (entry.powder.clone(), entry.row)).collect()
 }
 
-/// Put the id that a powder is registered under in the place of the one that its name makes.
+/// Replaces the id derived from a powder's name by the id under which the powder is registered.
 fn renamed(entries: &mut [Entry], named: &mut [NamedPowder], made: &str, id: &str) {
     entries.iter_mut().filter(|entry| entry.powder == made).for_each(|entry| id.clone_into(&mut entry.powder));
     named.iter_mut().filter(|powder| powder.id == made).for_each(|powder| id.clone_into(&mut powder.id));
@@ -213,7 +220,7 @@ impl App {
         Ok(self.store().measurements(powder, page.window(LIST_LIMIT_MAX)?).await?)
     }
 
-    /// Register a measurement of a powder.
+    /// Registers a measurement of a powder.
     pub async fn add_measurement(&self, powder: &str, new: NewMeasurement) -> Result<Measurement> {
         let mut check = Check::default();
         let flowability = check.keep(new.flowability());
@@ -229,12 +236,13 @@ impl App {
         Ok(measurement)
     }
 
-    /// Register everything that a CSV file holds, or nothing of it. A powder is named by its id or its name. One that is not registered is refused,
-    /// or with `create` registered, under an id that is made from its name. What is stored already, of the same powder, with the
-    /// same values and source, is left out: the same file again adds nothing.
+    /// Registers everything in a CSV file, or nothing. A powder is given by its id or its name. An
+    /// unregistered one is refused, or, with `create`, registered under an id derived from its
+    /// name. Entries that are stored already, with the same powder, values and source, are skipped:
+    /// importing the same file again adds nothing.
     ///
     /// # Errors
-    /// `Invalid` with every wrong cell as `row[2].repose_deg`, the header being row 1.
+    /// `Invalid` with every invalid cell as `row[2].repose_deg`, the header being row 1.
     pub async fn import_measurements(&self, csv: &str, create: bool) -> Result<Imported> {
         let (mut entries, names) = measurement_csv::read(csv)?;
         let known = self.store().powder_names().await?;
@@ -260,7 +268,7 @@ impl App {
                 rows.push(Row::of(RowOf::Powder, id, &powder));
             }
         }
-        // Whoever else imports waits for this transaction, so what is stored now is all there is.
+        // Other imports wait for this transaction, so what is stored now is complete.
         let mut before = StoredBefore::of(&self.measured(None).await?);
         let left_out = entries.extract_if(.., |entry| before.has(entry)).count();
         let powders = new.into_iter().map(|(id, _)| id).collect();
@@ -287,7 +295,7 @@ impl App {
         Ok(imported)
     }
 
-    /// Everything that was measured; of one powder when named.
+    /// All measurements and observations; optionally of one powder.
     pub async fn measured(&self, powder: Option<&str>) -> Result<Measured> {
         if let Some(powder) = powder {
             self.existing_powder(powder).await?;
@@ -297,13 +305,14 @@ impl App {
         Ok(Measured { measurements, observations })
     }
 
-    /// Observations of a powder beside its angle, oldest first; the newest of an equal observable is the one that counts.
+    /// Observations of a powder other than its angle, oldest first; for each observable the newest
+    /// one is used.
     pub async fn observations(&self, powder: &str, page: PageQuery) -> Result<Page<PowderObservation>> {
         self.existing_powder(powder).await?;
         Ok(self.store().observations(powder, page.window(LIST_LIMIT_MAX)?).await?)
     }
 
-    /// Register an observation of a powder beside its angle.
+    /// Registers an observation of a powder other than its angle.
     pub async fn add_observation(&self, powder: &str, new: NewObservation) -> Result<PowderObservation> {
         let mut check = Check::default();
         let observed = check.keep(new.checked());

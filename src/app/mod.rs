@@ -1,4 +1,5 @@
-//! What FLIP can do, in plain Rust. REST, gRPC, the command line and the demonstration all call this.
+//! Everything FLIP can do, in plain Rust. REST, gRPC, the command line and the demonstration all
+//! call this.
 
 mod archive;
 mod asked;
@@ -120,12 +121,12 @@ use readiness::LastLook;
 use std::path::Path;
 use std::sync::Arc;
 
-/// What an [`App`] is opened for.
+/// Options for opening an [`App`].
 #[derive(Clone)]
 pub struct Options {
-    /// Who carries out jobs and weighings.
+    /// How jobs and weighings are carried out.
     pub workers: Workers,
-    /// What jobs and weighings compute with; tests put formulas here.
+    /// The functions that jobs and weighings compute with; tests use formulas here.
     pub functions: Functions,
 }
 
@@ -136,7 +137,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// To ask and to change things, while somebody else computes and weighs.
+    /// For queries and changes, while another process computes and weighs.
     pub fn without_workers() -> Self {
         Self { workers: Workers::None, ..Self::default() }
     }
@@ -148,7 +149,7 @@ impl std::fmt::Debug for Options {
     }
 }
 
-/// FLIP: one data folder, opened. Cheap to clone.
+/// FLIP: an open data folder. Cheap to clone.
 #[derive(Clone)]
 pub struct App {
     inner: Arc<Inner>,
@@ -156,15 +157,16 @@ pub struct App {
 
 struct Inner {
     store: Store,
-    /// `None` when opened to read only.
+    /// `None` if opened read-only.
     jobs: Option<Jobs>,
     keyring: Arc<Keyring>,
-    /// Whether all was well when somebody asked last.
+    /// Result of the last readiness check.
     readiness: LastLook,
 }
 
 impl App {
-    /// Open a data folder for reading and writing: create, migrate and seed it when needed. One process at a time.
+    /// Opens a data folder for reading and writing; creates, migrates and seeds it when needed. One
+    /// process at a time.
     ///
     /// # Errors
     /// [`OpenError::Held`] while another process has it open.
@@ -176,9 +178,11 @@ impl App {
         Self::of(store, Some(jobs)).await.map_err(failed)
     }
 
-    /// Open a data folder to read it, also while `flip serve` holds it. Whatever would write answers `Unavailable`.
+    /// Opens a data folder for reading, even while `flip serve` holds it. Anything that would write
+    /// returns `Unavailable`.
     ///
-    /// A folder that nobody holds is opened for writing without workers instead, so that a fresh one is migrated.
+    /// A folder that no process holds is opened for writing without workers instead, so that a new
+    /// one is migrated.
     ///
     /// # Errors
     /// [`OpenError::Failed`]
@@ -191,8 +195,8 @@ impl App {
         Self::of(Store::open_to_read(data_dir).await.map_err(failed)?, None).await.map_err(failed)
     }
 
-    /// Open a data folder to read and change nothing, not even a schema that is older, after the look that a start takes at it. None where there is nothing
-    /// yet.
+    /// Opens a data folder read-only and changes nothing, not even an older schema, after the
+    /// checks that a start performs. None if nothing is there yet.
     ///
     /// # Errors
     /// [`OpenError::Failed`]
@@ -204,10 +208,12 @@ impl App {
         }
     }
 
-    /// Open a data folder to change what no bench and no job depends on, such as tokens, also while `flip serve` holds it: its records and ours are
-    /// one chain, because each is written in a transaction that waits for the other.
+    /// Opens a data folder for changes that affect no bench and no job, such as to tokens, even
+    /// while `flip serve` holds it: its records and ours form one chain, because each is written in
+    /// a transaction that waits for the other.
     ///
-    /// A folder that nobody holds is opened without workers instead, so that a fresh one is migrated.
+    /// A folder that no process holds is opened without workers instead, so that a new one is
+    /// migrated.
     ///
     /// # Errors
     /// [`OpenError::Failed`]
@@ -225,8 +231,8 @@ impl App {
         Ok(Self { inner: Arc::new(Inner { store, jobs, keyring, readiness: LastLook::default() }) })
     }
 
-    /// Stop the bench and level the spoon, let running jobs save a checkpoint and go back into the queue, end every
-    /// stream of events, and move the write-ahead log into the database.
+    /// Stops the bench and levels the spoon, lets running jobs save a checkpoint and return to the
+    /// queue, ends every event stream, and moves the write-ahead log into the database.
     pub async fn shutdown(&self) -> Result<()> {
         if let Some(jobs) = &self.inner.jobs {
             jobs.shutdown().await;
@@ -245,7 +251,7 @@ impl App {
     }
 }
 
-/// A weighing needs a policy before anything was trained.
+/// A weighing needs a policy before any has been trained.
 async fn store_shipped_policy(store: &Store) -> store::Result<()> {
     let shipped = policy::shipped();
     let manifest = serde_json::to_string(&shipped.policy.manifest);

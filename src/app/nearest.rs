@@ -1,6 +1,7 @@
-//! What somebody may have meant by a name that is not known.
+//! Suggestions for unknown names.
 
-/// The known name that is nearest to what was written: at most a third of its letters away, three at most, and no other is as near.
+/// The known name nearest to `written`: at most a third of its letters differ, three at most, and
+/// no other is as near.
 pub(super) fn nearest<'a>(written: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let written = written.to_lowercase();
     let allowed = (written.chars().count() / 3).min(3);
@@ -15,7 +16,7 @@ pub(super) fn nearest<'a>(written: &str, known: impl IntoIterator<Item = &'a str
     }
 }
 
-/// " (did you mean `…`?)", or nothing.
+/// " (did you mean `…`?)", or an empty string.
 pub(super) fn did_you_mean<'a>(written: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     nearest(written, known).map_or_else(String::new, |name| format!(" (did you mean `{name}`?)"))
 }

@@ -1,4 +1,4 @@
-//! Powders that a file names, by id or by name.
+//! Powders named in a file, by id or by name.
 
 use super::csv_file::at;
 use super::csv_file::words::is_summary;
@@ -7,17 +7,18 @@ use flip_core::domain::powder_name::{id_of_powder, same_name};
 use flip_discover::reading::NamedPowder;
 use std::collections::BTreeMap;
 
-/// The names of a file, by the ids that they make.
+/// The names in a file, by the ids derived from them.
 #[derive(Debug, Default)]
 pub(super) struct PowderNames {
     named: BTreeMap<String, (usize, String)>,
 }
 
 impl PowderNames {
-    /// The id of the powder that a row names.
+    /// The id of the powder named in a row.
     ///
     /// # Errors
-    /// What names none, as `Mean` does; a name that makes the id of another name.
+    /// A text that does not name a powder, such as `Mean`; a name whose derived id belongs to
+    /// another name.
     pub fn id_of(&mut self, row: usize, text: &str) -> Result<String, FieldError> {
         if is_summary(text) {
             let advice = format!("`{text}` is no powder but what was computed of the rows above: leave the row out");
@@ -37,7 +38,7 @@ impl PowderNames {
         Err(at(row, "powder", advice))
     }
 
-    /// The name that stands for an id; none where the file has the id itself.
+    /// The name behind an id; none if the file gives the id itself.
     pub fn name_of(&self, id: &str) -> Option<&str> {
         self.named.get(id).map(|(_, name)| name.as_str())
     }

@@ -18,7 +18,8 @@ use serde_json::json;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewPowder {
-    /// A lower-case letter, then up to 63 of a-z, 0-9 and _; made from the name if omitted or empty: `Lactose 200M` is `lactose_200m`.
+    /// A lower-case letter, then up to 63 of a-z, 0-9 and _; made from the name if omitted or
+    /// empty: `Lactose 200M` is `lactose_200m`.
     #[serde(default)]
     pub id: String,
     /// Name for people, 1 to 100 characters.
@@ -55,7 +56,7 @@ impl App {
         Ok(PowderDetail { powder, measurements, observations, sets })
     }
 
-    /// Register a powder; `Conflict` when the id is taken.
+    /// Registers a powder; `Conflict` if the id is taken.
     pub async fn create_powder(&self, new: NewPowder) -> Result<Powder> {
         let mut check = Check::default();
         let id = (!new.id.is_empty()).then(|| powder_id("id", &new.id)).and_then(|id| check.keep(id));
@@ -73,7 +74,7 @@ impl App {
         self.existing_powder(&id).await
     }
 
-    /// Calibrated sets, newest first; of one powder when named.
+    /// Calibrated sets, newest first; optionally of one powder.
     pub async fn parameter_sets(&self, powder: Option<&str>, page: PageQuery) -> Result<Page<CalibratedSet>> {
         if let Some(powder) = powder {
             self.existing_powder(powder).await?;
@@ -90,7 +91,7 @@ impl App {
         self.store().powder(id).await?.ok_or_else(|| Error::not_found("powder", id))
     }
 
-    /// The powder that a field of a request names: an unknown one is the request's fault.
+    /// The powder named in a request's field: an unknown one is the request's fault.
     pub(super) async fn powder_of(&self, field: &str, id: &str) -> Result<Powder> {
         let id = powder_id(field, id)?;
         if let Some(powder) = self.store().powder(&id).await? {

@@ -1,12 +1,14 @@
-//! Whether a reading can show at all that a dose is what was asked for.
+//! Whether a reading can show at all that a dose meets its request.
 
 use super::check::Check;
 use super::{Error, Result};
 
-/// Refuse what no reading of a display with this step, mg, can be within; the step of a display that is not known beforehand is nobody's to judge by.
+/// Refuses a request that no reading with this display step, mg, can prove to be met; if the step
+/// is not known in advance, nothing is refused.
 ///
 /// # Errors
-/// `Invalid`: `tolerance.lower` where an empty vial would be right, `tolerance.upper` where both are 0 or narrower than a step, `target.value` below a step.
+/// `Invalid`: `tolerance.lower` if an empty vial would be right, `tolerance.upper` if both are 0 or
+/// narrower than a step, `target.value` below a step.
 pub(super) fn check(target_mg: f64, (lower_mg, upper_mg): (f64, f64), step_mg: Option<f64>) -> Result<()> {
     let mut check = Check::default();
     if lower_mg >= target_mg {

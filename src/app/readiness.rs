@@ -1,4 +1,4 @@
-//! Whether FLIP could weigh now, for those who watch over it.
+//! Readiness: whether FLIP could weigh now, for monitoring.
 
 use super::App;
 use flip_store::health::{Check, Health};
@@ -6,40 +6,40 @@ use serde::Serialize;
 use std::time::{Duration, Instant};
 use tokio::sync::Mutex;
 
-/// However many ask, it is looked at this often.
+/// Minimum interval between checks, however many requests there are.
 const LOOKS_APART: Duration = Duration::from_secs(1);
 
-/// Whether a weighing that is asked for now would be begun and recorded, and what is in the way.
+/// Whether a weighing requested now would be started and recorded, and what prevents it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Readiness {
     /// Nothing is in the way.
     pub ready: bool,
-    /// What was looked at.
+    /// The individual checks.
     pub checks: Checks,
 }
 
-/// Each by its name.
+/// Each check by name.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Checks {
-    /// Room on the disk of the data folder.
+    /// Space on the disk of the data folder.
     pub disk: Check,
-    /// The database can be written: it is whole and no other program holds it.
+    /// The database is writable: it is intact and no other program holds it.
     pub database: Check,
     /// The data folder is where it was when FLIP started.
     pub folder: Check,
     /// The lock that keeps a second FLIP out is in place.
     pub lock: Check,
-    /// The bench is not latched, and no ending of a dose waits to be written.
+    /// The bench is not latched, and no ending of a dose waits to be recorded.
     pub bench: Check,
 }
 
 impl Checks {
-    /// All but the bench: what those need who never weigh.
+    /// All checks but the bench: those that matter to users who never weigh.
     pub fn store_is_ready(&self) -> bool {
         [&self.disk, &self.database, &self.folder, &self.lock].iter().all(|check| check.ok)
     }
 
-    /// As for somebody who may not read: what, but not why.
+    /// For callers who may not read: results, but not reasons.
     pub fn without_reasons(mut self) -> Self {
         for check in [&mut self.disk, &mut self.database, &mut self.folder, &mut self.lock, &mut self.bench] {
             check.why = None;
@@ -48,11 +48,12 @@ impl Checks {
     }
 }
 
-/// What was found last, and when.
+/// The last result, and its time.
 pub(super) type LastLook = Mutex<Option<(Instant, Readiness)>>;
 
 impl App {
-    /// Whether FLIP could weigh now. Looked at once a second at most, however many ask.
+    /// Whether FLIP could weigh now. Checked at most once a second, however many requests there
+    /// are.
     pub async fn readiness(&self) -> Readiness {
         let mut last = self.inner.readiness.lock().await;
         if let Some((at, found)) = &*last

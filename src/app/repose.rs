@@ -1,4 +1,5 @@
-//! Angles of repose by camera: measurements on the bench, the frames that they wait for, and automated beside manual.
+//! Angles of repose by camera: measurements on the bench, the frames they wait for, and the
+//! comparison of automated with manual measurements.
 
 use super::check::Check;
 use super::jobs::{corrupt, stored};
@@ -23,9 +24,9 @@ use flip_store::piles::Pile;
 use serde::{Deserialize, Serialize};
 use tokio::sync::Semaphore;
 
-/// Most measurements by camera of one powder.
+/// Maximum number of camera measurements per powder.
 const RUNS_MAX: u32 = 1_000_000;
-/// Frames decoded at once: one of a few kB may unfold to 28 MB.
+/// Number of frames decoded at once: one of a few kB may decompress to 28 MB.
 static DECODERS: Semaphore = Semaphore::const_new(2);
 
 /// A measurement by camera to make. Everything but the powder has a default.
@@ -34,7 +35,8 @@ static DECODERS: Semaphore = Semaphore::const_new(2);
 pub struct ReposeRequest {
     /// Powder id.
     pub powder: String,
-    /// Which measurement of this powder, from 1; repeating a number returns the existing measurement and makes no new piles. Default the next.
+    /// Which measurement of this powder, from 1; repeating a number returns the existing
+    /// measurement and makes no new piles. Default the next.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub run: Option<u32>,
     /// How piles are made and imaged.
@@ -77,10 +79,12 @@ pub struct ReposeMeasurement {
 }
 
 impl App {
-    /// Queue a measurement by camera. `false`: the same one was asked for before, and this is its job.
+    /// Queues a measurement by camera. `false`: the same one was requested before, and this is its
+    /// job.
     ///
     /// # Errors
-    /// `Invalid`; `Conflict` (`no_stand`, `bench_latched`, `bench_held`, `bench_reserved`, `calibration_missing`).
+    /// `Invalid`; `Conflict` (`no_stand`, `bench_latched`, `bench_held`, `bench_reserved`,
+    /// `calibration_missing`).
     pub async fn start_repose(&self, request: ReposeRequest) -> Result<(Job, bool)> {
         let within = |part: &'static str| {
             move |error: FieldError| FieldError::new(format!("{part}.{}", error.field), error.message)
@@ -133,7 +137,8 @@ impl App {
         queued.map_err(refused)
     }
 
-    /// What stands for a powder on an emulated bench: one of its calibrated sets, by content, so that it is the same in every data folder that has them.
+    /// What represents a powder on an emulated bench: one of its calibrated sets, chosen by
+    /// content, so that it is the same in every data folder that has them.
     async fn emulated_powder(&self, powder: &str) -> Result<ParameterSet> {
         let every = PageQuery::first(LIST_LIMIT_MAX).window(LIST_LIMIT_MAX)?;
         let sets = self.store().sets_under(powder, None, every).await?.items;
@@ -158,7 +163,8 @@ impl App {
         self.jobs_as(JobKind::Repose, page, repose).await
     }
 
-    /// The pile of this measurement that waits for frames and has not all of them: asked before a frame is read, which costs a hundred times its bytes.
+    /// The pile of this measurement that is still waiting for frames: checked before a frame is
+    /// decoded, which costs a hundred times its bytes.
     ///
     /// # Errors
     /// `NotFound`; `Conflict` (`no_pile_waits`).
@@ -167,7 +173,7 @@ impl App {
         awaited.ok_or_else(no_pile_waits)
     }
 
-    /// A frame of the pile that waits for frames; how many it has now.
+    /// Adds a frame to the pile that waits for frames; returns how many it has now.
     ///
     /// # Errors
     /// `Invalid`: the frame cannot be read; `Conflict` (`no_pile_waits`).
@@ -175,7 +181,7 @@ impl App {
         let jobs = self.jobs_or_refuse()?;
         self.frames_awaited(id).await?;
         let _decoder = DECODERS.acquire().await.map_err(|error| Error::Internal(error.into()))?;
-        // Told to whoever took it, while the pile still lies there.
+        // Decoding errors are reported to the uploader while the pile is still there.
         let decoding = frame.clone();
         let decoded = tokio::task::spawn_blocking(move || decoding.decode().map(drop)).await;
         decoded.map_err(|error| Error::Internal(error.into()))??;
@@ -183,7 +189,8 @@ impl App {
         inbox.and_then(|inbox| inbox.add(id, frame)).ok_or_else(no_pile_waits)
     }
 
-    /// A part of a raw frame as it came: `depth`, `colour` or `description`; piles count from 1, frames from 1.
+    /// A part of a raw frame as received: `depth`, `colour` or `description`; piles and frames
+    /// count from 1.
     ///
     /// # Errors
     /// `NotFound`
@@ -195,7 +202,8 @@ impl App {
         self.store().artifacts().get(sha256).map_err(|error| Error::of_part("this raw frame", error))
     }
 
-    /// Automated beside manual, of every powder that was measured both ways; the newest measurement by each method counts.
+    /// Compares automated with manual measurements, for every powder measured both ways; the newest
+    /// measurement by each method counts.
     ///
     /// # Errors
     /// `Internal`

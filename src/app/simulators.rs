@@ -1,4 +1,4 @@
-//! Versions of the simulator: what investigations extended it by, and what it predicts then.
+//! Simulator versions: the extensions made by investigations, and their predictions.
 
 use super::current_simulator::{BASE, CURRENT};
 use super::jobs::{corrupt, stored};
@@ -32,10 +32,12 @@ impl App {
         self.store().simulator(id).await?.ok_or_else(|| Error::not_found("simulator version", id))
     }
 
-    /// What a request says of the simulator; without, and as `base`, it is the base, as `current` the one that was taken into use.
+    /// The simulator selected by a request; the base if absent or `base`, and the version in use if
+    /// `current`.
     ///
     /// # Errors
-    /// `Invalid`: a version that is not there, of another simulator, or one that nothing can be simulated with; conditions without a version.
+    /// `Invalid`: a version that does not exist, belongs to another simulator, or cannot be
+    /// simulated; conditions without a version.
     pub(super) async fn extended(
         &self,
         simulator: Option<&str>,
@@ -69,11 +71,12 @@ impl App {
         Ok(Some((Under { simulator: id.to_owned(), conditions: conditions.clone() }, extended)))
     }
 
-    /// Angles of rows that nobody measured, by the simulator as it was and by an extended version; `current` is
-    /// the one that is.
+    /// Angles of unmeasured rows, by the original simulator and by an extended version; `current`
+    /// is the current one.
     ///
     /// # Errors
-    /// `NotFound`; `Invalid`: a file by row and column, or one without what the version's causes act through.
+    /// `NotFound`; `Invalid`: errors in the file by row and column, or a file without the columns
+    /// through which the version's causes act.
     pub async fn predict(&self, version: &str, measurements_csv: &str) -> Result<Vec<Row>> {
         let version = self.extended_simulator(version).await?;
         let new = campaign_csv::read(measurements_csv, &["powder"], None)?.campaign;
@@ -90,9 +93,10 @@ impl App {
     }
 }
 
-/// A version that needs a covariate says nothing of rows without.
+/// Refuses rows without a covariate that the version needs.
 fn lacking(report: &Report, new: &Campaign, version: &str) -> Result<()> {
-    // Flow times and balance readings make no version: what they depart with is not asked for.
+    // Flow times and balance readings do not make versions: the covariates of their departures are
+    // not required.
     let angles = report.findings.iter().filter(|finding| finding.channel == Channel::Repose);
     let needed = angles.filter_map(|finding| finding.covariate.as_deref());
     let needed = needed.flat_map(|covariates| covariates.split(" and "));

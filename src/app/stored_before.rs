@@ -1,4 +1,4 @@
-//! Which measurements of a file are stored already: of the same powder, with the same values and source.
+//! Which measurements of a file are stored already, with the same powder, values and source.
 
 use super::measurement_csv::{Entry, Value};
 use super::measurements::Measured;
@@ -6,7 +6,7 @@ use flip_core::domain::observable::Observation;
 use flip_core::domain::powder::{Flowability, Method};
 use std::collections::HashMap;
 
-/// How often each was stored.
+/// How often each one was stored.
 pub(super) struct StoredBefore(HashMap<String, usize>);
 
 impl StoredBefore {
@@ -23,7 +23,8 @@ impl StoredBefore {
         Self(stored)
     }
 
-    /// Whether it was stored. Each stored one stands for one of the file: what a file has twice is stored twice.
+    /// Whether it was stored. Each stored measurement matches one in the file: a duplicate in the
+    /// file is stored twice.
     pub fn has(&mut self, entry: &Entry) -> bool {
         let value = match &entry.value {
             Value::Angle(method, angle) => angle_key(*method, angle),
@@ -38,7 +39,7 @@ fn angle_key(method: Method, angle: &Flowability) -> String {
     format!("{method:?} {angle:?}")
 }
 
-/// Unequal numbers print unequal, and no id or source holds a line break.
+/// Different numbers print differently, and no id or source contains a line break.
 fn key(powder: &str, source: &str, value: &str) -> String {
     format!("{powder}\n{source}\n{value}")
 }

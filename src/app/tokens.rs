@@ -1,5 +1,5 @@
-//! API tokens: `flip_<id>_<secret>`. The secret has 256 random bits, so its plain SHA-256 cannot be guessed back and no
-//! slow hash is needed.
+//! API tokens: `flip_<id>_<secret>`. The secret has 256 random bits, so its plain SHA-256 cannot be
+//! reversed by guessing and no slow hash is needed.
 
 use super::check::Check;
 use super::keyring::Holder;
@@ -14,11 +14,11 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::time::Duration;
 
-/// Longest life that can be asked for, s: 100 years of 365 days.
+/// Maximum lifetime that can be requested, s: 100 years of 365 days.
 const LIFE_S_MAX: u64 = 100 * 365 * 86_400;
-/// How often the tokens in the database are looked at by themselves: another process may have ended one.
+/// How often the tokens are reread from the database: another process may have revoked one.
 const LOOK: Duration = Duration::from_secs(1);
-/// Looks between two notes of when tokens were last used.
+/// Number of rereads between two updates of when tokens were last used.
 const LOOKS_A_NOTE: u32 = 60;
 
 /// A token to create.
@@ -38,7 +38,7 @@ pub struct NewToken {
 }
 
 impl App {
-    /// Make a token of this role that does not end by itself; its secret.
+    /// Creates a token of this role that does not expire; returns its secret.
     ///
     /// # Errors
     /// As [`App::make_token`].
@@ -47,10 +47,10 @@ impl App {
         Ok(self.make_token(&new).await?.1)
     }
 
-    /// Make a token: what is known of it from now on, and its secret, which is shown once and not stored.
+    /// Creates a token; returns its entry, and its secret, which is shown once and not stored.
     ///
     /// # Errors
-    /// `Invalid`: the name, or a life of more than 100 years or less than a second.
+    /// `Invalid`: the name, or a lifetime of more than 100 years or less than a second.
     pub async fn make_token(&self, new: &NewToken) -> Result<(TokenEntry, String)> {
         let mut check = Check::default();
         check.text("name", &new.name, 100);
@@ -70,7 +70,7 @@ impl App {
         Ok((token.entry, secret))
     }
 
-    /// Tokens, newest first, with those that have ended; never their secrets.
+    /// Tokens, newest first, including ended ones; never their secrets.
     ///
     /// # Errors
     /// `Invalid`
@@ -84,7 +84,7 @@ impl App {
         Ok(page)
     }
 
-    /// End a token from now on; one that has ended stays as it was.
+    /// Revokes a token with immediate effect; one that has ended is left unchanged.
     ///
     /// # Errors
     /// `NotFound`
@@ -96,12 +96,13 @@ impl App {
         Ok(revoked)
     }
 
-    /// Who holds a token; `None` when the secret belongs to none that is good. Reads memory alone.
+    /// Holder of a token; `None` if the secret belongs to no valid token. Reads only memory.
     pub fn authenticate(&self, secret: &str) -> Option<Holder> {
         self.inner.keyring.holder(secret)
     }
 
-    /// As [`App::authenticate`], after a look at the table: another process may have made the token a moment ago.
+    /// As [`App::authenticate`], after rereading the table: another process may just have created
+    /// the token.
     pub async fn authenticate_late(&self, secret: &str) -> Option<Holder> {
         if !secret.starts_with("flip_") {
             return None;
@@ -110,7 +111,8 @@ impl App {
         self.authenticate(secret)
     }
 
-    /// Follow what other processes do to the tokens, and write down when tokens were last used, until dropped.
+    /// Follows changes to the tokens by other processes, and stores when tokens were last used,
+    /// until dropped.
     pub async fn keep_tokens(self) {
         let mut looks = 0u32;
         loop {
@@ -125,7 +127,7 @@ impl App {
         }
     }
 
-    /// Write down when tokens were last used.
+    /// Stores when tokens were last used.
     pub(super) async fn note_uses(&self) {
         let uses = self.inner.keyring.uses();
         let noted = async {

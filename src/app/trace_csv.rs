@@ -1,4 +1,5 @@
-//! Balance readings of weighings as CSV: one reading a row, and beside it whatever was recorded with it.
+//! Balance readings of weighings as CSV: one reading per row, with everything that was recorded
+//! alongside it.
 //!
 //! | columns | what becomes of them |
 //! |---------|----------------------|
@@ -20,9 +21,9 @@ use flip_discover::reading::{ColumnRead, FileRead, TakenAs};
 use flip_discover::traces::{Kind, Reading, Traces, Weighing};
 use std::collections::HashMap;
 
-/// Columns without which a row is no reading.
+/// Columns without which a row is not a reading.
 const REQUIRED: [&str; 3] = ["weighing_id", "t_s", "balance_mg"];
-/// Other columns of numbers.
+/// Other numeric columns.
 const NUMBERS: [&str; 7] = [
     "shake_index",
     "shake_mm",
@@ -32,16 +33,17 @@ const NUMBERS: [&str; 7] = [
     humidity::COLUMN,
     "vibration_rms_m_s2",
 ];
-/// Other columns of words.
+/// Other text columns.
 const WORDS: [&str; 4] = ["stable", "kind", "powder", "session"];
-/// Most columns.
+/// Maximum number of columns.
 const COLUMNS_MAX: usize = 60;
-/// Longest name of a weighing or a session.
+/// Maximum length of the name of a weighing or a session.
 const NAME_CHARS_MAX: usize = 100;
-/// Most shakes of a weighing: the readings of one are judged together, which takes their number to the third.
+/// Maximum number of shakes per weighing: the readings of one weighing are judged together, at a
+/// cost cubic in their number.
 const SHAKES_MAX: usize = 100;
 
-/// What a row says.
+/// Content of a row.
 struct Line {
     row: usize,
     weighing: String,
@@ -52,24 +54,25 @@ struct Line {
     reading: Reading,
 }
 
-/// A weighing while its rows are gathered.
+/// A weighing whose rows are being gathered.
 struct Gathered {
     weighing: Weighing,
     kind: Option<Kind>,
     shakes: usize,
 }
 
-/// Traces, and how their file was read.
+/// Traces, and how their file was interpreted.
 #[derive(Debug)]
 pub(super) struct TracesRead {
     pub traces: Traces,
     pub read: FileRead,
 }
 
-/// The traces that a file describes.
+/// The traces in a file.
 ///
 /// # Errors
-/// Every wrong cell by row and column, up to 50; a missing or repeated column by name; traces that say nothing.
+/// Every invalid cell by row and column, up to 50; a missing or repeated column by name;
+/// uninformative traces.
 pub(super) fn read(text: &str) -> Result<TracesRead> {
     let table =
         Table::open(text, &Columns { required: &REQUIRED, known, meant: |_| None, most: COLUMNS_MAX }, |_, _| {})?;
@@ -130,7 +133,7 @@ fn gathered(lines: Vec<Line>) -> Result<Traces> {
     Ok(Traces { weighings: all.into_iter().map(named).collect() }.checked()?)
 }
 
-/// Humidities in per cent, whichever way they are written; what that is to say of their column.
+/// Humidities in per cent, whichever way they are written; returns the note on their column.
 fn humidities(table: &Table, lines: &mut [Line]) -> Refused<Option<&'static str>> {
     let mut values: Vec<Option<f64>> = lines.iter().map(|line| line.reading.relative_humidity_pct).collect();
     let units: Vec<bool> =
@@ -140,7 +143,7 @@ fn humidities(table: &Table, lines: &mut [Line]) -> Refused<Option<&'static str>
     Ok(note)
 }
 
-/// What became of each column.
+/// How each column was interpreted.
 fn columns(table: &Table) -> Vec<ColumnRead> {
     let rows = table.rows().count() as u32;
     let named = table.columns.iter().filter(|name| !name.is_empty());
@@ -164,7 +167,7 @@ fn columns(table: &Table) -> Vec<ColumnRead> {
         .collect()
 }
 
-/// A row, if it is right.
+/// A row, if it is valid.
 fn line(cells: &Cells<'_>, powders: &mut PowderNames) -> Refused<Line> {
     let row = cells.row;
     let mut check = Check::default();
@@ -232,7 +235,7 @@ impl Gathered {
         Self { weighing, kind: None, shakes: 0 }
     }
 
-    /// One row more; refused where it contradicts the rows before.
+    /// Adds a row; refuses one that contradicts earlier rows.
     fn add(&mut self, line: Line) -> Refused<()> {
         let Line { row, weighing: _, kind, powder, session, target_mg, reading } = line;
         let mut check = Check::default();
@@ -263,7 +266,7 @@ impl Gathered {
         if it.readings.last().is_none_or(|before| before.shake_index != reading.shake_index) {
             self.shakes += 1;
         }
-        // The readings before the first shake are no shake.
+        // The readings before the first shake are not a shake.
         if self.shakes > SHAKES_MAX + 1 {
             let advice =
                 format!("is one shake too many: at most {SHAKES_MAX} of a weighing are judged together; split it");
@@ -275,7 +278,7 @@ impl Gathered {
     }
 }
 
-/// Remember what a row says of its weighing; whether it says what rows before said.
+/// Stores a row's value for its weighing; returns whether it agrees with earlier rows.
 fn same<T: PartialEq>(known: &mut Option<T>, said: Option<T>) -> bool {
     match (&known, said) {
         (_, None) => true,
@@ -291,7 +294,7 @@ fn same<T: PartialEq>(known: &mut Option<T>, said: Option<T>) -> bool {
 mod tests {
     use super::*;
 
-    /// A dose of 20 shakes, two readings after each, of a day that is named once.
+    /// A dose of 20 shakes, with two readings after each, on a day that is given once.
     fn dose(id: &str) -> String {
         (0..40)
             .map(|k| format!("{id},{}.5,{}.1,{},{}\n", k, k / 2, k / 2, if k == 0 { "monday" } else { "" }))

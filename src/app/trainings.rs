@@ -18,15 +18,15 @@ use flip_store::trials::Episode;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// The powders of the default curriculum, from the most to the least flowable.
+/// The powders of the default curriculum, from most to least flowable.
 const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
-/// Most powders in one training.
+/// Maximum number of powders in one training.
 const POWDERS_MAX: usize = 20;
-/// Most episodes in one training.
+/// Maximum number of episodes in one training.
 const EPISODES_MAX: u32 = 20_000;
-/// Days that a training under an extended simulator has, drawn as its campaign saw them.
+/// Number of days in a training under an extended simulator, drawn as seen in its campaign.
 const DAYS: usize = 64;
-/// Most episodes that a crash may cost, whole rounds apart.
+/// Maximum number of episodes that a crash may cost, apart from whole rounds.
 const EPISODES_PER_CHECKPOINT: u32 = 4;
 
 /// What to train. Everything has a default.
@@ -41,12 +41,15 @@ pub struct TrainingRequest {
     pub preset: Preset,
     /// Episodes, 1 to 20000; default the preset's: 4800 for `flip`, 4000 for `paper`.
     pub episodes: Option<u32>,
-    /// Number of these run first on a fast model of the spoon instead of the simulator, 0 to all; default four fifths for `flip`, none for `paper`.
+    /// Number of these run first on a fast model of the spoon instead of the simulator, 0 to all;
+    /// default four fifths for `flip`, none for `paper`.
     pub surrogate_episodes: Option<u32>,
-    /// Powders whose calibrated sets are the levels; default `sand`, `sugar`, `salt`. Not with the `paper` preset.
+    /// Powders whose calibrated sets are the levels; default `sand`, `sugar`, `salt`. Not with the
+    /// `paper` preset.
     pub powders: Option<Vec<String>>,
-    /// Learnt policy of the same preset to continue from, e.g. to adapt it to a simulator version; default an untrained one. With it the default is
-    /// 720 episodes, none of them on the surrogate.
+    /// Learnt policy of the same preset to continue from, e.g. to adapt it to a simulator version;
+    /// default an untrained one. With it the default is 720 episodes, none of them on the
+    /// surrogate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<String>,
     /// Seed; default 1.
@@ -54,13 +57,16 @@ pub struct TrainingRequest {
     /// Extended simulator version, `sv-…`; default the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulator: Option<String>,
-    /// Conditions held fixed in every episode; the others are drawn for each as seen in the version's campaign.
+    /// Conditions held fixed in every episode; the others are drawn for each as seen in the
+    /// version's campaign.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Conditions,
-    /// Shake as the bench's arm was measured to shake (`flip bench calibrate-shake`); default as in the simulator. The surrogate ignores it.
+    /// Shake as the bench's arm was measured to shake (`flip bench calibrate-shake`); default as in
+    /// the simulator. The surrogate ignores it.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub as_calibrated: bool,
-    /// The spoon used for dosing; default FLIP's own, which holds about 40 mg. The surrogate ignores it.
+    /// The spoon used for dosing; default FLIP's own, which holds about 40 mg. The surrogate
+    /// ignores it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spoon: Option<Spoon>,
 }
@@ -100,10 +106,10 @@ pub struct TrainingLevel {
 }
 
 impl App {
-    /// Queue a training. `false`: the same one was asked for before, and this is its job.
+    /// Queues a training. `false`: the same one was requested before, and this is its job.
     ///
     /// # Errors
-    /// `Invalid`; `Conflict` (`calibration_missing`) when a level has no parameter sets yet.
+    /// `Invalid`; `Conflict` (`calibration_missing`) if a level has no parameter sets yet.
     pub async fn start_training(&self, request: TrainingRequest) -> Result<(Job, bool)> {
         let mut settings = settings_of(&request)?;
         if let Some(from) = &request.from {
@@ -136,7 +142,7 @@ impl App {
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Training(spec)).await?)
     }
 
-    /// A policy that this training cannot go on from is refused before it waits in the queue.
+    /// Refuses a policy that this training cannot continue from before it waits in the queue.
     async fn check_predecessor(&self, id: &str, settings: &Settings) -> Result<()> {
         let refuse = |message: String| Error::from(FieldError::new("from", message));
         let found = self.policy_bytes(id).await;
@@ -170,14 +176,15 @@ impl App {
                 );
                 Error::conflict("calibration_missing", advice)
             })?;
-            // Under an extended version the sets are those of its reference, not of the day of the measurement.
+            // Under an extended version the sets are those of its reference conditions, not of the
+            // day of the measurement.
             let measured = powder.flowability.filter(|_| simulator.is_none()).map(|f| f.repose_deg);
             levels.push(level(powder.id, measured, &sets));
         }
         Ok(levels)
     }
 
-    /// Levels at bare angles: the paper's curriculum is not of powders.
+    /// Levels at bare angles: the paper's curriculum does not consist of powders.
     async fn published_levels(&self) -> Result<Vec<Level>> {
         let mut levels = Vec::new();
         for repose_deg in PAPER_LEVELS_DEG {
@@ -193,7 +200,8 @@ impl App {
         Ok(levels)
     }
 
-    /// What the newest successful calibration of a powder, or of a bare angle, kept; under a version of the simulator, none being the base.
+    /// The sets from the newest successful calibration of a powder, or of a bare angle; under a
+    /// simulator version, `None` being the base.
     pub(super) async fn calibrated_sets(
         &self,
         powder: Option<&str>,
@@ -216,7 +224,7 @@ impl App {
         self.jobs_as(JobKind::Training, page, training).await
     }
 
-    /// Episodes of a training in order; pages of up to 5000.
+    /// Episodes of a training in order; up to 5000 per page.
     pub async fn training_episodes(&self, training: &str, page: PageQuery) -> Result<Page<Episode>> {
         self.training(training).await?;
         Ok(self.store().episodes(training, page.window(SERIES_LIMIT_MAX)?).await?)
@@ -249,13 +257,13 @@ fn settings_of(request: &TrainingRequest) -> Result<Settings> {
     }
     settings.episodes = request.episodes.unwrap_or(settings.episodes);
     settings.surrogate_episodes = request.surrogate_episodes.unwrap_or_else(|| settings.surrogate_by_default());
-    // Episodes are seconds of work, a checkpoint is a fraction of one.
+    // Episodes take seconds of work, a checkpoint a fraction of one.
     let rounds = (EPISODES_PER_CHECKPOINT / settings.episodes_per_round).max(1);
     settings.rounds_per_checkpoint = settings.rounds_per_checkpoint.min(rounds);
     Ok(settings.checked()?)
 }
 
-/// A powder without sets, and the command that finds some.
+/// The error for a powder without sets, with the command that finds some.
 pub(super) fn without_sets(powder: &str, simulator: Option<&str>) -> String {
     let (of, with) =
         simulator.map_or_else(Default::default, |id| (format!(" under {id}"), format!(" --simulator {id}")));

@@ -1,4 +1,4 @@
-//! Whose turn it is on the bench: somebody says that a vial is in, or has the bench for himself for a while.
+//! Turns on the bench: confirming that a vial is in, and reserving the bench for a while.
 
 use super::bench::stopped_meanwhile;
 use super::check::Check;
@@ -9,9 +9,9 @@ use flip_store::pan::{Refused, Reservation, refusal};
 use flip_store::weighings::Weighing;
 use serde::{Deserialize, Serialize};
 
-/// Longest name, characters, as of what a weighing is for.
+/// Maximum length of a name, characters, as for the purpose of a weighing.
 const NAME_MAX: usize = 200;
-/// Longest reservation, s: a day.
+/// Maximum duration of a reservation, s: a day.
 const SECONDS_MAX: u32 = 24 * 60 * 60;
 
 /// A person confirms that the vial of a weighing is in, and empty.
@@ -40,10 +40,12 @@ pub struct ReservationRequest {
 }
 
 impl App {
-    /// The vial of the weighing whose turn it is is in: it begins. Void if the bench is stopped before that is on record: whoever stops may take it away.
+    /// Confirms that the vial of the weighing whose turn it is is in: the weighing starts. Void if
+    /// the bench is stopped before that is recorded: the person who stops may take the vial away.
     ///
     /// # Errors
-    /// `Invalid`; `NotFound`; `Conflict` (`weighing_finished`, `not_its_turn`, `vial_differs`, `stopped_meanwhile`).
+    /// `Invalid`; `NotFound`; `Conflict` (`weighing_finished`, `not_its_turn`, `vial_differs`,
+    /// `stopped_meanwhile`).
     pub async fn vial_ready(&self, id: &str, request: VialReadyRequest) -> Result<Weighing> {
         let stops = self.stops_when_asked()?;
         let mut check = Check::default();
@@ -74,13 +76,13 @@ impl App {
         }
     }
 
-    /// The weighing whose turn it is: the one that moves, or the oldest that waits.
+    /// The weighing whose turn it is: the one in motion, or the oldest waiting one.
     fn turn(&self) -> Result<Option<String>> {
         let standing = self.jobs_or_refuse()?.bench().standing();
         Ok(standing.moving.or_else(|| standing.waiting.into_iter().next().map(|it| it.id)))
     }
 
-    /// Have the bench for oneself, or for longer.
+    /// Reserves the bench, or extends a reservation.
     ///
     /// # Errors
     /// `Invalid`; `Conflict` (`bench_reserved`, `bench_in_use`).
@@ -94,7 +96,7 @@ impl App {
         reserved.map_err(refused)
     }
 
-    /// Give the bench back before the reservation ends.
+    /// Releases the bench before the reservation ends.
     ///
     /// # Errors
     /// `NotFound`
@@ -105,7 +107,8 @@ impl App {
         }
     }
 
-    /// Nobody else has the bench, and a reservation that is named holds, as far as is known: what is then asked for looks again where it is written.
+    /// Checks that nobody else has reserved the bench, and that a named reservation is valid, as
+    /// far as is known: the request checks again when it writes.
     ///
     /// # Errors
     /// `Conflict` (`bench_reserved`, `reservation_ended`).

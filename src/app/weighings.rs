@@ -25,11 +25,11 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 
-/// Smallest target, mg: below the finest display there is nothing to weigh by.
+/// Minimum target, mg: below the finest display step nothing can be weighed.
 const TARGET_MG_MIN: f64 = 0.1;
-/// What is said to be lost where the ticks of a weighing are.
+/// Name of the ticks of a weighing in an error that reports them lost.
 const TRACE: &str = "the trace of this weighing";
-/// Index of the seed that chooses the simulated powder.
+/// Index of the seed that selects the simulated powder.
 const SET_CHOICE: u64 = 1;
 
 /// What to weigh.
@@ -42,20 +42,23 @@ pub struct WeighingRequest {
     pub target: Target,
     /// Accepted error.
     pub tolerance: Tolerance,
-    /// Policy id; default the one with the smallest evaluated error for the powder, or the shipped one if there is none.
+    /// Policy id; default the one with the smallest evaluated error for the powder, or the shipped
+    /// one if there is none.
     pub policy: Option<String>,
     /// Seed of the simulated bench; by default each weighing gets its own.
     pub seed: Option<u64>,
     /// Extended simulator version, `sv-…`; default the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulator: Option<String>,
-    /// Conditions of the version on the simulated bench, each within the range of its campaign, as `{"relative_humidity_pct": 65}`.
+    /// Conditions of the version on the simulated bench, each within the range of its campaign, as
+    /// `{"relative_humidity_pct": 65}`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Conditions,
     /// Purpose and circumstances: lot, vial, operator, air, and what follows an overdose.
     #[serde(default, skip_serializing_if = "Asked::is_nothing")]
     pub asked: Asked,
-    /// Whether a person must confirm that the vial is in (POST /v1/weighings/{id}/vial-ready), where the bench cannot exchange vials.
+    /// Whether a person must confirm that the vial is in (POST /v1/weighings/{id}/vial-ready),
+    /// where the bench cannot exchange vials.
     #[serde(default, skip_serializing_if = "VialCheck::is_confirm")]
     pub vial_check: VialCheck,
     /// The bench reservation under which the request is made, `rs-…`, if any.
@@ -80,7 +83,8 @@ pub struct Target {
 pub struct Tolerance {
     /// Accepted shortfall, >= 0 and less than the target.
     pub lower: f64,
-    /// Accepted excess, >= 0; together they are more than 0 and at least one display step of the balance.
+    /// Accepted excess, >= 0; together they are more than 0 and at least one display step of the
+    /// balance.
     pub upper: f64,
     /// `mg`, `g`, or `%` of the target.
     #[schema(examples("mg"))]
@@ -94,18 +98,19 @@ pub struct WeighingDetail {
     pub weighing: Weighing,
     /// Actions of the bench and balance readings, in order.
     pub ticks: Vec<Tick>,
-    /// Why ticks are missing: their file is missing or damaged. The weighing itself is not affected.
+    /// Why ticks are missing: their file is missing or damaged. The weighing itself is not
+    /// affected.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trace_lost: Option<String>,
 }
 
 impl App {
-    /// Commit the intent to weigh; the bench moves later. `true`: the key was used before with the same request,
-    /// and this is the weighing it made.
+    /// Commits the intent to weigh; the bench moves later. `true`: the key was used before with the
+    /// same request, and this is the weighing it created.
     ///
     /// # Errors
-    /// `Invalid`, `Unprocessable` (the key belongs to another request), `Busy` (64 are waiting), `Conflict`
-    /// (`calibration_missing`).
+    /// `Invalid`, `Unprocessable` (the key belongs to another request), `Busy` (64 are waiting),
+    /// `Conflict` (`calibration_missing`).
     pub async fn start_weighing(&self, request: WeighingRequest, idempotency_key: &str) -> Result<(Weighing, bool)> {
         check_key(idempotency_key)?;
         let request_sha256 =
@@ -121,7 +126,7 @@ impl App {
         self.commit(intent, reservation.as_deref()).await
     }
 
-    /// Check a request and make every choice that it leaves open.
+    /// Validates a request and makes every choice that it leaves open.
     async fn plan(&self, request: WeighingRequest) -> Result<(WeighRequest, String)> {
         let (target_mg, tolerance) = masses(&request)?;
         super::provable::check(target_mg, tolerance, self.jobs_or_refuse()?.bench().readability_mg())?;
@@ -160,7 +165,7 @@ impl App {
         let policy = self.policy_for(&powder, request.policy.as_deref()).await?;
         let seed = match request.seed {
             Some(seed) => seed,
-            // 53 bits: what every JSON reader keeps exactly.
+            // 53 bits, which every JSON reader preserves exactly.
             None => SysRng.try_next_u64().map_err(|error| Error::Internal(error.into()))? >> 11,
         };
         let set = choose_set(sets, &policy, seed);
@@ -195,7 +200,8 @@ impl App {
         })
     }
 
-    /// From here on a repeated request finds this weighing. What may have changed since it was checked is looked at again within the transaction.
+    /// Commits the intent: from here on a repeated request finds this weighing. Anything that may
+    /// have changed since validation is checked again within the transaction.
     async fn commit(&self, intent: Intent, reservation: Option<&str>) -> Result<(Weighing, bool)> {
         let bench = self.jobs_or_refuse()?.bench();
         let mut tx = self.store().write().await?;
@@ -234,11 +240,11 @@ impl App {
 
     fn stored_ticks(&self, trace: &str) -> Result<Vec<Tick>> {
         let bytes = self.store().artifacts().get(trace).map_err(|error| Error::of_part(TRACE, error))?;
-        // Its hash is right, so it was written like this.
+        // Its hash is correct, so it was written like this.
         serde_json::from_slice(&bytes).map_err(|error| Error::Internal(error.into()))
     }
 
-    /// The ticks of a weighing alone.
+    /// Only the ticks of a weighing.
     ///
     /// # Errors
     /// `NotFound`; `Lost`.
@@ -252,7 +258,8 @@ impl App {
         Ok(self.store().weighings(page.window(LIST_LIMIT_MAX)?).await?)
     }
 
-    /// Stop a weighing: at once when it waits; when it runs the arm is told at once, then the spoon is levelled. Not an emergency stop.
+    /// Stops a weighing: at once if it is waiting; if it is running, the arm is notified at once,
+    /// then the spoon is levelled. Not an emergency stop.
     ///
     /// # Errors
     /// `NotFound`; `Conflict` (`weighing_finished`).
@@ -260,25 +267,26 @@ impl App {
         if let Some(weighing) = self.halt_weighing(id, None)? {
             return Ok(weighing);
         }
-        // Whoever carries stops goes on to the next one: from here on the disk and the database are waited for.
+        // Lets the task that carries stops go on to the next one: from here on this waits for the
+        // disk and the database.
         tokio::task::yield_now().await;
         if let Some(weighing) = self.jobs_or_refuse()?.bench().stop_waiting(id).await? {
             return Ok(weighing);
         }
-        // It may have begun meanwhile.
+        // It may have started meanwhile.
         if let Some(weighing) = self.halt_weighing(id, None)? {
             return Ok(weighing);
         }
         let row = self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
         if row.weighing.outcome.is_none() {
-            // It stands, and its end is about to be written down.
+            // It is at rest, and its end is about to be recorded.
             return Ok(row.weighing);
         }
         Err(Error::conflict("weighing_finished", format!("weighing {id} has ended: there is nothing to stop")))
     }
 }
 
-/// Nobody may use the bench until a person has looked.
+/// The error while nobody may use the bench until a person has checked it.
 pub(super) fn latched(latch: &Latch) -> Error {
     let advice = format!(
         "the bench is latched since {}: {}. Look at spoon, vial and balance, then clear it (page, `flip bench clear`, POST /v1/bench/clear)",
@@ -287,7 +295,7 @@ pub(super) fn latched(latch: &Latch) -> Error {
     Error::conflict("bench_latched", advice)
 }
 
-/// Everything that is wrong with what a weighing is for.
+/// Checks the purpose and circumstances of a weighing; returns all errors.
 fn check_asked(asked: &Asked) -> Result<()> {
     let mut check = Check::default();
     for (field, text) in [("lot", &asked.lot), ("vial", &asked.vial), ("operator", &asked.operator)] {
@@ -310,7 +318,7 @@ fn check_asked(asked: &Asked) -> Result<()> {
     check.done()
 }
 
-/// The weighing that a key made, if it was asked for with the same request.
+/// The weighing created with a key, if it was requested with the same request.
 fn replay(first: WeighingRow, request_sha256: &[u8], key: &str) -> Result<(Weighing, bool)> {
     match first.request_sha256 == request_sha256 {
         true => Ok((first.weighing, true)),
@@ -329,7 +337,7 @@ fn check_key(key: &str) -> Result<()> {
     }
 }
 
-/// Target and tolerances in mg; everything that is wrong with them.
+/// Target and tolerances in mg, or all errors in them.
 fn masses(request: &WeighingRequest) -> Result<(f64, (f64, f64))> {
     let mut check = Check::default();
     let in_mg = |unit: &str| match unit {
@@ -370,7 +378,7 @@ fn masses(request: &WeighingRequest) -> Result<(f64, (f64, f64))> {
     Ok((target_mg, (request.tolerance.lower * factor, request.tolerance.upper * factor)))
 }
 
-/// A caller's text inside a message: short, and without control characters.
+/// A caller's text for use in a message: short, and without control characters.
 fn shown(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(20).collect()
 }
@@ -378,7 +386,8 @@ fn shown(text: &str) -> String {
 /// One of the powder's sets, by seed: among those that the policy has not met, if there are any.
 fn choose_set(sets: Vec<CalibratedSet>, policy: &Policy, seed: u64) -> String {
     let mut sets = unmet(sets, policy);
-    // By content rather than by age, so that the choice is the same in every data folder that has the same sets.
+    // By content rather than by age, so that the choice is the same in every data folder that has
+    // the same sets.
     sets.sort_by(|a, b| a.id.cmp(&b.id));
     let index = derive(seed, &[SET_CHOICE]) % sets.len() as u64;
     sets.swap_remove(index as usize).id

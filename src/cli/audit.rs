@@ -1,4 +1,4 @@
-//! `flip audit`: the record of all that happened on the bench, also while a server runs.
+//! `flip audit`: the record of everything that happened on the bench, even while a server runs.
 
 use super::Common;
 use super::failure::Failure;
@@ -35,10 +35,12 @@ enum What {
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
     },
-    /// Move the records of old weighings from the database to files in the data folder; works while a server runs.
+    /// Move the records of old weighings from the database to files in the data folder; works while
+    /// a server runs.
     ///
-    /// Readings, messages, decisions and phases are written to `audit/….jsonl.gz`, read back, and referenced in the record by file and hash. Intents,
-    /// outcomes and people's actions stay. Certificates, lists, exports and `verify` read the files, and `flip backup` copies them.
+    /// Readings, messages, decisions and phases are written to `audit/….jsonl.gz`, read back, and
+    /// referenced in the record by file and hash. Intents, outcomes and people's actions stay.
+    /// Certificates, lists, exports and `verify` read the files, and `flip backup` copies them.
     Archive {
         /// Archive weighings that ended before this day (from its start, UTC) or point in time.
         #[arg(long, value_name = "DATE")]
@@ -61,14 +63,14 @@ enum Format {
     Csv,
 }
 
-/// The document of what was written.
+/// The document of a written file.
 #[derive(Debug, Serialize)]
 struct Written {
     file: PathBuf,
     records: usize,
 }
 
-/// Run one of them.
+/// Runs the chosen subcommand.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.what {
         What::Verify { hash } => verify(common, hash.as_deref()),
@@ -125,7 +127,7 @@ fn text(found: &AuditVerification) -> String {
     format!("{} records, {state}\nlast hash {}", found.records, found.last_hash)
 }
 
-/// What is lost, and what differs, a line each.
+/// Lost and differing records, one per line.
 fn differences(found: &AuditVerification) -> String {
     let archive =
         |it: &LostArchive| format!("\n  archive {} (records {} to {}): {}", it.file, it.first, it.last, it.why);

@@ -1,4 +1,4 @@
-//! `flip backup` and `flip restore`: whole copies of a data folder, also while a server runs.
+//! `flip backup` and `flip restore`: complete copies of a data folder, even while a server runs.
 
 use super::Common;
 use super::failure::Failure;
@@ -17,21 +17,23 @@ pub(super) struct Arguments {
 /// Arguments of `flip restore`.
 #[derive(Debug, clap::Args)]
 pub(super) struct RestoreArguments {
-    /// Backup made by `flip backup`. It is restored to `--data-dir`, which must not exist yet, or be empty.
+    /// Backup made by `flip backup`. It is restored to `--data-dir`, which must not exist yet, or
+    /// be empty.
     #[arg(value_name = "BACKUP")]
     from: PathBuf,
-    /// Keep the tokens as they are in the backup, even those revoked since. Without it all are revoked; `flip token create` makes new ones.
+    /// Keep the tokens as they are in the backup, even those revoked since. Without it all are
+    /// revoked; `flip token create` makes new ones.
     #[arg(long)]
     keep_tokens: bool,
 }
 
-/// Copy the data folder.
+/// Copies the data folder.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let made = runtime()?.block_on(back_up(&common.data_dir, &arguments.to))?;
     common.print(&made, || text(&made))
 }
 
-/// Make a data folder of a copy.
+/// Restores a data folder from a backup.
 pub(super) fn run_restore(common: &Common, arguments: &RestoreArguments) -> Result<(), Failure> {
     let restored = restore(&arguments.from, &common.data_dir, arguments.keep_tokens);
     let made = runtime()?.block_on(acting(Who::command_line(), restored))?;

@@ -1,4 +1,4 @@
-//! `--bench`: what weighs.
+//! `--bench`: the bench that weighs.
 
 use super::failure::Failure;
 use crate::app::{Functions, LaboratorySettings, Options, emulated_bench, file_bench};
@@ -8,22 +8,22 @@ use flip_core::domain::FieldError;
 use flip_core::domain::spoon::{FilledBy, Spoon};
 use std::path::Path;
 
-/// Which bench.
+/// The chosen bench.
 #[derive(Debug, Clone, clap::Args)]
 pub(super) struct BenchArguments {
-    /// Bench to use: `simulated` (the simulator itself), `emulated` (devices with their real protocols around the simulator), or the file of a real
-    /// bench.
+    /// Bench to use: `simulated` (the simulator itself), `emulated` (devices with their real
+    /// protocols around the simulator), or the file of a real bench.
     #[arg(long, value_name = "BENCH", default_value = "simulated")]
     bench: String,
 }
 
 impl BenchArguments {
-    /// Whether it is the file of a bench.
+    /// Whether it is a bench file.
     pub(super) fn is_file(&self) -> bool {
         !matches!(self.bench.as_str(), "simulated" | "emulated")
     }
 
-    /// The application with this bench.
+    /// Options for an application with this bench.
     pub(super) fn options(&self) -> Result<Options, Failure> {
         let bench = match self.bench.as_str() {
             "simulated" => None,
@@ -38,14 +38,14 @@ impl BenchArguments {
     }
 }
 
-/// A person is told what nobody else does.
+/// Reminds the user of what only a person does on this bench.
 fn remind(file: &BenchFile) {
     if file.spoon.filled_by == FilledBy::Hand {
         telemetry::say("flip: this bench's arm does not fill its spoon: fill it by hand before each dose begins");
     }
 }
 
-/// The bench file at this path, which `field` names.
+/// Reads the bench file at this path, given in `field`.
 pub(super) fn read(field: &str, path: &Path) -> Result<BenchFile, Failure> {
     let text = std::fs::read_to_string(path).map_err(|error| {
         let kinds = if field == "bench" { "`simulated`, `emulated` or " } else { "" };
@@ -54,7 +54,7 @@ pub(super) fn read(field: &str, path: &Path) -> Result<BenchFile, Failure> {
     Ok(BenchFile::parse(&text)?)
 }
 
-/// The spoon of the bench file at this path, if there is one.
+/// The spoon in the bench file at this path, if there is one.
 pub(super) fn spoon(file: Option<&Path>) -> Result<Option<Spoon>, Failure> {
     file.map(|file| read("bench", file).map(|bench| bench.spoon)).transpose()
 }

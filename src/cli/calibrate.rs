@@ -1,4 +1,4 @@
-//! `flip calibrate`: parameter sets whose simulated heaps are as steep as the measured one.
+//! `flip calibrate`: parameter sets whose simulated heaps have the measured angle of repose.
 
 use super::failure::Failure;
 use super::session::with_app;
@@ -19,9 +19,9 @@ use futures::future::try_join_all;
 use serde::Serialize;
 use std::fmt::Write;
 
-/// Sets of each level of a data set.
+/// Number of sets per level of a data set.
 const DATA_SET_SETS: u32 = 7;
-/// Grains of the heaps that verify them, for each of the search's heaps.
+/// Grains per verification heap, relative to the heaps of the search.
 const DATA_SET_LARGER: u32 = 2;
 
 /// Arguments of `flip calibrate`.
@@ -30,21 +30,24 @@ pub(super) struct Arguments {
     /// Powder id, or `all` for every powder.
     #[arg(long, value_name = "ID", required_unless_present_any = ["repose_deg", "data_set"], conflicts_with_all = ["repose_deg", "data_set"])]
     powder: Option<String>,
-    /// Target angle of repose instead of a powder's, degrees; several, comma-separated, make a data set of flowabilities.
+    /// Target angle of repose instead of a powder's, degrees; several, comma-separated, make a data
+    /// set of flowabilities.
     #[arg(long, value_name = "DEG", value_delimiter = ',', allow_negative_numbers = true)]
     repose_deg: Vec<f64>,
-    /// Standard deviation of the repeats behind `--repose-deg`, degrees; if omitted, the angle is taken as exact.
+    /// Standard deviation of the repeats behind `--repose-deg`, degrees; if omitted, the angle is
+    /// taken as exact.
     #[arg(long, value_name = "DEG", requires = "repose_deg", allow_negative_numbers = true)]
     sd_deg: Option<f64>,
     /// Number of repeats behind `--repose-deg`.
     #[arg(long, value_name = "N", requires = "repose_deg", allow_negative_numbers = true)]
     n: Option<u32>,
-    /// Make a data set of flowabilities for training: 28, 33 and 37 deg (or those of `--repose-deg`), 7 sets each, verified with heaps of twice the
-    /// grains.
+    /// Make a data set of flowabilities for training: 28, 33 and 37 deg (or those of
+    /// `--repose-deg`), 7 sets each, verified with heaps of twice the grains.
     #[arg(long)]
     data_set: bool,
     /// Other measurement: an experiment as in `flip observe` plus `mean`, `sd` and `n`, for example
-    /// `flow_time:mass_g=50,orifice_mm=2.54,mean=62,sd=2,n=5`; may be repeated [default: those registered for the powder].
+    /// `flow_time:mass_g=50,orifice_mm=2.54,mean=62,sd=2,n=5`; may be repeated [default: those
+    /// registered for the powder].
     #[arg(long, value_name = "KIND:SETTING=VALUE,...")]
     observation: Vec<String>,
     #[command(flatten)]
@@ -64,28 +67,32 @@ pub(super) enum MethodFlag {
     Sequential,
 }
 
-/// How far a calibration searches. What is left out takes the method's default.
+/// Extent of a calibration's search. Omitted options take the method's defaults.
 #[derive(Debug, Clone, clap::Args)]
 pub(super) struct Search {
-    /// How to search for sets [default: `emulator` for `flip calibrate`, `sequential` for `flip demo`].
+    /// How to search for sets [default: `emulator` for `flip calibrate`, `sequential` for
+    /// `flip demo`].
     #[arg(long, value_enum)]
     method: Option<MethodFlag>,
     /// Parameter sets to find per powder, 1 to 100 [default: 10, for a data set 7].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     sets: Option<u32>,
-    /// Accepted difference between simulated and measured angle, degrees [default: 0.5, with the other methods 1.5].
+    /// Accepted difference between simulated and measured angle, degrees [default: 0.5, with the
+    /// other methods 1.5].
     #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
     tolerance_deg: Option<f64>,
     /// Grains per simulated heap.
     #[arg(long, value_name = "N", default_value_t = 2000, allow_negative_numbers = true)]
     particles: u32,
-    /// Maximum simulations per powder [default: three times what verifying all sets takes, with the other methods 150].
+    /// Maximum simulations per powder [default: three times what verifying all sets takes, with the
+    /// other methods 150].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     trials_max: Option<u32>,
     /// Heaps simulated to verify each set [default: 8, with the method `sequential` 2].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     verify_repeats: Option<u32>,
-    /// Grains per verification heap, if different from the search [default for a data set: twice as many]. Not with the method `sequential`.
+    /// Grains per verification heap, if different from the search [default for a data set: twice as
+    /// many]. Not with the method `sequential`.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     verify_particles: Option<u32>,
     /// Readings per verification heap [default: 4, with the method `sequential` 1].
@@ -94,18 +101,18 @@ pub(super) struct Search {
 }
 
 impl Search {
-    /// By this method unless another was asked for.
+    /// Uses this method unless another was given.
     pub(super) fn by(self, method: MethodFlag) -> Self {
         Self { method: self.method.or(Some(method)), ..self }
     }
 }
 
-/// What is calibrated.
+/// Target of a calibration.
 #[derive(Debug, Clone)]
 pub(super) enum Target {
     /// A powder's newest measurement.
     Powder(String),
-    /// A bare angle of repose, degrees, and the SD and number of the repeats behind it.
+    /// A bare angle of repose, degrees, with the SD and number of the repeats behind it.
     Angle(f64, Option<f64>, Option<u32>),
 }
 
@@ -120,15 +127,16 @@ struct Document {
 struct Powder {
     powder: String,
     method: CalibrationMethod,
-    /// The measured angle that the sets reproduce, degrees; under an extended version of the simulator that at its reference.
+    /// The measured angle that the sets reproduce, degrees; under an extended simulator version,
+    /// the angle under its reference conditions.
     target_deg: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     under: Option<Under>,
-    /// Whether there are as many sets as were asked for; if not, the next two say why.
+    /// Whether as many sets were found as requested; if not, the next two fields explain why.
     reached: bool,
-    /// The parameter whose bound is in the way.
+    /// The parameter whose bound prevents it.
     limiting_parameter: Option<String>,
-    /// The nearest angle that was simulated, degrees.
+    /// The nearest simulated angle, degrees.
     nearest_repose_deg: Option<f64>,
     /// Simulations of the search.
     evaluations: u32,
@@ -143,14 +151,14 @@ struct Powder {
     verified_sd_deg: Option<f64>,
     /// Mean standard error of a set's mean over fresh seeds, degrees.
     standard_error_deg: Option<f64>,
-    /// Grains of the heaps that verified, where they are not as many as the search's.
+    /// Grains per verification heap, if their number differs from the search's.
     verify_particles: Option<u32>,
-    /// Angle of these heaps less that of the search's, degrees.
+    /// Angle of these heaps minus that of the search's, degrees.
     size_shift_deg: Option<f64>,
     emulator: Option<EmulatorUse>,
-    /// What the sets make of everything that was measured beside the angle.
+    /// Comparison of the sets with all other measurements.
     observed: Vec<Observed>,
-    /// What is known of each parameter; absent with a method that has no posterior.
+    /// Posterior knowledge of each parameter; absent with a method that has no posterior.
     posterior: Option<Known>,
 }
 
@@ -174,7 +182,7 @@ struct Set {
     verified_error_deg: Option<f64>,
 }
 
-/// Calibrate one powder or all, side by side, and print the sets.
+/// Calibrates one powder or all, side by side, and prints the sets.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let mut search = arguments.search.clone().by(MethodFlag::Emulator);
     if arguments.data_set {
@@ -211,7 +219,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     common.print(&document, || text(&document))
 }
 
-/// Calibrate every target as a job (or find the job that did), and wait for all of them; results in the targets' order.
+/// Calibrates every target as a job (or finds the existing job), and waits for all of them; results
+/// in the order of the targets.
 pub(super) async fn calibrate(
     app: &App,
     watch: &Watch,
@@ -252,7 +261,7 @@ fn request(target: &Target, search: Option<&Search>, seed: u64) -> CalibrationRe
         }
     };
     CalibrationRequest {
-        // Calibrations on the way to something else need sets, not their angle to a tenth of a degree.
+        // Calibrations made as a prerequisite need sets, not the angle to a tenth of a degree.
         method: Some(match search.and_then(|s| s.method).unwrap_or(MethodFlag::Sequential) {
             MethodFlag::Emulator => CalibrationMethod::Emulator,
             MethodFlag::Paper => CalibrationMethod::Paper,
@@ -328,12 +337,12 @@ fn powder(calibration: Calibration, posterior: Option<Posterior>) -> Result<Powd
     })
 }
 
-/// Mean; none of nothing.
+/// Mean; none of an empty slice.
 pub(super) fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Sample standard deviation; none below two values.
+/// Sample standard deviation; none for fewer than two values.
 pub(super) fn spread(values: &[f64]) -> Option<f64> {
     let (n, centre) = (values.len() as f64, mean(values)?);
     (n > 1.0).then(|| (values.iter().map(|value| (value - centre).powi(2)).sum::<f64>() / (n - 1.0)).sqrt())

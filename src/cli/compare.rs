@@ -17,14 +17,14 @@ pub(super) struct Arguments {
     with: String,
 }
 
-/// Print what each cost and found, and whether their sets pile alike.
+/// Prints the costs and results of both, and whether their sets give the same angle of repose.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let Arguments { calibration, with } = arguments;
     let comparison = with_reader(common, async |app| Ok(app.compare_calibrations(calibration, with).await?))?;
     common.print(&comparison, || text(&comparison))
 }
 
-/// Four digits, also of a number that has its first one far behind the point.
+/// Four digits, even of a number with many zeros after the decimal point.
 fn short(value: f64) -> String {
     if value != 0.0 && value.abs() < 1e-3 { format!("{value:.3e}") } else { format!("{value:.4}") }
 }

@@ -1,4 +1,4 @@
-//! A settings file beside the flags, and `flip config check`.
+//! The settings file that complements the flags, and `flip config check`.
 //!
 //! ```toml
 //! data_dir = "/var/lib/flip"      # every command's
@@ -7,9 +7,11 @@
 //! bench = "/etc/flip/bench.toml"
 //! ```
 //!
-//! A table is a command, a key one of its long options, dashes or underscores. What the file says is put behind what is typed, if that leaves it out: the
-//! command line goes before the environment, the environment before the file, the file before what `--help` gives as default: what is typed also puts aside what in the file it cannot stand beside. A file with one mistake sets
-//! nothing. What a person says of this moment, that the bench was looked at or which vial is in, no file can say.
+//! A table is a command, a key is one of its long options, with dashes or underscores. Settings
+//! from the file are appended to the typed arguments if these omit them. Precedence: command line,
+//! environment, file, default in `--help`; typed options also override settings in the file that
+//! conflict with them. A file with an error sets nothing. A person's confirmations for the moment,
+//! that the bench was checked or which vial is in, cannot be set in a file.
 
 use super::failure::Failure;
 use super::{Cli, Common};
@@ -21,9 +23,9 @@ use serde::Serialize;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Environment variable that names the file where `--settings` does not.
+/// Environment variable that gives the file if `--settings` does not.
 pub(super) const VARIABLE: &str = "FLIP_SETTINGS";
-/// What a person says each time: who, what was looked at, what is to be given up.
+/// Options that a person gives each time: name, what was checked, what is to be given up.
 const SAID: [&str; 10] = [
     "by",
     "note",
@@ -36,7 +38,7 @@ const SAID: [&str; 10] = [
     "keep-tokens",
     "idempotency-key",
 ];
-/// Names at least this similar (Jaro-Winkler) are offered for one that is not known.
+/// Minimum similarity (Jaro-Winkler) of names suggested for an unknown one.
 const SIMILAR: f64 = 0.8;
 
 /// Arguments of `flip config`.
@@ -56,21 +58,21 @@ enum What {
     },
 }
 
-/// What a file sets.
+/// One setting in a file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 struct Setting {
-    /// Command, in words; empty: every command.
+    /// Command, in words; empty for every command.
     command: String,
     /// Long option, without dashes.
     option: String,
-    /// Values as on the command line; one, but of options that may be repeated.
+    /// Values as on the command line; only one, unless the option can be repeated.
     values: Vec<String>,
-    /// It takes no value.
+    /// Whether it takes no value.
     #[serde(skip)]
     is_switch: bool,
 }
 
-/// Check a file.
+/// Checks a file.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let What::Check { file } = &arguments.what;
     let settings = read(file)?;
@@ -83,10 +85,11 @@ fn text(settings: &[Setting]) -> String {
     if lines.is_empty() { "nothing is set".to_owned() } else { lines.join("\n") }
 }
 
-/// The arguments, and behind them what the file that they or the environment name says of the same command and they leave out.
+/// The arguments, followed by settings for the same command that they omit, from the file given by
+/// them or the environment.
 ///
 /// # Errors
-/// A file that cannot be read or has a mistake.
+/// A file that cannot be read or contains an error.
 pub(super) fn completed(arguments: Vec<OsString>) -> Result<Vec<OsString>, Failure> {
     match named(&arguments) {
         Some(file) => Ok(with(&read(&file)?, arguments)),
@@ -95,7 +98,7 @@ pub(super) fn completed(arguments: Vec<OsString>) -> Result<Vec<OsString>, Failu
 }
 
 fn with(settings: &[Setting], mut arguments: Vec<OsString>) -> Vec<OsString> {
-    // Help and versions need no settings.
+    // Help and version output need no settings.
     let Ok(typed) = Cli::command().ignore_errors(true).try_get_matches_from(&arguments) else { return arguments };
     let mut command = Cli::command();
     command.build();
@@ -106,13 +109,13 @@ fn with(settings: &[Setting], mut arguments: Vec<OsString>) -> Vec<OsString> {
     arguments
 }
 
-/// What was given for this option, by the command line or the environment.
+/// Whether this option was given, on the command line or in the environment.
 fn is_given(typed: &ArgMatches, id: &str) -> bool {
     let source = typed.try_contains_id(id).is_ok().then(|| typed.value_source(id)).flatten();
     matches!(source, Some(ValueSource::CommandLine | ValueSource::EnvVariable))
 }
 
-/// The file that the arguments or the environment name.
+/// The file given in the arguments or the environment.
 fn named(arguments: &[OsString]) -> Option<PathBuf> {
     let mut arguments = arguments.iter().take_while(|it| *it != "--");
     while let Some(argument) = arguments.next() {
@@ -126,7 +129,7 @@ fn named(arguments: &[OsString]) -> Option<PathBuf> {
     std::env::var_os(VARIABLE).filter(|it| !it.is_empty()).map(PathBuf::from)
 }
 
-/// What a file sets, in its order.
+/// The settings in a file, in order.
 fn read(file: &Path) -> Result<Vec<Setting>, Failure> {
     let refuse = |message: String| Failure::from(FieldError::new("config", message));
     let text = std::fs::read_to_string(file).map_err(|e| refuse(format!("{}: {e}", file.display())))?;
@@ -140,7 +143,8 @@ fn read(file: &Path) -> Result<Vec<Setting>, Failure> {
 }
 
 impl Setting {
-    /// It is of the command that is called, and nothing given stands in its way: itself, or what it cannot stand beside.
+    /// Whether it belongs to the called command and nothing given prevents it: the option itself,
+    /// or a conflicting one.
     fn is_wanted(&self, mut command: &Command, mut typed: &ArgMatches) -> bool {
         let is_everybodys = self.command.is_empty();
         let mut words = self.command.split_whitespace();
@@ -157,14 +161,14 @@ impl Setting {
         !given.any(|it| it.get_id() == option.get_id() || refuses(option, it) || refuses(it, option))
     }
 
-    /// As one would type it.
+    /// As it would be typed.
     fn typed(&self) -> Vec<String> {
         let one = |value: &String| format!("--{}={value}", self.option);
         if self.is_switch { vec![format!("--{}", self.option)] } else { self.values.iter().map(one).collect() }
     }
 }
 
-/// Which options clap finds missing, or in each other's way.
+/// Clap's complaint about missing or conflicting options.
 fn complaint(words: Vec<String>) -> Vec<String> {
     let Err(error) = Cli::command().try_get_matches_from(words) else { return Vec::new() };
     let is_ours = matches!(error.kind(), ErrorKind::MissingRequiredArgument | ErrorKind::ArgumentConflict);
@@ -211,7 +215,7 @@ impl Found {
     fn option(&mut self, field: String, path: &[&str], option: &Arg, value: &toml::Value) {
         let values = match value {
             toml::Value::Array(values) => values.iter().map(plain).collect(),
-            // A switch that is off is how it is anyway.
+            // A switch that is off keeps its default.
             toml::Value::Boolean(false) if matches!(option.get_action(), ArgAction::SetTrue) => return,
             value => vec![plain(value)],
         };
@@ -226,7 +230,7 @@ impl Found {
         }
     }
 
-    /// Whether the options of each command can be given together.
+    /// Checks that the options of each command can be given together.
     fn together(&mut self) {
         let mut commands: Vec<String> = self.settings.iter().map(|it| it.command.clone()).collect();
         commands.dedup();
@@ -255,7 +259,7 @@ fn option<'a>(command: &'a Command, name: &str) -> Option<&'a Arg> {
     command.get_arguments().find(|it| it.get_long() == Some(name) && !unusual.contains(&name))
 }
 
-/// A value as one would type it.
+/// A value as it would be typed.
 fn plain(value: &toml::Value) -> String {
     match value {
         toml::Value::String(text) => text.clone(),
@@ -263,7 +267,7 @@ fn plain(value: &toml::Value) -> String {
     }
 }
 
-/// Whether the option takes these values, by its own parser.
+/// Checks these values with the option's own parser.
 fn accepts(option: &Arg, values: &[String]) -> Result<(), String> {
     let name = option.get_long().unwrap_or_default();
     if matches!(option.get_action(), ArgAction::SetTrue) {
@@ -286,7 +290,7 @@ fn accepts(option: &Arg, values: &[String]) -> Result<(), String> {
     })
 }
 
-/// `, did you mean …`, or all that there are.
+/// `, did you mean …`, or a list of all.
 fn nearest<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> String {
     let known: Vec<&str> = known.collect();
     let like = |it: &&&str| strsim::jaro_winkler(name, it);
@@ -326,7 +330,7 @@ mod tests {
         let cli = parsed(file, &["flip", "--seed", "8", "serve", "--listen", "127.0.0.1:2"]);
         assert_eq!(cli.common.seed, 8);
         assert!(format!("{:?}", cli.command).contains("127.0.0.1:2"));
-        // Another command has nothing of it but what is everybody's.
+        // Another command gets only the options common to all.
         assert_eq!(parsed(file, &["flip", "jobs"]).common.seed, 7);
     }
 
@@ -358,7 +362,7 @@ mod tests {
         assert_eq!(words(&["flip", "serve", "--settings", "a"]), Some("a".into()));
         assert_eq!(words(&["flip", "--settings=b", "serve"]), Some("b".into()));
         assert_eq!(words(&["flip", "weigh", "--", "--settings=b"]), None);
-        // The bench file of `flip bench check` is another one.
+        // The bench file of `flip bench check` is a different one.
         assert_eq!(words(&["flip", "bench", "check", "--config", "bench.toml"]), None);
     }
 
@@ -369,7 +373,7 @@ mod tests {
         assert!(typed.contains("30.0") && !typed.contains("salt"), "{typed}");
         assert!(told(&["flip", "calibrate"]).contains("salt"));
         assert!(told(&["flip", "calibrate", "--powder", "sand"]).contains("sand"));
-        // What is said of a command is not said of those below it.
+        // Settings of a command do not apply to its subcommands.
         let below = parsed("[discover]\nbudget_runs = 3\n", &["flip", "discover", "versions"]);
         assert!(matches!(below.command, super::super::Command::Discover(_)));
     }

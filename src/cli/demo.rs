@@ -1,4 +1,5 @@
-//! `flip demo`: from published measurements to weighed doses, once; running it again goes on where it was.
+//! `flip demo`: from published measurements to weighed doses, once; running it again continues
+//! where it stopped.
 
 use super::Common;
 use super::benches::BenchArguments;
@@ -23,9 +24,9 @@ use std::time::Instant;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-/// The dose that is weighed of every powder, mg.
+/// Dose weighed of every powder, mg.
 const TARGET_MG: f64 = 15.0;
-/// Accepted error of a dose either way, mg.
+/// Accepted error of a dose in either direction, mg.
 const TOLERANCE_MG: f64 = 1.0;
 
 /// Arguments of `flip demo`.
@@ -55,7 +56,7 @@ struct Document {
     timing: Timing,
 }
 
-/// One line of the table.
+/// One row of the table.
 #[derive(Debug, Serialize)]
 struct Row {
     powder: String,
@@ -63,18 +64,18 @@ struct Row {
     /// Mean over the powder's calibrated sets.
     aor_simulated_deg: f64,
     target_mg: f64,
-    /// The one that a weighing takes when none is named.
+    /// The policy used by a weighing that names none.
     policy: String,
     dispensed_mg: f64,
     error_mg: f64,
     shakes: u32,
-    /// Time on the bench.
+    /// Bench time.
     seconds: f64,
-    /// Error of the same dose with the policy that was trained here.
+    /// Error of the same dose with the policy trained in this demonstration.
     trained_error_mg: f64,
 }
 
-/// What the training came to.
+/// Result of the training.
 #[derive(Debug, Serialize)]
 struct Learned {
     policy: String,
@@ -84,7 +85,8 @@ struct Learned {
     mean_abs_error_mg: f64,
 }
 
-/// Start the service, run the demonstration as a client of the same application, and serve on until told to stop.
+/// Starts the service, runs the demonstration as a client of the same application, and continues
+/// serving until asked to stop.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     runtime()?.block_on(async {
         let signals = StopSignals::catch()?;
@@ -110,7 +112,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     })
 }
 
-/// Serve in the background until `stop`. A demonstration that ends by itself can do without a port that is taken.
+/// Serves in the background until `stop`. A demonstration that ends by itself can do without a port
+/// that is taken.
 fn serve(app: &App, arguments: &Arguments, stop: &CancellationToken) -> Result<Option<Service>, Failure> {
     let server = match serve::bind(app, &arguments.address) {
         Err(Failure::Failed(error)) if arguments.exit => {
@@ -128,10 +131,11 @@ fn serve(app: &App, arguments: &Arguments, stop: &CancellationToken) -> Result<O
     })))
 }
 
-/// A service that runs beside the demonstration.
+/// A service that runs alongside the demonstration.
 type Service = JoinHandle<Result<(), ServeError>>;
 
-/// The demonstration, and after it the service, until done, told to stop, or left by the service.
+/// The demonstration, followed by the service, until done, asked to stop, or abandoned by the
+/// service.
 async fn attended(
     app: &App,
     common: &Common,
@@ -159,7 +163,7 @@ async fn attended(
     Ok(())
 }
 
-/// Calibrate, train, weigh.
+/// Calibrates, trains, weighs.
 async fn demonstrate(app: &App, common: &Common, arguments: &Arguments) -> Result<Document, Failure> {
     let (began, watch) = (Instant::now(), Watch::new());
     let targets = PUBLISHED.map(|powder| Target::Powder(powder.id.to_owned()));
@@ -186,7 +190,8 @@ async fn demonstrate(app: &App, common: &Common, arguments: &Arguments) -> Resul
     })
 }
 
-/// The dose of a powder, with the policy of this id or the one that a weighing takes by itself.
+/// Weighs a dose of a powder, with the policy of this id or the one that a weighing uses by
+/// default.
 async fn dose(
     app: &App,
     watch: &Watch,
@@ -195,21 +200,23 @@ async fn dose(
     policy: Option<&str>,
 ) -> Result<Weighing, Failure> {
     watch.say(&format!("weigh {TARGET_MG} mg of {powder}"));
-    // The key is made of what the dose depends on: a second run finds the first one's doses and pours nothing.
+    // The key is derived from everything the dose depends on: a second run finds the doses of the
+    // first and pours nothing.
     let key = format!("demo-{}-{}-{powder}-{TARGET_MG}-mg", common.seed, policy.unwrap_or("default"));
     let request = request(powder, TARGET_MG, TOLERANCE_MG);
     let request = WeighingRequest { policy: policy.map(str::to_owned), seed: Some(common.seed), ..request };
     weigh(app, watch, request, &key).await
 }
 
-/// Something is weighed in the first minutes, of a powder that is calibrated in the quick way; the table has doses of its own.
+/// Weighs something within the first minutes, of a powder calibrated with the quick method; the
+/// table has doses of its own.
 async fn first_dose(app: &App, watch: &Watch, common: &Common) -> Result<Weighing, Failure> {
     let key = format!("demo-{}-first-{TARGET_MG}-mg", common.seed);
     let request = request(PUBLISHED[0].id, TARGET_MG, TOLERANCE_MG);
     weigh(app, watch, WeighingRequest { seed: Some(common.seed), ..request }, &key).await
 }
 
-/// The first dose, in a line.
+/// The first dose, in one line.
 fn told(dose: &Weighing) -> String {
     let found = dose.dispensed_mg.map_or("no mass is known".to_owned(), |mg| format!("{mg:.2} mg are in the vial"));
     format!("first dose: {} of {} mg, {found}; next come five calibrations and a training", dose.powder, dose.target_mg)
@@ -233,7 +240,7 @@ fn row(calibration: &Calibration, weighing: Weighing, with_trained: &Weighing) -
         let why = of.error.as_deref().unwrap_or("it did not end");
         value.ok_or_else(|| anyhow::anyhow!("weighing {} has no {what}: {why}", of.id))
     };
-    // Of the true mass: the simulator knows it.
+    // Error of the true mass, which the simulator knows.
     let error_mg = |of: &Weighing| known("dispensed mass", of.dispensed_mg, of).map(|mg| mg - of.target_mg);
     Ok(Row {
         aor_measured_deg: calibration.target.repose_deg,

@@ -1,4 +1,5 @@
-//! `flip discover`: what measured angles and balance readings say that the simulator does not.
+//! `flip discover`: what measured angles and balance readings reveal that the simulator does not
+//! reproduce.
 
 use super::failure::Failure;
 use super::measurements::read;
@@ -17,9 +18,9 @@ use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Causes that the text lists; the document has all.
+/// Number of causes listed in the text; the document has all.
 const CAUSES_SHOWN: usize = 5;
-/// Rows that the text names of those left out; the document has all.
+/// Number of left-out rows listed in the text; the document has all.
 const ROWS_SHOWN: usize = 20;
 
 /// Arguments of `flip discover`.
@@ -39,13 +40,15 @@ enum Action {
         /// Simulator version, `sv-…`, made by an investigation; if omitted, the current one.
         #[arg(long, value_name = "VERSION", default_value = CURRENT)]
         simulator: String,
-        /// CSV file of the rows to predict: powder, and the columns through which the version's causes act.
+        /// CSV file of the rows to predict: powder, and the columns through which the version's
+        /// causes act.
         #[arg(long, value_name = "FILE")]
         measurements: PathBuf,
     },
     /// List the simulator's versions, newest first, and show which one is current.
     Versions,
-    /// Make a version current (used where none is named), or roll back to another one or to the base.
+    /// Make a version current (used where none is named), or roll back to another one or to the
+    /// base.
     Use {
         /// Version, `sv-…`, or `base`.
         #[arg(value_name = "VERSION")]
@@ -58,16 +61,20 @@ enum Action {
 struct CampaignArguments {
     /// Angles of repose as a CSV file, one run per row, with the conditions recorded for each.
     ///
-    /// Columns: powder and repose_deg; with repose_sd_deg and n, the row is a summary of n runs. Conditions: session (the day), order_in_session,
-    /// method (camera, manual), operator, batch, plate, relative_humidity_pct, temperature_c, rest_min, container_age_d, funnel_height_mm,
-    /// base_diameter_mm, poured_mass_g, flow_time_s, vibration_rms_m_s2, ioniser_on, and any other column. An empty cell is a missing value.
+    /// Columns: powder and repose_deg; with repose_sd_deg and n, the row is a summary of n runs.
+    /// Conditions: session (the day), order_in_session, method (camera, manual), operator, batch,
+    /// plate, relative_humidity_pct, temperature_c, rest_min, container_age_d, funnel_height_mm,
+    /// base_diameter_mm, poured_mass_g, flow_time_s, vibration_rms_m_s2, ioniser_on, and any other
+    /// column. An empty cell is a missing value.
     #[arg(long, value_name = "FILE", required_unless_present = "traces")]
     measurements: Option<PathBuf>,
-    /// Balance readings of weighings as a CSV file, one reading per row; with or without angles of repose.
+    /// Balance readings of weighings as a CSV file, one reading per row; with or without angles of
+    /// repose.
     ///
-    /// Columns: weighing_id, t_s and balance_mg. Conditions: stable, powder, session (the day), shake_index (shakes so far), shake_mm,
-    /// spoon_pitch_deg, spoon_fill_mg, target_mg, relative_humidity_pct, vibration_rms_m_s2, and kind: dose, or for a control log zero (empty pan) or
-    /// standard (a standard mass). An empty cell is a missing value.
+    /// Columns: weighing_id, t_s and balance_mg. Conditions: stable, powder, session (the day),
+    /// shake_index (shakes so far), shake_mm, spoon_pitch_deg, spoon_fill_mg, target_mg,
+    /// relative_humidity_pct, vibration_rms_m_s2, and kind: dose, or for a control log zero (empty
+    /// pan) or standard (a standard mass). An empty cell is a missing value.
     #[arg(long, value_name = "FILE")]
     traces: Option<PathBuf>,
     /// Order of dates such as 2/3/2026 and 26/02/21; needed where the column is ambiguous.
@@ -75,8 +82,8 @@ struct CampaignArguments {
     dates: Option<Dates>,
     /// Maximum heaps to simulate, 0 to 10000.
     ///
-    /// They check the simulator's own numerics, and find and verify the amplitude of an accepted extension. With 0 the amplitude is read from a table
-    /// and not verified.
+    /// They check the simulator's own numerics, and find and verify the amplitude of an accepted
+    /// extension. With 0 the amplitude is read from a table and not verified.
     #[arg(long, value_name = "N", default_value_t = 60, allow_negative_numbers = true)]
     budget_runs: u32,
     /// Null campaigns, in which nothing is wrong, to compare with, 99 to 9999.
@@ -108,7 +115,8 @@ impl From<Dates> for DateOrder {
     }
 }
 
-/// Investigate, write the files and print the report: whatever the verdict, that is a success. Or ask a version.
+/// Investigates, writes the files and prints the report: a success whatever the verdict. Or queries
+/// a version.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.action {
         None => discover(common, &arguments.campaign),
@@ -175,7 +183,7 @@ fn discover(common: &Common, arguments: &CampaignArguments) -> Result<(), Failur
 
 async fn investigate(app: &App, request: InvestigationRequest, out: &Path) -> Result<Report, Failure> {
     let (job, _) = app.start_investigation(request).await?;
-    // Before the work, which would be lost on a folder that cannot be.
+    // Before the work, which would be lost if the folder cannot be created.
     let refused = |error| FieldError::new("out", format!("{} cannot be made: {error}", out.display()));
     fs::create_dir_all(out).map_err(refused)?;
     Watch::new().job(app, &job.id, "discover").await?;
@@ -183,7 +191,8 @@ async fn investigate(app: &App, request: InvestigationRequest, out: &Path) -> Re
     Ok(report.ok_or_else(|| anyhow::anyhow!("investigation {} has no report", job.id))?)
 }
 
-/// Write files so that each is whole whenever it is there: all are written under other names first.
+/// Writes files so that each is complete whenever it exists: all are first written under other
+/// names.
 fn write_all(folder: &Path, files: &[(&str, String)]) -> Result<(), Failure> {
     let part = |name: &str| folder.join(format!("{name}.part"));
     let write = |(name, text): &(&str, String)| {
@@ -249,14 +258,14 @@ fn read_as(file: &FileRead) -> Vec<String> {
     [columns].into_iter().chain(left_out).chain(file.notes.iter().cloned()).chain(powders).collect()
 }
 
-/// Rows by number, the first of them where they are many.
+/// Row numbers, only the first of them if there are many.
 fn rows(rows: &[u32]) -> String {
     let named: Vec<String> = rows.iter().take(ROWS_SHOWN).map(u32::to_string).collect();
     let more = rows.len().saturating_sub(ROWS_SHOWN);
     named.join(", ") + &if more > 0 { format!(" and {more} more") } else { String::new() }
 }
 
-/// A table; nothing where it has no rows.
+/// A table; empty if it has no rows.
 fn section(header: &[&str], rows: Vec<Vec<String>>) -> String {
     if rows.is_empty() { String::new() } else { table(header, &rows) }
 }
@@ -265,7 +274,7 @@ fn list(powders: &[String]) -> String {
     if powders.is_empty() { "-".to_owned() } else { powders.join(", ") }
 }
 
-/// The name that the document has for it.
+/// Its name in the document.
 fn word(value: &impl Serialize) -> String {
     serde_json::to_value(value).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
 }

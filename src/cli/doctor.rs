@@ -1,4 +1,4 @@
-//! `flip doctor`: can FLIP do its work on this machine? What is in the way, and the one thing that mends it.
+//! `flip doctor`: can FLIP run on this machine? Reports each problem and its remedy.
 
 use super::Common;
 use super::failure::Failure;
@@ -11,11 +11,12 @@ use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-/// Fewer descriptors than this are too few for a service: two for each of its connections, and what it has open itself.
+/// Fewer descriptors than this are too few for a service: two for each of its connections, and its
+/// own open files.
 const DESCRIPTORS_MIN: u64 = 4096;
-/// Memory that a calibration on all cores may take, bytes.
+/// Memory that a calibration on all cores may use, bytes.
 const MEMORY_MIN: u64 = 1 << 30;
-/// Room for a data folder to grow in, bytes: some six thousand doses.
+/// Space for a data folder to grow, bytes: about six thousand doses.
 const ROOM_MIN: u64 = 1 << 30;
 /// A clock before 2026 is not set: this many seconds after 1970.
 const CLOCK_MIN: u64 = 1_767_225_600;
@@ -31,22 +32,22 @@ pub(super) struct Arguments {
     bench: Option<PathBuf>,
 }
 
-/// How one thing stands.
+/// Status of one check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Verdict {
     Ok,
-    /// It works, and something about it may not be meant.
+    /// It works, but may not be as intended.
     Warning,
     Failed,
 }
 
-/// One thing that was looked at.
+/// Result of one check.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 struct Finding {
     what: &'static str,
     verdict: Verdict,
-    /// What was found and, where it is not as it should be, what to do.
+    /// What was found and, if something is wrong, what to do.
     found: String,
 }
 
@@ -62,7 +63,7 @@ fn failed(what: &'static str, found: impl Into<String>) -> Finding {
     Finding { what, verdict: Verdict::Failed, found: found.into() }
 }
 
-/// Look at everything; exit status 1 where something fails.
+/// Runs all checks; exit status 1 if one fails.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let mut findings = vec![processor(), memory(), clock(), descriptors()];
     findings.extend(data_folder(&common.data_dir)?);
@@ -93,7 +94,7 @@ fn processor() -> Finding {
     ok("processor", found)
 }
 
-/// The widest numbers that the simulator computes with here.
+/// The widest vectors that the simulator computes with on this machine.
 fn vectors() -> &'static str {
     #[cfg(target_arch = "x86_64")]
     {
@@ -141,7 +142,7 @@ fn descriptors() -> Finding {
     }
 }
 
-/// The folder, its disk, and what is in it.
+/// The folder, its disk, and its content.
 fn data_folder(folder: &Path) -> Result<Vec<Finding>, Failure> {
     let there = folder.is_dir();
     let here = Path::new(".");
@@ -191,7 +192,7 @@ fn writable(folder: &Path, on: &Path) -> Finding {
 
 /// The database of a folder, if it has one.
 async fn database(folder: &Path) -> Option<Finding> {
-    // Only to read: a doctor changes nothing, and a server may hold it.
+    // Read-only: a doctor changes nothing, and a server may hold it.
     Some(match App::look_into(folder).await {
         Err(OpenError::Held(why)) => warning("database", why),
         Err(error) => failed("database", error.to_string()),

@@ -1,4 +1,5 @@
-//! `flip emulate`: devices that are not there, for trying out FLIP and for testing other software that talks to such devices.
+//! `flip emulate`: emulated devices, for trying out FLIP and for testing other software that talks
+//! to such devices.
 
 use super::Common;
 use super::failure::Failure;
@@ -25,7 +26,7 @@ use serde::Serialize;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-/// What lies on an emulated balance that stands alone, mg.
+/// Mass on an emulated balance that runs on its own, mg.
 const VIAL_MG: f64 = 12_000.0;
 
 /// Arguments of `flip emulate`.
@@ -100,7 +101,8 @@ struct CameraArguments {
     /// Number of frames, 1 to 100.
     #[arg(long, value_name = "N", default_value_t = 10, allow_negative_numbers = true)]
     frames: u32,
-    /// Fault to emulate: holes, heavy_noise, funnel_missing and others; a wrong name lists them. A faulty camera takes at most ten frames.
+    /// Fault to emulate: holes, heavy_noise, funnel_missing and others; a wrong name lists them. A
+    /// faulty camera takes at most ten frames.
     #[arg(long, value_name = "NAME")]
     fault: Option<CameraFault>,
 }
@@ -112,7 +114,7 @@ struct DeviceArguments {
     fault: Option<String>,
 }
 
-/// What runs where.
+/// A running device and its address.
 #[derive(Debug, Serialize)]
 struct Document {
     device: &'static str,
@@ -120,7 +122,7 @@ struct Document {
     address: String,
 }
 
-/// Run it until told to stop.
+/// Runs it until asked to stop.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     if !(arguments.speed.is_finite() && (0.1..=1000.0).contains(&arguments.speed)) {
         let advice = format!("must be from 0.1 to 1000, got {}", arguments.speed);
@@ -232,7 +234,7 @@ fn laboratory(common: &Common, asked: &LabArguments, clock: Clock) -> Result<(),
     })
 }
 
-/// What the arm did, as a file that others read.
+/// Log of the arm's motions, as a file for other programs.
 struct Motions {
     path: PathBuf,
     written: usize,
@@ -247,7 +249,7 @@ struct Motion {
     ended: Option<String>,
     pitch_deg: f64,
     poured_mg: f64,
-    /// Powder in the vial when everything has landed, mg.
+    /// Powder in the vial once everything has landed, mg.
     vial_mg: f64,
 }
 

@@ -1,4 +1,5 @@
-//! `flip evaluate`: a policy's errors on the simulated bench beside those of other controllers.
+//! `flip evaluate`: a policy's errors on the simulated bench compared with those of other
+//! controllers.
 
 use super::Common;
 use super::benches::spoon;
@@ -24,7 +25,8 @@ pub(super) struct Arguments {
     /// Policy id [default: the newest, or the shipped one until a policy is trained].
     #[arg(long, value_name = "ID")]
     policy: Option<String>,
-    /// Any of policy, untrained, fixed, schedule, dispenser, pid, fuzzy, paced [default: all]; `--policy` is always included.
+    /// Any of policy, untrained, fixed, schedule, dispenser, pid, fuzzy, paced [default: all];
+    /// `--policy` is always included.
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     controllers: Option<Vec<String>>,
     /// Powder ids [default: the five published powders].
@@ -42,10 +44,12 @@ pub(super) struct Arguments {
     /// Maximum steps per weighing.
     #[arg(long, value_name = "N", default_value_t = 10, allow_negative_numbers = true)]
     max_shakes: u32,
-    /// Grains on the spoon, 500 to 4000; their mass is all the powder there is [default: 2500, about 37 mg].
+    /// Grains on the spoon, 500 to 4000; their mass is all the powder there is [default: 2500,
+    /// about 37 mg].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     particles: Option<u32>,
-    /// Mechanism absent from all training, with its amplitude, as in `rotation=1`; may be repeated. As in `flip repose`.
+    /// Mechanism absent from all training, with its amplitude, as in `rotation=1`; may be repeated.
+    /// As in `flip repose`.
     #[arg(long, value_name = "NAME=AMPLITUDE")]
     extension: Vec<String>,
     /// Shake as the bench's arm was measured to shake (`flip bench calibrate-shake`).
@@ -73,7 +77,7 @@ struct Document {
     summary: Vec<EvaluationSummary>,
 }
 
-/// Evaluate and print the errors.
+/// Evaluates and prints the errors.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let evaluation = with_app(common, async |app| evaluate(app, common, arguments).await)?;
     let id = evaluation.job.id;
@@ -199,7 +203,7 @@ fn text(document: &Document) -> String {
     text
 }
 
-/// What was weighed with: the balance, the steps, the spoon.
+/// Settings of the evaluation: the balance, the steps, the spoon.
 fn setting(document: &Document) -> String {
     let extensions: Vec<String> =
         document.conditions.amplitudes().iter().map(|(name, amplitude)| format!("{name} {amplitude}")).collect();
@@ -278,7 +282,7 @@ mod tests {
         let row = text.lines().find(|line| line.contains("sodium_bicarbonate")).unwrap();
         let cells: Vec<&str> = row.split_whitespace().collect();
         assert_eq!(cells[..8], ["policy", "sodium_bicarbonate", "15", "5", "1.25", "3.6", "0.50", "-0.25"]);
-        // Bench time was not kept when this row was stored.
+        // Bench time was not recorded when this row was stored.
         assert_eq!(cells.last(), Some(&"-"));
         let summary = text.lines().find(|line| line.contains("1.00 to 1.50")).unwrap();
         assert!(

@@ -1,4 +1,4 @@
-//! How a command fails: what it prints, and the exit status that scripts see.
+//! How a command fails: its output, and the exit status that scripts see.
 
 use crate::app::{Error, OpenError};
 use crate::telemetry;
@@ -7,22 +7,24 @@ use serde_json::json;
 use std::io::Write;
 use std::process::ExitCode;
 
-/// Why a command did not do what was asked.
+/// Why a command did not do what was requested.
 #[derive(Debug)]
 pub(super) enum Failure {
-    /// The input is wrong, field by field. Exit status 2.
+    /// The input is invalid, field by field. Exit status 2.
     BadInput(Vec<FieldError>),
-    /// The input is sound and the world is not ready for it: a prerequisite is missing, or another process holds the
-    /// database. Exit status 2.
+    /// The input is valid but the command is not possible now: a prerequisite is missing, or
+    /// another process holds the database. Exit status 2.
     NotNow(String),
-    /// The command printed its document, and what that says is bad. Exit status 1; nothing more on stdout.
+    /// The command printed its document, which reports a problem. Exit status 1; nothing more on
+    /// stdout.
     Found(String),
     /// Everything else. Exit status 1.
     Failed(anyhow::Error),
 }
 
 impl Failure {
-    /// Print the reason (on stderr, and as the one document on stdout with `json`) and return the exit status.
+    /// Prints the reason (on stderr, and as the single document on stdout with `json`) and returns
+    /// the exit status.
     pub(super) fn report(&self, json: bool) -> ExitCode {
         let (status, document) = match self {
             Self::Found(message) => {
@@ -49,7 +51,7 @@ impl Failure {
     }
 }
 
-/// The end of a command whose arguments clap refused, or of `--help` and `--version`.
+/// The exit status after clap refused the arguments, or after `--help` and `--version`.
 pub(super) fn of_arguments(error: &clap::Error) -> ExitCode {
     // A message that cannot be written has nowhere else to go.
     let _ = error.print();
@@ -60,7 +62,8 @@ pub(super) fn of_arguments(error: &clap::Error) -> ExitCode {
     ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(1))
 }
 
-/// Print the one document. A reader that has closed the pipe wants none; stderr and the exit status still speak.
+/// Prints the single document. A reader that has closed the pipe does not want it; stderr and the
+/// exit status still convey the result.
 fn print(document: &serde_json::Value) {
     let _ = writeln!(std::io::stdout(), "{document:#}");
 }

@@ -8,9 +8,9 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
-/// Longest wait for each of connecting, asking and answering.
+/// Timeout for each of connecting, requesting and responding.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// As much of the answer as holds its status line.
+/// Enough of the response to hold its status line.
 const STATUS_LINE_BYTES: u64 = 64;
 
 /// Arguments of `flip health`.
@@ -26,7 +26,7 @@ struct Document {
     alive: bool,
 }
 
-/// Exit status 0 when the service answers `/healthz` with 200, else 1.
+/// Exit status 0 if the service answers `/healthz` with 200, else 1.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let status = ask(arguments.listen).with_context(|| format!("no service answers at {}", arguments.listen))?;
     match status.split(' ').nth(1) {
@@ -35,17 +35,18 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     }
 }
 
-/// Whether a service answers there.
+/// Whether a service answers at this address.
 pub(super) fn is_alive(address: SocketAddr) -> bool {
     ask(address).is_ok_and(|status| status.split(' ').nth(1) == Some("200"))
 }
 
-/// The status line of the answer to `GET /healthz`.
+/// The status line of the response to `GET /healthz`.
 fn ask(address: SocketAddr) -> std::io::Result<String> {
     let mut connection = TcpStream::connect_timeout(&address, PATIENCE)?;
     connection.set_read_timeout(Some(PATIENCE))?;
     connection.set_write_timeout(Some(PATIENCE))?;
-    // In one piece: a service that answers after the first and closes would break the pipe for the others.
+    // In a single write: a service that responds after the first of several and closes would break
+    // the pipe for the others.
     let request = format!("GET /healthz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
     connection.write_all(request.as_bytes())?;
     let mut answer = Vec::new();

@@ -1,4 +1,4 @@
-//! `flip jobs`: the job list, also while a server runs.
+//! `flip jobs`: the job list, even while a server runs.
 
 use super::Common;
 use super::failure::Failure;
@@ -44,7 +44,7 @@ enum StateFlag {
     Cancelled,
 }
 
-/// Print the job list.
+/// Prints the job list.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let page = PageQuery { limit: Some(arguments.limit), after: arguments.after.clone() };
     let kind = arguments.kind.map(JobKind::from);

@@ -1,4 +1,5 @@
-//! `flip completions` and `flip man`: what shells and `man` know of the commands, made from the commands themselves.
+//! `flip completions` and `flip man`: shell completions and manual pages, generated from the
+//! commands themselves.
 
 use super::failure::Failure;
 use super::{Cli, Common};
@@ -19,7 +20,8 @@ pub(super) struct Completions {
 /// Arguments of `flip man`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Man {
-    /// Folder for the pages, one per command, such as /usr/local/share/man/man1; created if missing.
+    /// Folder for the pages, one per command, such as /usr/local/share/man/man1; created if
+    /// missing.
     #[arg(value_name = "DIR")]
     folder: PathBuf,
 }
@@ -30,14 +32,14 @@ struct Pages {
     pages: usize,
 }
 
-/// Print the completions of one shell.
+/// Prints the completions of one shell.
 pub(super) fn completions(arguments: &Completions) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut Cli::command(), "flip", &mut script);
     Ok(std::io::stdout().write_all(&script)?)
 }
 
-/// Write a page for each command.
+/// Writes a page for each command.
 pub(super) fn man(common: &Common, arguments: &Man) -> Result<(), Failure> {
     std::fs::create_dir_all(&arguments.folder)?;
     clap_mangen::generate_to(Cli::command(), &arguments.folder)?;

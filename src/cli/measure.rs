@@ -36,17 +36,18 @@ pub(super) struct Arguments {
     /// Height of the base above the bench, 0 to 200 mm.
     #[arg(long, value_name = "MM", default_value_t = 15.0, allow_negative_numbers = true)]
     base_height_mm: f64,
-    /// Which measurement of this powder, from 1; repeating a number returns the existing one [default: the next].
+    /// Which measurement of this powder, from 1; repeating a number returns the existing one
+    /// [default: the next].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     run: Option<u32>,
     #[command(flatten)]
     bench: BenchArguments,
 }
 
-/// Measure, and print every pile.
+/// Measures, and prints every pile.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     if arguments.bench.is_file() {
-        // Nobody could upload a frame to this process: the pile would be poured in vain.
+        // No frames could be uploaded to this process: the pile would be poured in vain.
         let advice = "must be `emulated` here: frames of devices are uploaded, so run `flip serve --bench FILE` and POST /v1/repose-measurements";
         return Err(FieldError::new("bench", advice).into());
     }

@@ -1,4 +1,5 @@
-//! `flip measurements`: what was measured of powders, from and to CSV files, and by camera beside by hand.
+//! `flip measurements`: measurements of powders, imported from and exported to CSV files, and those
+//! by camera compared with those by hand.
 
 use super::Common;
 use super::failure::Failure;
@@ -20,14 +21,17 @@ pub(super) struct Arguments {
 enum Action {
     /// Register the measurements in a CSV file, all or none.
     ///
-    /// Columns: powder; method; repose_deg, or height_mm with base_diameter_mm and optionally funnel_height_mm; flow_time_s with poured_mass_g and
-    /// orifice_mm; shake_mg with spoon_pitch_deg and shake_mm; drained_deg; pile_height_mm with base_diameter_mm and fall_mm; source. A row is one
-    /// repeat, and repeats are combined; with n and the SD it is a summary. Empty cells, NA and the like are missing values. Separators are commas,
-    /// semicolons or tabs; decimals take a point or a comma; a powder is given by its id or its name.
+    /// Columns: powder; method; repose_deg, or height_mm with base_diameter_mm and optionally
+    /// funnel_height_mm; flow_time_s with poured_mass_g and orifice_mm; shake_mg with
+    /// spoon_pitch_deg and shake_mm; drained_deg; pile_height_mm with base_diameter_mm and fall_mm;
+    /// source. A row is one repeat, and repeats are combined; with n and the SD it is a summary.
+    /// Empty cells, NA and the like are missing values. Separators are commas, semicolons or tabs;
+    /// decimals take a point or a comma; a powder is given by its id or its name.
     Import {
         /// CSV file, UTF-8 or UTF-16, with a header.
         file: PathBuf,
-        /// Register powders in the file that FLIP does not know, each under an id made from its name.
+        /// Register powders in the file that FLIP does not know, each under an id made from its
+        /// name.
         #[arg(long)]
         create: bool,
     },
@@ -41,7 +45,7 @@ enum Action {
     Compare,
 }
 
-/// Import or export.
+/// Imports, exports or compares.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.action {
         Action::Import { file, create } => {
@@ -60,7 +64,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     }
 }
 
-/// The text of the file that `field` names.
+/// The text of the file given in `field`.
 pub(super) fn read(field: &str, file: &Path) -> Result<String, Failure> {
     let unreadable = |error| FieldError::new(field, format!("{} cannot be read: {error}", file.display()));
     Ok(table_text(&std::fs::read(file).map_err(unreadable)?)?)

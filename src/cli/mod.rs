@@ -1,9 +1,10 @@
 //! The command line: a contract that scripts rely on.
 //!
-//! Every command takes `--data-dir`, `--seed` and `--json`. With `--json`, stdout holds one JSON document and nothing
-//! else; progress and logs go to stderr. Exit status 0: done, whatever the outcome; 2: bad input, which names the
-//! field or the missing prerequisite; 1: failure. Commands call the same [`crate::app::App`] as REST and gRPC, in
-//! this process, so there is one path to every effect.
+//! Every command takes `--data-dir`, `--seed` and `--json`. With `--json`, stdout holds one JSON
+//! document and nothing else; progress and logs go to stderr. Exit status 0: done, whatever the
+//! outcome; 2: bad input, with an error that names the field or the missing prerequisite; 1:
+//! failure. Commands call the same [`crate::app::App`] as REST and gRPC, in this process, so there
+//! is one path to every effect.
 
 mod audit;
 mod backup;
@@ -47,7 +48,8 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-/// Flowability-informed powder weighing: measure how a powder piles, calibrate a simulator, learn to weigh, weigh.
+/// Flowability-informed powder weighing: measure how a powder piles, calibrate a simulator, learn
+/// to weigh, weigh.
 #[derive(Debug, Parser)]
 #[command(name = "flip", bin_name = "flip", version, after_help = "Exit status: 0 done, 2 bad input, 1 failure.")]
 struct Cli {
@@ -60,7 +62,8 @@ struct Cli {
 /// Options of every command.
 #[derive(Debug, Clone, Args)]
 struct Common {
-    /// Folder for the database and its files; created if missing, migrated, and seeded with the published powders.
+    /// Folder for the database and its files; created if missing, migrated, and seeded with the
+    /// published powders.
     #[arg(long, global = true, value_name = "DIR", default_value = "flip-data")]
     data_dir: PathBuf,
     /// Seed for every random choice: the same seed gives the same result on any number of threads.
@@ -69,7 +72,8 @@ struct Common {
     /// Print one JSON document to stdout and nothing else.
     #[arg(long, global = true)]
     json: bool,
-    /// Settings file with defaults for each command's options; `flip config check` shows what it sets.
+    /// Settings file with defaults for each command's options; `flip config check` shows what it
+    /// sets.
     #[arg(long, global = true, value_name = "FILE", env = config::VARIABLE)]
     settings: Option<PathBuf>,
 }
@@ -78,9 +82,11 @@ struct Common {
 enum Command {
     /// Serve the web page, REST and gRPC on one port until SIGTERM or Ctrl-C.
     Serve(serve::Arguments),
-    /// Go from published measurements to doses: calibrate, train, weigh, print the table, keep serving.
+    /// Go from published measurements to doses: calibrate, train, weigh, print the table, keep
+    /// serving.
     Demo(demo::Arguments),
-    /// Simulate experiments other than the heap: flow through a hole, spoon shakes, a drained cup, heaps of other heights
+    /// Simulate experiments other than the heap: flow through a hole, spoon shakes, a drained cup,
+    /// heaps of other heights
     Observe(observe::Arguments),
     /// Pour a simulated powder and measure its angle of repose.
     Repose(repose::Arguments),
@@ -104,7 +110,8 @@ enum Command {
     Discover(discover::Arguments),
     /// Weigh one dose on the simulator, on emulated devices or on a real bench.
     Weigh(weigh::Arguments),
-    /// Inspect the bench, probe and check its devices, clear it; time the simulator, alone or against others.
+    /// Inspect the bench, probe and check its devices, clear it; time the simulator, alone or
+    /// against others.
     Bench(bench::Arguments),
     /// The bench's audit trail: verify it, export it, print certificates.
     Audit(audit::Arguments),
@@ -114,7 +121,8 @@ enum Command {
     Restore(backup::RestoreArguments),
     /// Run emulated devices, singly or as a whole laboratory, until Ctrl-C.
     Emulate(emulate::Arguments),
-    /// List calibrations, trainings, evaluations, investigations and camera measurements; works while a server runs.
+    /// List calibrations, trainings, evaluations, investigations and camera measurements; works
+    /// while a server runs.
     Jobs(jobs::Arguments),
     /// Create, list and revoke API tokens; works while a server runs.
     Token(token::Arguments),
@@ -130,10 +138,10 @@ enum Command {
     Man(manual::Man),
 }
 
-/// As much of a list as one page holds.
+/// The longest list that fits on one page.
 const FIRST_PAGE: PageQuery = PageQuery { limit: Some(LIST_LIMIT_MAX), after: None };
 
-/// Parse the arguments, run the command, and say how it ended by the exit status.
+/// Parses the arguments, runs the command, and reports the result as exit status.
 pub fn main() -> ExitCode {
     let arguments: Vec<OsString> = std::env::args_os().collect();
     let asks_json = arguments.iter().any(|it| it == "--json");
@@ -190,11 +198,12 @@ fn run(cli: &Cli) -> Result<(), Failure> {
 }
 
 impl Common {
-    /// Print a result on stdout: as JSON when asked, else as `text`.
+    /// Prints a result on stdout: as JSON if requested, else as `text`.
     fn print(&self, document: &impl Serialize, text: impl FnOnce() -> String) -> Result<(), Failure> {
         use std::io::Write;
         let text = if self.json { serde_json::to_string_pretty(document)? } else { text() };
-        // A reader that has seen enough (`flip … | head`) closes the pipe: that is an error, not a panic.
+        // A reader that has seen enough (`flip … | head`) closes the pipe: that is an error, not a
+        // panic.
         Ok(writeln!(std::io::stdout(), "{}", text.trim_end())?)
     }
 }

@@ -1,4 +1,4 @@
-//! `flip observe`: experiments beside the heap, repeated over seeds in parallel.
+//! `flip observe`: experiments other than the heap, repeated over seeds in parallel.
 
 use super::calibrate::{mean, spread};
 use super::failure::Failure;
@@ -14,14 +14,14 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value, json};
 
-/// Repeats beyond this say nothing that fewer do not.
+/// Maximum number of repeats; more give no new information.
 const REPEATS_MAX: u32 = 1000;
 
 /// Arguments of `flip observe`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Experiments: `flow_time:mass_g=50,orifice_mm=2.54`, `shake_mass:pitch_deg=30,shake_mm=4`, `drained_angle`,
-    /// `pile_height:base_diameter_mm=40,fall_mm=5`.
+    /// Experiments: `flow_time:mass_g=50,orifice_mm=2.54`, `shake_mass:pitch_deg=30,shake_mm=4`,
+    /// `drained_angle`, `pile_height:base_diameter_mm=40,fall_mm=5`.
     #[arg(required = true, value_name = "KIND:SETTING=VALUE,...")]
     experiments: Vec<String>,
     /// Simulations per experiment, each with its own seed.
@@ -53,7 +53,7 @@ struct Observed {
     refusals: Vec<String>,
 }
 
-/// Simulate what was asked for and print what it gives.
+/// Simulates the requested experiments and prints the results.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let set = arguments.parameters.set()?;
     if !(1..=REPEATS_MAX).contains(&arguments.repeats) {
@@ -111,7 +111,7 @@ fn text(document: &Document) -> String {
 /// An experiment as typed.
 pub(super) fn observable(text: &str) -> Result<Observable, FieldError> {
     let observable: Observable = typed(text, Value::Object(settings(text)?))?;
-    // Its own checks are those of a measurement.
+    // An experiment is validated as part of a measurement.
     let probe = Observation { observable, mean: 10.0, sd: 1.0, n: 2 };
     match probe.checked() {
         Err(error) if error.field != "mean" && error.field != "sd" => Err(error),
@@ -119,7 +119,7 @@ pub(super) fn observable(text: &str) -> Result<Observable, FieldError> {
     }
 }
 
-/// A measurement as typed: the experiment's settings and `mean`, `sd` and `n`.
+/// A measurement as typed: the experiment's settings plus `mean`, `sd` and `n`.
 pub(super) fn observation(text: &str) -> Result<Observation, FieldError> {
     let mut settings = settings(text)?;
     let mut take = |key: &str| {

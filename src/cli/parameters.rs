@@ -1,4 +1,5 @@
-//! The nine parameters as flags, made from their table so that help, bounds and defaults cannot drift from it.
+//! The nine parameters as flags, generated from their table so that help, bounds and defaults
+//! cannot drift from it.
 
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
 use flip_core::domain::FieldError;
@@ -11,7 +12,7 @@ use std::collections::BTreeMap;
 pub(super) struct Flags([f64; COUNT]);
 
 impl Flags {
-    /// The set these flags describe.
+    /// The parameter set described by these flags.
     ///
     /// # Errors
     /// The first value that is not finite or outside its published bounds, by key.
@@ -42,7 +43,7 @@ impl Args for Flags {
 }
 
 fn flag(parameter: &Parameter) -> Arg {
-    // clap keeps names for the life of the program; nine short strings are made once.
+    // clap keeps names for the lifetime of the program; nine short strings are leaked once.
     let long: &'static str = Box::leak(parameter.key.replace('_', "-").into_boxed_str());
     let unit = if parameter.unit.is_empty() { String::new() } else { format!(" {}", parameter.unit) };
     let Parameter { lower, upper, default, meaning, .. } = parameter;
@@ -54,13 +55,14 @@ fn flag(parameter: &Parameter) -> Arg {
         .help(format!("{meaning}; {lower} to {upper}{unit} [default: {default}]"))
 }
 
-/// The mechanisms that flags name.
+/// The mechanisms given in flags.
 pub(super) fn extensions(flags: &[String]) -> Result<Extensions, FieldError> {
     let amplitudes = amplitudes(flags)?;
     amplitudes.iter().try_fold(Extensions::default(), |extensions, (name, amplitude)| extensions.with(name, *amplitude))
 }
 
-/// Names of mechanisms and their amplitudes as flags give them, not yet checked; of one name the last counts.
+/// Names of mechanisms and their amplitudes as given in flags, not yet checked; for a repeated name
+/// the last one counts.
 pub(super) fn amplitudes(flags: &[String]) -> Result<BTreeMap<String, f64>, FieldError> {
     let amplitude = |flag: &String| {
         let parts = flag.split_once('=').and_then(|(name, amplitude)| Some((name, amplitude.parse().ok()?)));

@@ -1,4 +1,4 @@
-//! `flip policy`: list policies, look at one, take one along, and ask one for its next action.
+//! `flip policy`: lists policies, shows one, exports one, and gets one's next action.
 
 use super::Common;
 use super::failure::Failure;
@@ -27,7 +27,8 @@ enum PolicyCommand {
         #[arg(long, value_name = "CURSOR")]
         after: Option<String>,
     },
-    /// Print a policy and its manifest: settings, seed, parameter sets, curriculum history, versions.
+    /// Print a policy and its manifest: settings, seed, parameter sets, curriculum history,
+    /// versions.
     Show {
         /// Policy id.
         #[arg(long, value_name = "ID")]
@@ -42,7 +43,8 @@ enum PolicyCommand {
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
     },
-    /// Get a policy's next action, to drive a robot of your own. Nothing moves; libtorch is not needed.
+    /// Get a policy's next action, to drive a robot of your own. Nothing moves; libtorch is not
+    /// needed.
     Infer(Infer),
 }
 
@@ -66,16 +68,18 @@ struct Infer {
     /// Readability (display step) of the balance, mg.
     #[arg(long, value_name = "MG", default_value_t = 1.0, allow_negative_numbers = true)]
     readability_mg: f64,
-    /// Steps of this weighing so far, a JSON list of {"before", "action", "after"}: observations {"reading_mg", "target_mg", "pitch_deg"} before and
-    /// after an action {"incline_change_deg", "shake_mm"}. Controllers have memory.
+    /// Steps of this weighing so far, a JSON list of {"before", "action", "after"}: observations
+    /// {"reading_mg", "target_mg", "pitch_deg"} before and after an action {"incline_change_deg",
+    /// "shake_mm"}. Controllers have memory.
     #[arg(long, value_name = "FILE")]
     history: Option<PathBuf>,
-    /// Read observations as JSON from stdin, one per line, and answer each at once with a line; one weighing.
+    /// Read observations as JSON from stdin, one per line, and answer each at once with a line; one
+    /// weighing.
     #[arg(long, conflicts_with_all = ["reading_mg", "target_mg", "pitch_deg"])]
     stdin: bool,
 }
 
-/// Do what was asked.
+/// Runs the chosen subcommand.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.command {
         PolicyCommand::List { limit, after } => {
@@ -85,7 +89,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         }
         PolicyCommand::Show { policy } => {
             let policy = with_reader(common, async |app| Ok(app.policy(policy).await?))?;
-            // For people too: a manifest has no other form.
+            // JSON for people too: a manifest has no other form.
             common.print(&policy, || serde_json::to_string_pretty(&policy).unwrap_or_default())
         }
         PolicyCommand::Export { policy, out } => {
@@ -127,7 +131,7 @@ impl Infer {
     }
 }
 
-/// One answer for each line, flushed, so that a robot can wait for it.
+/// Answers each line with one line, flushed, so that a robot can wait for it.
 fn answer_lines(driving: &mut Driving<'_>) -> Result<(), Failure> {
     for (k, line) in std::io::stdin().lock().lines().enumerate() {
         let line = line?;

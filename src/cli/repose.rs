@@ -14,12 +14,12 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 
-/// Repeats beyond this say nothing that fewer do not, and a typing mistake should not run for a day.
+/// Maximum number of repeats; more give no new information, and a typo should not run for a day.
 const REPEATS_MAX: u32 = 1000;
-/// Grains that a heap may have: fewer cover no base, more take hours.
+/// Allowed number of grains in a heap: fewer do not cover the base, more take hours.
 const PARTICLES: std::ops::RangeInclusive<u32> = 200..=20_000;
 
-/// Readings of a heap: more would cost more than another heap.
+/// Allowed number of readings per heap: more would cost more than another heap.
 const READINGS: std::ops::RangeInclusive<u32> = 1..=64;
 
 /// The simulator's semantics, as typed.
@@ -43,7 +43,8 @@ pub(super) struct Arguments {
     /// Readings per heap, 1 to 64, with 15 % more grains poured between readings.
     #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true)]
     readings: u32,
-    /// Mechanism missing from the base simulator, with its amplitude, as in `rotation=1`; may be repeated.
+    /// Mechanism missing from the base simulator, with its amplitude, as in `rotation=1`; may be
+    /// repeated.
     #[arg(long, value_name = "NAME=AMPLITUDE")]
     extension: Vec<String>,
     /// Cover the base with a layer of fixed grains.
@@ -58,7 +59,8 @@ pub(super) struct Arguments {
     /// Write an SVG picture of the first heap with the fitted cone and the apex triangle.
     #[arg(long, value_name = "FILE")]
     view: Option<PathBuf>,
-    /// Write the grains of the first heap, one snapshot per 1/50 s, in the format of `sim::snapshot`.
+    /// Write the grains of the first heap, one snapshot per 1/50 s, in the format of
+    /// `sim::snapshot`.
     #[arg(long, value_name = "FILE")]
     snapshots: Option<PathBuf>,
     /// Semantics of the simulator.
@@ -68,7 +70,8 @@ pub(super) struct Arguments {
     parameters: parameters::Flags,
 }
 
-/// The document of `flip repose`: no clock and no thread count in it, so equal inputs give equal bytes.
+/// The document of `flip repose`: it contains no times and no thread count, so equal inputs give
+/// equal bytes.
 #[derive(Debug, Serialize)]
 struct Document {
     /// Mean over the heaps of atan(2 h / d_base), degrees.
@@ -87,11 +90,11 @@ struct Document {
     repeats: u32,
     simulator: &'static str,
     heaps: Vec<Repose>,
-    /// Heaps that have no angle, and why; the means above leave them out.
+    /// Heaps without an angle, and why; the means above exclude them.
     refusals: Vec<String>,
 }
 
-/// Pour `--repeats` heaps and print what they measure.
+/// Pours `--repeats` heaps and prints their measurements.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let set = arguments.parameters.set()?;
     if !(1..=REPEATS_MAX).contains(&arguments.repeats) {
@@ -132,7 +135,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     common.print(&document, || text(&document))
 }
 
-/// Pour the first heap and write what was asked of it.
+/// Pours the first heap and writes the requested files.
 fn picture(set: &ParameterSet, settings: &Settings, seed: u64, arguments: &Arguments) -> Result<(), Failure> {
     let frames = Arc::new(Mutex::new(Vec::new()));
     let kept = Arc::clone(&frames);
@@ -154,7 +157,8 @@ fn picture(set: &ParameterSet, settings: &Settings, seed: u64, arguments: &Argum
     Ok(())
 }
 
-/// One heap per repeat; `collect` keeps their order, so the threads leave no mark on the result.
+/// Pours one heap per repeat; `collect` keeps their order, so the number of threads does not affect
+/// the result.
 fn pour(set: &ParameterSet, settings: &Settings, seed: u64, repeats: u32) -> Vec<Result<Repose, Refusal>> {
     (0..repeats)
         .into_par_iter()

@@ -1,4 +1,4 @@
-//! `flip serve`: REST, gRPC and the page on one port, until SIGTERM or Ctrl-C.
+//! `flip serve`: REST, gRPC and the web page on one port, until SIGTERM or Ctrl-C.
 
 use super::Common;
 use super::benches::BenchArguments;
@@ -38,7 +38,8 @@ pub(super) struct Address {
     /// Private key of the certificate, PEM.
     #[arg(long, value_name = "FILE", requires = "tls_cert")]
     tls_key: Option<PathBuf>,
-    /// Allow listening beyond this machine without TLS: tokens and results cross the network in clear text.
+    /// Allow listening beyond this machine without TLS: tokens and results cross the network in
+    /// clear text.
     #[arg(long)]
     insecure_lan: bool,
 }
@@ -49,7 +50,7 @@ enum LogFormat {
     Json,
 }
 
-/// What `flip serve --json` says once it listens.
+/// Document printed by `flip serve --json` once it listens.
 #[derive(Debug, Serialize)]
 struct Document {
     url: String,
@@ -57,7 +58,7 @@ struct Document {
     token: Option<String>,
 }
 
-/// Serve until told to stop.
+/// Serves until asked to stop.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     telemetry::start(arguments.log_format.into(), telemetry::SERVICE);
     service_runtime()?.block_on(async {
@@ -84,9 +85,9 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     })
 }
 
-/// Bind the address, before any long work: a port that is taken should be known at once.
+/// Binds the address before any long work: a port that is taken should be reported at once.
 pub(super) fn bind(app: &App, address: &Address) -> Result<Server, Failure> {
-    // A settings file may name one of the two, which clap does not look at.
+    // A settings file may give only one of the two, which clap does not check.
     if address.tls_cert.is_some() != address.tls_key.is_some() {
         let message = "certificate and key go together: name both files, or neither to speak without TLS";
         return Err(FieldError::new("tls_cert", message).into());
@@ -101,14 +102,14 @@ pub(super) fn bind(app: &App, address: &Address) -> Result<Server, Failure> {
 }
 
 impl Address {
-    /// What to open in a browser.
+    /// The address to open in a browser.
     pub(super) fn url(&self, server: &Server) -> Result<String, Failure> {
         let scheme = if self.tls_cert.is_some() { "https" } else { "http" };
         Ok(format!("{scheme}://{}", server.address()?))
     }
 }
 
-/// What a first start says about its token.
+/// The message of a first start about its token.
 pub(super) fn announce(token: &str) -> String {
     format!("admin token (shown once; `flip token create` makes others, `flip token revoke` ends one): {token}")
 }

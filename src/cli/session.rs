@@ -1,4 +1,4 @@
-//! One command's hold on the application: opened, watched for Ctrl-C, closed in good order.
+//! A command's hold on the application: opened, watched for Ctrl-C, shut down in order.
 
 use super::Common;
 use super::benches::BenchArguments;
@@ -6,15 +6,16 @@ use super::failure::Failure;
 use crate::app::{App, Options, Who, Workers, acting, give_way_to_the_bench};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
-/// Run `work` with the application open for writing and its workers running; close it whatever happens.
+/// Runs `work` with the application open for writing and its workers running; closes it whatever
+/// happens.
 ///
-/// SIGTERM and Ctrl-C end the work early: running jobs write a checkpoint, the spoon is levelled, and the same command
-/// run again goes on from there.
+/// SIGTERM and Ctrl-C end the work early: running jobs save a checkpoint, the spoon is levelled,
+/// and running the same command again continues from there.
 pub(super) fn with_app<T>(common: &Common, work: impl AsyncFnOnce(&App) -> Result<T, Failure>) -> Result<T, Failure> {
     with_options(common, Options::default(), work)
 }
 
-/// As [`with_app`], with another bench than the simulator.
+/// As [`with_app`], with a bench other than the simulator.
 pub(super) fn with_bench<T>(
     common: &Common,
     bench: &BenchArguments,
@@ -23,7 +24,7 @@ pub(super) fn with_bench<T>(
     with_options(common, bench.options()?, work)
 }
 
-/// As [`with_app`], but leaving queued jobs and weighings where they are.
+/// As [`with_app`], but leaves queued jobs and weighings where they are.
 pub(super) fn with_writer<T>(
     common: &Common,
     work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
@@ -31,7 +32,7 @@ pub(super) fn with_writer<T>(
     with_options(common, Options::without_workers(), work)
 }
 
-/// As [`with_writer`], with the bench that a person means.
+/// As [`with_writer`], with the bench chosen by the user.
 pub(super) fn with_idle_bench<T>(
     common: &Common,
     bench: &BenchArguments,
@@ -59,7 +60,8 @@ fn with_options<T>(
     })
 }
 
-/// As [`with_writer`], also while another process holds the folder: for changes that no bench and no job depends on.
+/// As [`with_writer`], but also while another process holds the folder: for changes that affect no
+/// bench and no job.
 pub(super) fn beside<T>(common: &Common, work: impl AsyncFnOnce(&App) -> Result<T, Failure>) -> Result<T, Failure> {
     runtime()?.block_on(async {
         let app = App::open_beside(&common.data_dir).await?;
@@ -71,7 +73,7 @@ pub(super) fn beside<T>(common: &Common, work: impl AsyncFnOnce(&App) -> Result<
     })
 }
 
-/// Run `work` with the application open to read, also while another process holds the folder.
+/// Runs `work` with the application open for reading, even while another process holds the folder.
 pub(super) fn with_reader<T>(
     common: &Common,
     work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
@@ -89,24 +91,26 @@ pub(super) fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
     Ok(tokio::runtime::Builder::new_multi_thread().enable_all().build()?)
 }
 
-/// A runtime for the service. The bench and the front of the service start on the calling thread and keep its priority.
+/// A runtime for the service. The bench and the front of the service start on the calling thread
+/// and keep its priority.
 pub(super) fn service_runtime() -> Result<tokio::runtime::Runtime, Failure> {
     Ok(tokio::runtime::Builder::new_multi_thread().on_thread_start(give_way_to_the_bench).enable_all().build()?)
 }
 
-/// SIGTERM and Ctrl-C, caught from the moment this is made: make it before saying that anything has begun.
+/// SIGTERM and Ctrl-C, caught from the moment this is created: create it before reporting that
+/// anything has started.
 pub(super) struct StopSignals {
     terminate: Signal,
     interrupt: Signal,
 }
 
 impl StopSignals {
-    /// Catch them from now on.
+    /// Starts catching them.
     pub(super) fn catch() -> std::io::Result<Self> {
         Ok(Self { terminate: signal(SignalKind::terminate())?, interrupt: signal(SignalKind::interrupt())? })
     }
 
-    /// Wait for one; which one it was.
+    /// Waits for a signal; returns which one it was.
     pub(super) async fn received(&mut self) -> &'static str {
         tokio::select! {
             _ = self.terminate.recv() => "SIGTERM",
@@ -115,7 +119,7 @@ impl StopSignals {
     }
 }
 
-/// The end of a command that was stopped before it was done.
+/// The failure of a command that was interrupted.
 pub(super) fn interrupted(signal: &str) -> Failure {
     Failure::Failed(anyhow::anyhow!("stopped by {signal}; run the same command again to go on from where it was"))
 }

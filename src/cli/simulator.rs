@@ -1,23 +1,23 @@
-//! Which version of the simulator, and under which conditions: flags that several commands share.
+//! The simulator version and its conditions: flags shared by several commands.
 
 use flip_core::domain::FieldError;
 use flip_core::domain::conditions::{Condition, Conditions, Under};
 use std::fmt::Write;
 
-/// A version of the simulator as typed.
+/// A simulator version as typed.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(super) struct SimulatorArguments {
     /// Extended simulator version, `sv-…`, made by `flip discover` [default: base].
     #[arg(long, value_name = "VERSION")]
     pub(super) simulator: Option<String>,
-    /// Condition, as in `relative_humidity_pct=65` or `batch=B2`; may be repeated. In calibration: of the measured angle; in training: held fixed; in
-    /// evaluation and weighing: on the bench.
+    /// Condition, as in `relative_humidity_pct=65` or `batch=B2`; may be repeated. In calibration:
+    /// of the measured angle; in training: held fixed; in evaluation and weighing: on the bench.
     #[arg(long, value_name = "NAME=VALUE", requires = "simulator")]
     condition: Vec<String>,
 }
 
 impl SimulatorArguments {
-    /// The conditions; of one name the last counts.
+    /// The conditions; for a repeated name the last one counts.
     ///
     /// # Errors
     /// A flag without a name and a value.
@@ -37,7 +37,7 @@ impl SimulatorArguments {
     }
 }
 
-/// As a line of text says it.
+/// Formatted for a line of text.
 pub(super) fn words(under: &Under) -> String {
     let mut text = format!("simulator {}", under.simulator);
     for (name, condition) in &under.conditions {

@@ -1,4 +1,4 @@
-//! Columns of text for people: left-aligned words, right-aligned numbers.
+//! Text tables for people: left-aligned words, right-aligned numbers.
 
 /// A table with a header; every row has as many cells as the header.
 pub(super) fn table(header: &[&str], rows: &[Vec<String>]) -> String {
@@ -11,7 +11,7 @@ pub(super) fn table(header: &[&str], rows: &[Vec<String>]) -> String {
 
 struct Column {
     width: usize,
-    /// Every cell below the header begins like a number.
+    /// Whether every cell below the header starts like a number.
     numbers: bool,
 }
 

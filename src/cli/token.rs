@@ -1,4 +1,5 @@
-//! `flip token`: make, list and end API tokens, also while a server runs; and the token that a first start prints.
+//! `flip token`: creates, lists and revokes API tokens, even while a server runs; also the token
+//! printed by a first start.
 
 use super::failure::Failure;
 use super::session::{beside, with_reader};
@@ -63,7 +64,7 @@ struct List {
     items: Vec<TokenEntry>,
 }
 
-/// Run one of them.
+/// Runs the chosen subcommand.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.action {
         Action::Create { role, name, may_clear, expires_in } => {
@@ -116,7 +117,7 @@ fn text(items: &[TokenEntry]) -> String {
     table(&["id", "name", "role", "made", "last used", "ends"], &rows.collect::<Vec<_>>())
 }
 
-/// Seconds of `90s`, `15m`, `12h` or `30d`.
+/// Seconds in `90s`, `15m`, `12h` or `30d`.
 fn seconds(text: &str) -> Result<u64, FieldError> {
     let wrong =
         || FieldError::new("expires-in", format!("must be a whole number and s, m, h or d, as in 12h, got `{text}`"));
@@ -131,7 +132,8 @@ fn seconds(text: &str) -> Result<u64, FieldError> {
     number.checked_mul(unit).ok_or_else(wrong)
 }
 
-/// An admin's token if this data folder has none yet: whoever starts the service first makes the others.
+/// An admin's token if this data folder has none yet: the person who starts the service first
+/// creates the others.
 pub(super) async fn first(app: &App) -> Result<Option<String>, Failure> {
     if app.has_tokens().await? {
         return Ok(None);

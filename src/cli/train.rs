@@ -23,7 +23,8 @@ const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
 /// Arguments of `flip train`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Order of the levels; several are trained in parallel, and their documents are printed as a list.
+    /// Order of the levels; several are trained in parallel, and their documents are printed as a
+    /// list.
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = [OrderFlag::Curriculum])]
     order: Vec<OrderFlag>,
     /// Preset of settings: FLIP's own, or as published.
@@ -32,16 +33,20 @@ pub(super) struct Arguments {
     /// Number of episodes [default: the preset's, 4800 for flip, 4000 for paper].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     episodes: Option<u32>,
-    /// The first N of these run on a fast model of the spoon instead of the simulator [default: four fifths for flip, 0 for paper].
+    /// The first N of these run on a fast model of the spoon instead of the simulator [default:
+    /// four fifths for flip, 0 for paper].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     surrogate_episodes: Option<u32>,
-    /// Powders whose calibrated sets are the levels [default: sand,sugar,salt]; not with the paper preset.
+    /// Powders whose calibrated sets are the levels [default: sand,sugar,salt]; not with the paper
+    /// preset.
     #[arg(long, value_name = "ID,…", value_delimiter = ',')]
     powders: Option<Vec<String>>,
-    /// Learnt policy to continue from, e.g. to adapt it to a simulator version; the default is then 720 episodes, all in the simulator.
+    /// Learnt policy to continue from, e.g. to adapt it to a simulator version; the default is then
+    /// 720 episodes, all in the simulator.
     #[arg(long, value_name = "P")]
     from: Option<String>,
-    /// Seeds for several otherwise equal trainings, run in parallel; their documents are printed as a list [default: --seed alone].
+    /// Seeds for several otherwise equal trainings, run in parallel; their documents are printed as
+    /// a list [default: --seed alone].
     #[arg(long, value_name = "N,…", value_delimiter = ',')]
     seeds: Option<Vec<u64>>,
     /// Shake as the bench's arm was measured to shake by `flip bench calibrate-shake`.
@@ -62,7 +67,8 @@ enum OrderFlag {
     Random,
     /// From the highest angle of repose to the lowest.
     Reverse,
-    /// A parameter set drawn from the whole published box for each episode; the levels are not used.
+    /// A parameter set drawn from the whole published box for each episode; the levels are not
+    /// used.
     DomainRandomisation,
 }
 
@@ -77,9 +83,9 @@ enum PresetFlag {
 /// The document of `flip train`.
 #[derive(Debug, Serialize)]
 struct Document {
-    /// In which the levels were met.
+    /// Order in which the levels were met.
     order: Order,
-    /// Policy id, an address of its content.
+    /// Policy id, an address derived from its content.
     policy: String,
     episodes: u32,
     /// Mean absolute error of the last 20 episodes.
@@ -91,14 +97,14 @@ struct Document {
     timing: Timing,
 }
 
-/// Wall times, apart from what must be reproducible.
+/// Wall-clock times, kept apart from reproducible results.
 #[derive(Debug, Serialize)]
 pub(super) struct Timing {
-    /// From when the command was given until its result was there.
+    /// From the command to its result.
     pub(super) wall_s: f64,
 }
 
-/// Train a policy and print what came out.
+/// Trains a policy and prints the result.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let began = std::time::Instant::now();
     let conditions = arguments.extended.conditions()?;
@@ -150,7 +156,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     }
 }
 
-/// Train as a job (or find the job that did), calibrating first what is not calibrated, and wait for it.
+/// Trains as a job (or finds the existing job), first calibrating anything not yet calibrated, and
+/// waits for it.
 pub(super) async fn train(app: &App, watch: &Watch, request: TrainingRequest) -> Result<Training, Failure> {
     let job = begin(app, watch, request).await?;
     watch.job(app, &job.id, "train").await?;
@@ -162,7 +169,8 @@ async fn begin(app: &App, watch: &Watch, request: TrainingRequest) -> Result<Job
         Err(Error::Conflict { code: "calibration_missing", message }) => {
             watch.say(&format!("{message}: calibrating first"));
             let levels = levels(&request);
-            // Bare angles are those of the base, which a version is at its reference.
+            // Bare angles belong to the base, which equals a version under its reference
+            // conditions.
             let simulator = request.simulator.as_deref().filter(|_| request.preset == Preset::Flip);
             calibrate(app, watch, &levels, None, simulator, request.seed.unwrap_or(1)).await?;
             start(app, &request).await?
@@ -184,7 +192,7 @@ fn levels(request: &TrainingRequest) -> Vec<Target> {
     }
 }
 
-/// Refuse a policy that does not exist at once, before a calibration of minutes.
+/// Refuses a policy that does not exist at once, before minutes of calibration.
 ///
 /// # Errors
 /// An unknown id is bad input.

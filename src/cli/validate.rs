@@ -1,4 +1,5 @@
-//! `flip validate`: does the simulator keep the laws of nature? Experiments run in parallel; the document holds no clock.
+//! `flip validate`: does the simulator obey the laws of nature? Experiments run in parallel; the
+//! document contains no times.
 
 use super::failure::Failure;
 use super::table::table;
@@ -18,7 +19,8 @@ pub(super) struct Arguments {
     /// Run one check, or all checks of one experiment, by name; may be repeated.
     #[arg(long, value_name = "NAME")]
     only: Vec<String>,
-    /// Run the experiments with a mechanism missing from the base simulator, as in `rotation=1`; may be repeated.
+    /// Run the experiments with a mechanism missing from the base simulator, as in `rotation=1`;
+    /// may be repeated.
     #[arg(long, value_name = "NAME=AMPLITUDE")]
     extension: Vec<String>,
 }
@@ -35,12 +37,12 @@ struct Document {
     checks: Vec<Check>,
 }
 
-/// Run the suite and print what was measured; an undocumented miss is a failure.
+/// Runs the suite and prints the measurements; an undocumented deviation is a failure.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let chosen = choose(&arguments.only)?;
     let extensions = parameters::extensions(&arguments.extension)?;
     let mut checks = measure(&chosen, &Suite::extended(extensions));
-    // A check that was asked for by name comes without those of the same experiment.
+    // A check requested by name is reported without the other checks of its experiment.
     let is_asked = |check: &Check| arguments.only.is_empty() || arguments.only.iter().any(|name| name == check.name);
     let is_whole = |check: &Check| {
         chosen.iter().any(|e| e.checks.contains(&check.name) && arguments.only.iter().any(|name| name == e.name))
@@ -58,7 +60,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     }
 }
 
-/// The experiments that hold a check or have a name in `only`; all for none.
+/// The experiments that contain a check or have a name in `only`; all if it is empty.
 fn choose(only: &[String]) -> Result<Vec<Experiment>, FieldError> {
     let all = experiments();
     let holds = |experiment: &Experiment, name: &str| experiment.name == name || experiment.checks.contains(&name);
@@ -70,7 +72,8 @@ fn choose(only: &[String]) -> Result<Vec<Experiment>, FieldError> {
     Ok(all.into_iter().filter(is_chosen).collect())
 }
 
-/// Every experiment on its own; `collect` keeps their order, so the threads leave no mark on the result.
+/// Runs every experiment separately; `collect` keeps their order, so the number of threads does not
+/// affect the result.
 fn measure(chosen: &[Experiment], suite: &Suite) -> Vec<Check> {
     let done = AtomicUsize::new(0);
     let run = |experiment: &Experiment| {
@@ -79,7 +82,7 @@ fn measure(chosen: &[Experiment], suite: &Suite) -> Vec<Check> {
         telemetry::say(format_args!("[{done}/{}] {}", chosen.len(), experiment.name));
         checks
     };
-    // One experiment at a time: they differ in length by orders of magnitude.
+    // One experiment at a time: their durations differ by orders of magnitude.
     chosen.par_iter().with_max_len(1).map(run).flatten().collect()
 }
 

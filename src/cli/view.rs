@@ -1,13 +1,14 @@
-//! A picture of a heap from the side: its grains, the fitted cone and the triangle of the apex.
+//! A picture of a heap from the side: its grains, the fitted cone and the apex triangle.
 
 use flip_sim::repose::{Pile, Settings};
 use std::fmt::Write;
 
 /// Pixels per grain diameter.
 const SCALE: f64 = 32.0;
-/// Room around the heap and for the legend, pixels.
+/// Margin around the heap and for the legend, pixels.
 const MARGIN: f64 = 48.0;
-/// Grains beyond this make a picture of many megabytes; only the nearest to the viewer are drawn.
+/// Maximum number of grains drawn: more would make a picture of many megabytes, so only the nearest
+/// to the viewer are drawn.
 const DRAWN_MAX: usize = 4000;
 
 /// An SVG of the heap seen along y, nearer grains in front and lighter.

@@ -1,4 +1,5 @@
-//! Waiting for a job: a bar with time left on a terminal, a line now and then elsewhere. Everything goes to stderr.
+//! Waiting for a job: a progress bar with time left on a terminal, an occasional line elsewhere.
+//! Everything goes to stderr.
 
 use super::failure::Failure;
 use crate::app::App;
@@ -11,7 +12,7 @@ use std::time::{Duration, Instant};
 
 /// How often a job's row is read; a read costs a fraction of a millisecond.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
-/// How often progress is said where no bar can be drawn.
+/// Interval between progress lines if no bar can be drawn.
 const SAY_EVERY: Duration = Duration::from_secs(15);
 /// Bar positions for a fraction of 1.
 const STEPS: f64 = 10_000.0;
@@ -24,17 +25,17 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    /// Bars on stderr, or lines when stderr is no terminal.
+    /// Bars on stderr, or lines if stderr is not a terminal.
     pub(super) fn new() -> Self {
         let terminal = std::io::stderr().is_terminal();
         let target = if terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         Self { bars: MultiProgress::with_draw_target(target), terminal }
     }
 
-    /// Wait until the job `id` has succeeded, showing how far it is under `label`.
+    /// Waits until the job `id` has succeeded, showing its progress under `label`.
     ///
     /// # Errors
-    /// The job failed or was cancelled: its own reason.
+    /// The job failed or was cancelled: the job's own reason.
     pub(super) async fn job(&self, app: &App, id: &str, label: &str) -> Result<Job, Failure> {
         let mut line = self.line(label);
         loop {
@@ -56,11 +57,11 @@ impl Watch {
         }
     }
 
-    /// Say `text` above the bars.
+    /// Prints `text` above the bars.
     pub(super) fn say(&self, text: &str) {
         // `suspend` lets the bars be redrawn below the line; without a terminal it only prints.
         match self.terminal {
-            // A terminal that is gone needs no bars.
+            // A terminal that has gone needs no bars.
             true => self.bars.suspend(|| drop(writeln!(std::io::stderr(), "{text}"))),
             false => telemetry::say(text),
         }
@@ -80,7 +81,7 @@ struct Line {
     bar: ProgressBar,
     label: String,
     terminal: bool,
-    /// When the job was first seen running, and how far it was: a resumed job starts above zero.
+    /// When the job was first seen running, and its progress then: a resumed job starts above zero.
     pace: Option<(Instant, f64)>,
     said: Instant,
 }
@@ -109,7 +110,7 @@ impl Line {
         self.bar.set_position(STEPS as u64);
         self.bar.finish_with_message(message.to_owned());
         if !self.terminal {
-            // A job that another command finished was never seen running.
+            // A job finished by another command was never seen running.
             let took =
                 self.pace.map_or(String::new(), |(began, _)| format!(" after {:.0} s", began.elapsed().as_secs_f64()));
             telemetry::say(format_args!("{}: {message}{took}", self.label));
@@ -117,7 +118,7 @@ impl Line {
     }
 }
 
-/// Time left at the pace so far; nothing before there is a pace.
+/// Time left at the pace so far; none until the pace is known.
 fn seconds_left(done: f64, left: f64, elapsed: Duration) -> Option<f64> {
     (done > 0.0).then(|| elapsed.as_secs_f64() * left / done)
 }

@@ -17,7 +17,7 @@ use flip_core::domain::weighing::{Outcome, WeighingState};
 use serde::Serialize;
 use std::time::Duration;
 
-/// How often a weighing's row is read.
+/// How often a weighing's row is polled.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// Arguments of `flip weigh`.
@@ -32,7 +32,8 @@ pub(super) struct Arguments {
     /// Tolerance either way, mg.
     #[arg(long, value_name = "MG", default_value_t = 1.0, allow_negative_numbers = true)]
     tolerance_mg: f64,
-    /// Policy id [default: the one with the smallest evaluated error for the powder, or the shipped one if none is evaluated].
+    /// Policy id [default: the one with the smallest evaluated error for the powder, or the shipped
+    /// one if none is evaluated].
     #[arg(long, value_name = "ID")]
     policy: Option<String>,
     /// Lot of the powder.
@@ -41,7 +42,8 @@ pub(super) struct Arguments {
     /// Name of the operator.
     #[arg(long, value_name = "NAME")]
     operator: Option<String>,
-    /// Label of the vial on the pan. It must be empty, and the balance is checked for that; if omitted, FLIP doses into whatever is on the pan.
+    /// Label of the vial on the pan. It must be empty, and the balance is checked for that; if
+    /// omitted, FLIP doses into whatever is on the pan.
     #[arg(long, value_name = "TEXT")]
     vial: Option<String>,
     #[command(flatten)]
@@ -56,17 +58,17 @@ struct Document {
     outcome: Option<Outcome>,
     powder: String,
     target_mg: f64,
-    /// What fell into the vial, which only a simulation knows.
+    /// Mass in the vial, known only in a simulation.
     dispensed_mg: Option<f64>,
-    /// What the balance showed when all stood still: the outcome and the error are those of this number.
+    /// Balance reading with everything at rest: the outcome and the error refer to it.
     reading_mg: Option<f64>,
-    /// Reading less target.
+    /// Reading minus target.
     error_mg: Option<f64>,
-    /// Gross, tare, uncertainty, drift, stability, devices: where a balance weighed.
+    /// Gross, tare, uncertainty, drift, stability, devices: if a balance weighed.
     #[serde(skip_serializing_if = "Option::is_none")]
     measured: Option<MeasuredMass>,
     shakes: Option<u32>,
-    /// Time on the bench, which is simulated and reproducible; not wall time.
+    /// Bench time, which is simulated and reproducible; not wall-clock time.
     seconds: Option<f64>,
     policy: String,
     parameter_set: String,
@@ -75,7 +77,7 @@ struct Document {
     seed: u64,
 }
 
-/// Weigh one dose and print how it ended.
+/// Weighs one dose and prints how it ended.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let request = request(&arguments.powder, arguments.target_mg, arguments.tolerance_mg);
     let (simulator, conditions) = (arguments.extended.simulator.clone(), arguments.extended.conditions()?);
@@ -85,7 +87,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let asked = Asked { lot, operator, vial, ..Asked::default() };
     let request =
         WeighingRequest { policy, seed: Some(common.seed), simulator, conditions, asked, vial_check, ..request };
-    // A fresh key: asking on the command line again means another dose.
+    // A new key: running the command again means another dose.
     let key = uuid::Uuid::now_v7().to_string();
     let weighing = with_bench(common, &arguments.bench, async |app| {
         look(app, vial_check).await?;
@@ -94,7 +96,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     report(common, weighing)
 }
 
-/// Nothing keeps a dose that is asked for now from beginning; a notice where the vial on the pan is not empty.
+/// Checks that nothing prevents a dose requested now from starting; prints a notice if the vial on
+/// the pan is not empty.
 async fn look(app: &App, vial_check: VialCheck) -> Result<(), Failure> {
     let found = app.bench().await?;
     let in_the_way = |why: String| Err(Failure::Failed(anyhow::anyhow!(why)));
@@ -118,7 +121,7 @@ async fn look(app: &App, vial_check: VialCheck) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Print how a dose ended.
+/// Prints how a dose ended.
 pub(super) fn report(common: &Common, weighing: Weighing) -> Result<(), Failure> {
     let document = Document {
         outcome: weighing.outcome,
@@ -157,8 +160,8 @@ pub(super) fn request(powder: &str, target_mg: f64, tolerance_mg: f64) -> Weighi
     }
 }
 
-/// Commit the intent (or find the one that `key` made before), calibrating the powder first if it is not, and wait
-/// until the bench has carried it out.
+/// Commits the intent (or finds the one created with `key` before), first calibrating the powder if
+/// necessary, and waits until the bench has carried it out.
 pub(super) async fn weigh(app: &App, watch: &Watch, request: WeighingRequest, key: &str) -> Result<Weighing, Failure> {
     let (weighing, _) = match app.start_weighing(request.clone(), key).await {
         Err(Error::Conflict { code: "calibration_missing", message }) => {
@@ -173,7 +176,7 @@ pub(super) async fn weigh(app: &App, watch: &Watch, request: WeighingRequest, ke
     ended(app, &weighing.id, &VialReadyRequest::default()).await
 }
 
-/// The dose when it has ended; if it waits for its vial, that is in.
+/// Waits until the dose has ended; if it waits for its vial, confirms that the vial is in.
 pub(super) async fn ended(app: &App, id: &str, vial: &VialReadyRequest) -> Result<Weighing, Failure> {
     let mut said = false;
     loop {

@@ -1,5 +1,6 @@
-//! The calibration job: every trial is saved as it comes, and a resumed job replays them. So is every heap of the emulator that
-//! calibrations share; the first that needs it builds it.
+//! The calibration job: every trial is saved as it completes, and a resumed job replays them. The
+//! heaps of the emulator that calibrations share are saved likewise; the first calibration that
+//! needs the emulator builds it.
 
 use super::context::{JobContext, JobError};
 use super::observe::{self, Observed};
@@ -22,20 +23,20 @@ use std::time::Instant;
 pub use flip_learn::calibrate::posterior::{Marginal, Pair, Posterior};
 pub use flip_learn::calibrate::{Design, Method, Settings, Shortfall};
 
-/// Draws from a posterior that are kept.
+/// Number of posterior draws that are kept.
 const DRAWS: usize = 400;
 
 /// What a calibration found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CalibrationResult {
-    /// Whether there are as many sets as were wanted.
+    /// Whether as many sets were found as requested.
     #[serde(default = "yes")]
     pub reached: bool,
     /// Simulations of the search, without those of a shared emulator.
     pub evaluations: u32,
     /// Simulations with fresh seeds that checked candidates.
     pub verification_runs: u32,
-    /// The sets it kept.
+    /// The sets found.
     pub sets: Vec<CalibrationSet>,
     /// Mean of the sets' errors, degrees; absent without sets.
     pub mean_error_deg: Option<f64>,
@@ -44,11 +45,11 @@ pub struct CalibrationResult {
     /// Mean of the sets' verified errors, degrees; absent without sets.
     #[serde(default)]
     pub verified_error_deg: Option<f64>,
-    /// Angle of the heaps that verified less that of heaps of the emulator's size, degrees; absent where they are of one size. The posterior is
-    /// that of the target less this.
+    /// Angle of the verification heaps minus that of heaps of the emulator's size, degrees; absent
+    /// if they are the same size. The posterior is that of the target minus this.
     #[serde(default)]
     pub size_shift_deg: Option<f64>,
-    /// What stood in the way; absent when the target was reached.
+    /// What prevented it; absent when the target was reached.
     #[serde(default)]
     pub shortfall: Option<Shortfall>,
     /// The emulator it used; absent with a method that has none.
@@ -57,7 +58,7 @@ pub struct CalibrationResult {
     /// SHA-256 of the posterior over the parameters; absent with a method that has none.
     #[serde(default)]
     pub posterior: Option<String>,
-    /// What the sets make of everything that was measured beside the angle.
+    /// Comparison of the sets with all other measurements.
     #[serde(default)]
     pub observed: Vec<Observed>,
 }
@@ -73,13 +74,13 @@ pub struct EmulatorUse {
     pub id: String,
     /// SHA-256 of its heaps.
     pub sha256: String,
-    /// Its heaps.
+    /// Number of its heaps.
     pub runs: u32,
-    /// How many of them this calibration simulated; the others were there.
+    /// How many of them this calibration simulated; the others existed already.
     pub built: u32,
 }
 
-/// One set that a calibration kept.
+/// One set found by a calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CalibrationSet {
     /// Content address of the nine values.
@@ -92,9 +93,11 @@ pub struct CalibrationSet {
     pub repose_sd_deg: Option<f64>,
     /// Simulations behind the mean.
     pub runs: u32,
-    /// The error by which the method chose it, degrees: with the published method that of its search run, else the verified one.
+    /// The error by which the method chose it, degrees: with the published method, that of its
+    /// search run, otherwise the verified one.
     pub error_deg: f64,
-    /// Absolute difference between mean and target, degrees; absent in results stored before it was told apart from `error_deg`.
+    /// Absolute difference between mean and target, degrees; absent in results stored before it was
+    /// distinguished from `error_deg`.
     #[serde(default)]
     pub verified_error_deg: Option<f64>,
 }
@@ -144,7 +147,7 @@ pub(super) fn perform(context: &JobContext, spec: &CalibrationSpec) -> Result<()
     }
 }
 
-/// The emulator of a design, with the heaps that are stored and those that are still missing.
+/// The emulator of a design, with the stored heaps, and the missing ones.
 fn emulator(
     context: &JobContext,
     design: &Design,
@@ -172,7 +175,7 @@ fn emulator(
     }
 }
 
-/// Save something new and say how far the job is.
+/// Saves a new item and reports progress.
 pub(super) fn keep(
     context: &JobContext,
     progress: &Progress,
@@ -182,7 +185,8 @@ pub(super) fn keep(
     context.report(progress)
 }
 
-/// Go on unless the job was asked to stop or what came last could not be saved, which is left in `unsaved`.
+/// Continues unless the job was asked to stop or the last item could not be saved, in which case
+/// the error is left in `unsaved`.
 pub(super) fn unless(
     saved: store::Result<()>,
     unsaved: &mut Option<store::Error>,
@@ -255,7 +259,7 @@ fn kept(set: &CalibratedSet) -> CalibrationSet {
     }
 }
 
-/// How long each simulation took, by its seed, until it is stored; s.
+/// Duration of each simulation, by seed, until it is stored; s.
 type Clock = Mutex<HashMap<u64, f64>>;
 
 fn timed(trial: &calibrate::Trial, clock: &Clock) -> Trial {

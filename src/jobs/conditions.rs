@@ -1,4 +1,4 @@
-//! The spoon of an evaluation: grains and mechanisms that a policy may never have met.
+//! The spoon of an evaluation: grain counts and mechanisms that a policy may never have met.
 
 use super::spoon::{measured, simulated};
 use flip_core::domain::bench_check::ShakeCalibration;
@@ -11,21 +11,22 @@ use flip_sim::mechanisms::Extensions;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Fewest grains on a spoon: some 7 mg, less than a dose.
+/// Fewest grains on a spoon: about 7 mg, less than a dose.
 pub const PARTICLES_MIN: u32 = 500;
-/// Most grains on a spoon. The bowl is full with this many of 0.27 mm; more would run over the rim while it is filled.
+/// Most grains on a spoon. With grains of 0.27 mm this many fill the bowl; more would run over the
+/// rim during filling.
 pub const PARTICLES_MAX: u32 = 4000;
 
-/// What is on the spoon, and what the simulator adds to it.
+/// What is on the spoon, and mechanisms added to the simulator.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Conditions {
     /// Grains on the spoon. Their mass is the powder's, so twice the grains is twice the powder.
     pub particles: u32,
-    /// Mechanisms that the base simulator leaves out, with their amplitudes.
+    /// Mechanisms missing from the base simulator, with their amplitudes.
     #[serde(default)]
     pub extensions: Extensions,
-    /// Limits of a shake as the bench's arm executes it; absent: those of the simulator.
+    /// Limits of a shake as executed by the bench's arm; absent: those of the simulator.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shake: Option<MotionLimits>,
     /// The spoon; absent: FLIP's own.
@@ -34,7 +35,7 @@ pub struct Conditions {
 }
 
 impl Default for Conditions {
-    /// Those of ordinary weighings and of trainings.
+    /// The conditions of ordinary weighings and trainings.
     fn default() -> Self {
         let spoon = dispense::Settings::default();
         Self { particles: spoon.particles, extensions: spoon.extensions, shake: None, spoon: Spoon::default() }
@@ -42,10 +43,10 @@ impl Default for Conditions {
 }
 
 impl Conditions {
-    /// Conditions as a request names them; what it leaves out is usual.
+    /// Conditions given in a request; omitted ones take their usual values.
     ///
     /// # Errors
-    /// Every field that is out of its bounds: `particles`, `extensions.<name>`.
+    /// Every field that is out of bounds: `particles`, `extensions.<name>`.
     pub fn named(particles: Option<u32>, extensions: &BTreeMap<String, f64>) -> Result<Self, Vec<FieldError>> {
         let mut errors = Vec::new();
         let mut conditions = Self::default();
@@ -65,19 +66,19 @@ impl Conditions {
     /// The same with another spoon.
     ///
     /// # Errors
-    /// `spoon.…`: it cannot be, or cannot be simulated.
+    /// `spoon.…`: such a spoon is impossible, or cannot be simulated.
     pub fn with_spoon(self, spoon: Spoon) -> Result<Self, FieldError> {
         measured(&spoon, dispense::Settings { particles: self.particles, ..dispense::Settings::default() })?;
         Ok(Self { spoon, ..self })
     }
 
-    /// Shakes as the arm was measured to execute them.
+    /// The same with shakes as measured on the arm.
     #[must_use]
     pub fn as_calibrated(self, calibration: &ShakeCalibration) -> Self {
         Self { shake: Some(self.spoon().as_executed(calibration).shake), ..self }
     }
 
-    /// The amplitudes that are not zero.
+    /// The non-zero amplitudes.
     pub fn amplitudes(mut self) -> BTreeMap<String, f64> {
         let all = self.extensions.amplitudes();
         all.into_iter()
@@ -96,11 +97,11 @@ impl Conditions {
         let usual = dispense::Settings::default();
         let shake = self.shake.unwrap_or(usual.shake);
         let settings = dispense::Settings { particles: self.particles, extensions: self.extensions, shake, ..usual };
-        // It was tried when the spoon was given.
+        // It was checked when the spoon was given.
         simulated(&self.spoon, settings).unwrap_or(settings)
     }
 
-    /// What the spoon holds, whichever of these sets is the powder, mg; `None` without sets.
+    /// Capacity of the spoon, whichever of these sets is the powder, mg; `None` without sets.
     pub fn spoon_holds_mg<'a>(&self, sets: impl Iterator<Item = &'a ParameterSet>) -> Option<f64> {
         let spoon = self.spoon();
         let holds_mg = sets.map(|set| dispense::capacity_mg(set, &spoon)).reduce(f64::min)?;

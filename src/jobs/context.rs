@@ -1,4 +1,4 @@
-//! What a job's body may do to the outside: say how far it is, save, and hear that it should stop.
+//! The interface of a job's body to the outside: report progress, save, and check whether to stop.
 
 use super::Functions;
 use super::stop::StopFlag;
@@ -13,19 +13,19 @@ use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
 use tokio::task::JoinHandle;
 
-/// Progress is told at most this often.
+/// Minimum interval between progress reports.
 const REPORT: Duration = Duration::from_millis(250);
 
 /// Why a job's body did not succeed.
 #[derive(Debug, thiserror::Error)]
 pub enum JobError {
-    /// The world was in the way; trying again may help.
+    /// An external cause; retrying may help.
     #[error("{0}")]
     Retry(String),
     /// It would end the same way every time.
     #[error("{0}")]
     Fail(String),
-    /// It was asked to stop, and what it had is saved.
+    /// It was asked to stop, and its results so far are saved.
     #[error("stopped on request")]
     Stopped,
 }
@@ -33,7 +33,7 @@ pub enum JobError {
 impl From<store::Error> for JobError {
     fn from(error: store::Error) -> Self {
         match error {
-            // Whoever holds the job now will do it.
+            // The current holder of the lease will do it.
             store::Error::Fenced => Self::Stopped,
             store::Error::Corrupt(_) => Self::Fail(error.to_string()),
             other => Self::Retry(other.to_string()),
@@ -49,7 +49,7 @@ pub(super) struct JobContext {
     stop: Arc<StopFlag>,
     runtime: Handle,
     reported: Mutex<Option<Instant>>,
-    /// What is being told without anybody waiting for it.
+    /// A report in progress that is not awaited.
     reporting: Mutex<Option<JoinHandle<store::Result<()>>>>,
 }
 
@@ -63,17 +63,17 @@ impl JobContext {
         &self.lease.job
     }
 
-    /// Whether to go on.
+    /// Whether to continue.
     pub fn flow(&self) -> ControlFlow<()> {
         self.stop.flow()
     }
 
-    /// Read from the store.
+    /// Runs a query on the store.
     pub fn read<T>(&self, reading: impl Future<Output = store::Result<T>>) -> store::Result<T> {
         self.runtime.block_on(reading)
     }
 
-    /// Say how far the job is; told no more than four times a second, except the last word.
+    /// Reports progress, at most four times a second except for the last report.
     pub fn report(&self, progress: &Progress) -> store::Result<()> {
         match self.is_to_be_told(progress) {
             true => self.runtime.block_on(tell(self.store.clone(), self.lease.clone(), progress.clone())),
@@ -81,11 +81,11 @@ impl JobContext {
         }
     }
 
-    /// The same without waiting for it: for whoever has opened a gate and must hear of a stop. What became of the last one that is over; while one is on
-    /// its way nothing else is told.
+    /// The same without waiting for it: for a caller that has opened a gate and must notice a stop.
+    /// Returns the result of the last finished report; while one is in progress no other is sent.
     ///
     /// # Errors
-    /// [`store::Error`] of an earlier one.
+    /// [`store::Error`] of an earlier report.
     pub fn report_meanwhile(&self, progress: &Progress) -> store::Result<()> {
         let mut reporting = self.reporting.lock().unwrap_or_else(PoisonError::into_inner);
         if reporting.as_ref().is_some_and(|task| !task.is_finished()) {
@@ -109,8 +109,8 @@ impl JobContext {
         true
     }
 
-    /// Save something in one transaction that proves the lease first. `save` answers whether it was new: then the
-    /// attempt was not fruitless.
+    /// Saves something in one transaction that verifies the lease first. `save` returns whether it
+    /// was new: if so, the attempt was not fruitless.
     ///
     /// # Errors
     /// [`store::Error::Fenced`]: the lease is lost, nothing was written.
@@ -125,7 +125,7 @@ impl JobContext {
         })
     }
 
-    /// Save bytes to resume from: the file first, then the row that names it.
+    /// Saves bytes to resume from: first the file, then the row that refers to it.
     pub fn checkpoint(&self, bytes: &[u8]) -> store::Result<()> {
         let sha256 = self.store.artifacts().put(bytes)?;
         self.runtime.block_on(async {
@@ -135,7 +135,7 @@ impl JobContext {
         })
     }
 
-    /// Save the last things and the result, and end the job, in one transaction.
+    /// Saves the last items and the result, and ends the job, in one transaction.
     pub fn succeed<T: Serialize>(
         &self,
         result: &T,
@@ -151,7 +151,7 @@ impl JobContext {
         })
     }
 
-    /// Tell followers something about the job, within `tx`.
+    /// Publishes an event about the job, within `tx`.
     pub async fn tell(&self, tx: &mut Tx, kind: &str, data: &impl Serialize) -> store::Result<()> {
         tx.emit(&job_topic(self.id()), kind, data).await
     }

@@ -1,4 +1,5 @@
-//! The evaluation job: the weighing loop on powders that the policy has not met, and simple controllers beside it.
+//! The evaluation job: runs the weighing loop on powders that the policy has not met, and simple
+//! controllers for comparison.
 
 use super::bench::Pouring;
 use super::context::{JobContext, JobError};
@@ -23,10 +24,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// The controllers that an evaluation can compare.
 pub const CONTROLLERS: [&str; 8] = [POLICY, "untrained", "fixed", "schedule", "dispenser", "pid", "fuzzy", "paced"];
-/// The one that the evaluation is about.
+/// The controller being evaluated.
 pub const POLICY: &str = "policy";
 
-/// What an evaluation found.
+/// Result of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct EvaluationResult {
     /// One row for each controller, powder and target.
@@ -89,8 +90,9 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
     Ok(())
 }
 
-/// The policy that a controller's errors are evidence about, if they are: only doses like those of a weighing, on its spoon, with its balance
-/// and in the frame that the policy was made for, say which policy weighs best.
+/// The policy whose ranking a controller's errors count towards, if any: only doses like those of a
+/// weighing, with its spoon, its balance and the rules that the policy was made for, are evidence
+/// of which policy weighs best.
 fn about<'a>(spec: &'a EvaluationSpec, policy: &Policy, rules: &Rules, controller: &str) -> Option<&'a str> {
     let usual_balance = spec.readability_mg == balance::Settings::default().readability_mg;
     let is_base = spec.under.is_none();
@@ -147,7 +149,8 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
     })
 }
 
-/// What a rival is in this program: its numbers belong to what an evaluation depends on.
+/// Definition of a rival in this version of the program: its numbers are part of what an evaluation
+/// depends on.
 pub fn rival(name: &str) -> Option<Kind> {
     match name {
         "dispenser" => Some(Kind::Dispenser { response: Response::FITTED }),
@@ -158,8 +161,8 @@ pub fn rival(name: &str) -> Option<Kind> {
     }
 }
 
-/// The open-loop rival: what `examples/tune_schedule.rs` found with its defaults, on all five powders and for 15 and 20 mg (1840
-/// pours). Pitches and shakes in degrees and mm.
+/// The open-loop rival: found by `examples/tune_schedule.rs` with its defaults, on all five powders
+/// and for 15 and 20 mg (1840 pours). Pitches in degrees and shakes in mm.
 pub fn tuned_schedule() -> Schedule {
     const STEPS: [(f64, f64); 10] = [
         (6.5, 3.7),
@@ -176,7 +179,8 @@ pub fn tuned_schedule() -> Schedule {
     Schedule { steps: STEPS.map(|(pitch_deg, shake_mm)| ScheduledStep { pitch_deg, shake_mm }).to_vec() }
 }
 
-/// Doses that are stored as they come, so that an evaluation that was killed does not weigh them again.
+/// Doses that are stored as they complete, so that an evaluation that was killed does not repeat
+/// them.
 struct Doses<'a> {
     context: &'a JobContext,
     plan: &'a Plan,

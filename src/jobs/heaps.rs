@@ -1,4 +1,5 @@
-//! The heaps of an investigation: what is wrong with the simulator without any data, and how large the amplitudes of an extension are.
+//! The heaps of an investigation: numerical errors of the simulator, independent of any data, and
+//! the amplitudes of an extension.
 
 use super::context::{JobContext, JobError};
 use super::spec::{Heaps, InvestigationSpec};
@@ -15,19 +16,19 @@ use flip_store as store;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// Readings of each heap, as calibrations verify with.
+/// Readings per heap, as in the verification of calibrations.
 const READINGS: u32 = 4;
-/// Heaps of the budget for each repeat of the criticism of the numerics, which takes eight of them.
+/// Heaps of the budget per repeat of the check of the numerics, which takes eight of them.
 const BUDGET_PER_REPEAT: u32 = 20;
 const REPEATS_MAX: u32 = 8;
-/// Least height of the opening over the apex, grain diameters.
+/// Minimum height of the opening above the apex, grain diameters.
 const CLEARANCE_MIN: f64 = 0.5;
 
 /// Seed indices.
 const NUMERICS: u64 = 1;
 const FIT: u64 = 2;
 
-/// Pours what an investigation asks for, counts it, and says how far it is.
+/// Pours the heaps of an investigation, counts them, and reports progress.
 pub(super) struct Pourer<'a> {
     context: &'a JobContext,
     heaps: &'a Heaps,
@@ -37,21 +38,22 @@ pub(super) struct Pourer<'a> {
 }
 
 impl<'a> Pourer<'a> {
-    /// None poured yet; `None` where an investigation simulates nothing.
+    /// Creates one that has poured nothing; `None` if an investigation simulates nothing.
     pub(super) fn of(context: &'a JobContext, spec: &'a InvestigationSpec) -> Option<Self> {
         let heaps = spec.heaps.as_ref().filter(|heaps| !heaps.sets.is_empty())?;
         Some(Self { context, heaps, seed: spec.settings.seed, poured: AtomicU32::new(0), unsaved: Mutex::default() })
     }
 
-    /// Heaps so far.
+    /// Number of heaps so far.
     pub(super) fn poured(&self) -> u32 {
         self.poured.load(Ordering::SeqCst)
     }
 
-    /// Whether angles depend on how they are computed, with a share of the budget; `None` where that is too small.
+    /// Whether angles depend on numerical settings, with a share of the budget; `None` if that is
+    /// too small.
     pub(super) fn numerics(&self, share: [f64; 2]) -> Result<Option<Numerics>, JobError> {
         let repeats = (self.heaps.budget_runs / BUDGET_PER_REPEAT).min(REPEATS_MAX);
-        // The middle one of the powders as they are listed.
+        // The middle powder in the order listed.
         let (set, parameters) = &self.heaps.sets[self.heaps.sets.len() / 2];
         if repeats < 2 {
             return Ok(None);
@@ -71,12 +73,13 @@ impl<'a> Pourer<'a> {
             self.pour(parameters, settings, seed, "whether heaps depend on how they are computed", share)
         });
         self.settled()?;
-        // What has no interval cannot be written down, and says nothing.
+        // A dependence without an interval cannot be reported and carries no information.
         let dependences: Vec<_> = found.into_iter().filter(|it| it.ci99.iter().all(|end| end.is_finite())).collect();
         Ok((!dependences.is_empty()).then(|| Numerics { set: set.clone(), dependences }))
     }
 
-    /// Amplitudes by simulated heaps instead of the table, with what is left of the budget; the report tells them.
+    /// Fits amplitudes with simulated heaps instead of the table, using the rest of the budget; the
+    /// report includes them.
     pub(super) fn fit(&self, extended: &mut Extended, report: &mut Report, share: [f64; 2]) -> Result<(), JobError> {
         let sets: Vec<_> = self.heaps.sets.iter().map(|it| it.0.clone()).collect();
         let mut left = extended.extensions.iter().filter(|it| it.hook != Hook::Reading).count() as u32;
@@ -106,7 +109,7 @@ impl<'a> Pourer<'a> {
         Ok(())
     }
 
-    /// The angle of a heap; `None` where it has none, or the job is to end.
+    /// The angle of a heap; `None` if it has none, or the job is to end.
     fn pour(&self, set: &ParameterSet, settings: Settings, seed: u64, what: &str, share: [f64; 2]) -> Option<f64> {
         if self.context.flow().is_break() {
             return None;
@@ -124,7 +127,7 @@ impl<'a> Pourer<'a> {
         heap.ok().map(|heap| heap.tip_deg)
     }
 
-    /// Whether the heaps that were asked for are all there.
+    /// Whether all requested heaps were poured.
     fn settled(&self) -> Result<(), JobError> {
         if let Some(error) = self.unsaved.lock().unwrap_or_else(PoisonError::into_inner).take() {
             return Err(error.into());

@@ -1,6 +1,7 @@
-//! The investigation job: what a campaign, or a bench's balance, says that the calibrated simulator does not.
+//! The investigation job: what a campaign, or the readings of a bench's balance, reveal that the
+//! calibrated simulator does not reproduce.
 //!
-//! Nothing is saved on the way: judged again, a campaign gives the same report.
+//! Nothing is saved midway: repeating it on the same campaign gives the same report.
 
 use super::calibrate::unless;
 use super::context::{JobContext, JobError};
@@ -14,7 +15,7 @@ use flip_discover::{Extended, extend, responses};
 use serde::Serialize;
 use std::time::Instant;
 
-/// Progress at which the judgement of a job that also simulates begins and ends.
+/// Progress at which the statistical judgement begins and ends in a job that also simulates.
 const JUDGED: [f64; 2] = [0.15, 0.75];
 
 pub(super) fn perform(context: &JobContext, spec: &InvestigationSpec) -> Result<(), JobError> {
@@ -61,16 +62,16 @@ pub(super) fn perform(context: &JobContext, spec: &InvestigationSpec) -> Result<
     Ok(())
 }
 
-/// What a version of the simulator says of itself.
+/// Description stored with a simulator version.
 #[derive(Serialize)]
 struct Body<'a> {
     sentence: &'a str,
-    /// The causes that were claimed; empty where the law of an unknown extends the simulator.
+    /// The causes that were claimed; empty if the law of an unknown cause extends the simulator.
     causes: Vec<&'a CauseReport>,
     unexplained: &'a Option<Unexplained>,
     gain: &'a Option<Gain>,
     verified: bool,
-    /// What the simulator simulates; absent where nothing that was recorded explains the departure.
+    /// What the version simulates; absent if nothing recorded explains the departure.
     #[serde(flatten)]
     extended: Option<Extended>,
 }

@@ -1,39 +1,41 @@
-//! Who computes at the same time: trainings beside everything, what waits for a bench beside everything too, all else one after another.
+//! Concurrency of jobs: trainings run alongside everything, jobs that wait for a bench too, and all
+//! others run one at a time.
 //!
-//! The steps of a training follow one another, so one leaves cores idle. A calibration, an evaluation or an investigation fills every core by
-//! itself, and a calibration leaves an emulator that the next one needs.
+//! The steps of a training are sequential, so a single training leaves cores idle. A calibration,
+//! an evaluation or an investigation fills every core by itself, and a calibration leaves an
+//! emulator that the next one needs.
 
 use flip_core::domain::job::JobKind;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// Places to compute in.
+/// Slots for computing.
 pub(super) struct Lanes {
     turns: Arc<Semaphore>,
     trainings: Arc<Semaphore>,
-    /// Most trainings at once: as many as there are cores, and at least two.
+    /// Maximum concurrent trainings: as many as there are cores, and at least two.
     trainings_max: u32,
-    /// Whoever measures on the bench.
+    /// Slot for measurements on the bench.
     bench: Arc<Semaphore>,
 }
 
-/// A place, free again when dropped.
+/// A slot, freed when dropped.
 pub(super) type Place = OwnedSemaphorePermit;
 
 impl Lanes {
-    /// All free.
+    /// All slots free.
     pub fn new() -> Self {
         let trainings_max = std::thread::available_parallelism().map_or(2, |cores| cores.get().max(2)) as u32;
         let free = |places: u32| Arc::new(Semaphore::new(places as usize));
         Self { turns: free(1), trainings: free(trainings_max), trainings_max, bench: free(1) }
     }
 
-    /// A place for a job of this kind; `None` when all are taken.
+    /// Takes a slot for a job of this kind; `None` if all are taken.
     pub fn take(&self, kind: JobKind) -> Option<Place> {
         self.of(kind).clone().try_acquire_owned().ok()
     }
 
-    /// Whether jobs of these kinds wait for the same places.
+    /// Whether jobs of these kinds compete for the same slots.
     pub fn share(&self, a: JobKind, b: JobKind) -> bool {
         Arc::ptr_eq(self.of(a), self.of(b))
     }
@@ -46,9 +48,9 @@ impl Lanes {
         }
     }
 
-    /// Wait until nobody computes.
+    /// Waits until nothing is computing.
     pub async fn all_free(&self) {
-        // They are never closed, so both are granted.
+        // The semaphores are never closed, so both are granted.
         let _ = self.turns.acquire().await;
         let _ = self.bench.acquire().await;
         let _ = self.trainings.acquire_many(self.trainings_max).await;

@@ -1,4 +1,4 @@
-//! Keeping a lease while its job computes, from a thread that nothing else can block.
+//! Keeps a lease while its job computes, from a thread that nothing else can block.
 
 use super::stop::{Stop, StopFlag};
 use flip_core::domain::timestamp::Timestamp;
@@ -12,7 +12,7 @@ use tokio::runtime::Handle;
 
 /// How long a claim lasts without renewal.
 pub(super) const LEASE: Duration = Duration::from_secs(30);
-/// How often it is renewed: two renewals may fail before it ends.
+/// Renewal interval: two renewals may fail before the lease ends.
 const RENEW: Duration = Duration::from_secs(9);
 
 /// When a lease taken or renewed at `from` ends.
@@ -27,7 +27,7 @@ pub(super) struct Renewer {
 }
 
 impl Renewer {
-    /// Begin to renew; a lost lease or a cancellation is told to `stop`.
+    /// Starts renewing; a lost lease or a cancellation sets `stop`.
     pub fn start(store: Store, lease: Lease, stop: Arc<StopFlag>, runtime: Handle) -> std::io::Result<Self> {
         let (done, wait) = channel::<()>();
         let renewing = move || {

@@ -1,4 +1,5 @@
-//! Rows become work. The only place where the asynchronous outside and the synchronous inside meet.
+//! Turns rows into work. The only place where the asynchronous outside and the synchronous inside
+//! meet.
 //!
 //! ```text
 //!  App -- row + delivery, one transaction --> [store]
@@ -11,7 +12,8 @@
 //!              load inputs, call the pure function, save what it finds; every write carries the fence
 //! ```
 //!
-//! `reconcile.rs` delivers again what the ledger knows and the queue has lost. Weighings are no jobs: `bench/`.
+//! `reconcile.rs` redelivers jobs that are in the ledger but lost from the queue. Weighings are not
+//! jobs: see `bench/`.
 
 pub mod bench;
 pub mod calibrate;
@@ -57,13 +59,15 @@ use tokio::sync::Notify;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-/// The heap experiment as calibrations call it: [`heap::repose`] in the product, a formula in tests.
+/// The heap experiment as called by calibrations: [`heap::repose`] in the product, a formula in
+/// tests.
 pub type Simulate = Arc<dyn Fn(&ParameterSet, &heap::Settings, u64) -> Result<Repose, Refusal> + Send + Sync>;
 
-/// The experiments beside the heap, reduced: [`observe::observe`](flip_sim::observe::observe) in the product.
+/// The other experiments, reduced: [`observe::observe`](flip_sim::observe::observe) in the
+/// product.
 pub type Observe = Arc<dyn Fn(&Observable, &ParameterSet, u64) -> Result<f64, Refusal> + Send + Sync>;
 
-/// What jobs and weighings compute with.
+/// The functions that jobs and weighings compute with.
 #[derive(Clone)]
 pub struct Functions {
     /// The heap experiment.
@@ -72,9 +76,9 @@ pub struct Functions {
     pub observe: Observe,
     /// A training.
     pub train: train::Train,
-    /// One weighing on the simulator: what evaluations weigh with.
+    /// One weighing on the simulator, as used by evaluations.
     pub pour: bench::Pour,
-    /// What the bench's lane drives; none: the same.
+    /// The apparatus driven by the bench's lane; none: the simulator of `pour`.
     pub bench: Option<bench::Apparatus>,
 }
 
@@ -90,48 +94,50 @@ impl Default for Functions {
     }
 }
 
-/// Who carries out jobs and weighings.
+/// How jobs and weighings are carried out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Workers {
-    /// Nobody in this process.
+    /// Not in this process.
     None,
-    /// Threads of the process's own priority: a command that computes and ends.
+    /// On threads with the process's own priority: a command that computes and exits.
     #[default]
     Equal,
-    /// Threads that give way to those that answer: a service.
+    /// On threads that yield to those that answer requests: a service.
     GiveWay,
 }
 
-/// The machinery behind jobs and weighings. Dropping it without [`Jobs::shutdown`] ends it too, only unwaited for.
+/// The machinery behind jobs and weighings. Dropping it without [`Jobs::shutdown`] ends it too, but
+/// without waiting.
 pub struct Jobs {
     shared: Arc<Shared>,
     tasks: Mutex<Vec<JoinHandle<()>>>,
     bench: Bench,
 }
 
-/// A job that is computed: the right to write to its row, and the flag that stops it.
+/// A running job: its lease, i.e. the right to write to its row, and the flag that stops it.
 struct Running {
     lease: Lease,
     stop: Arc<StopFlag>,
 }
 
-/// What the parts of the machinery have in common.
+/// State shared by the parts of the machinery.
 struct Shared {
     store: Store,
     functions: Functions,
-    /// What is computed now, by job.
+    /// Jobs being computed, by id.
     running: Mutex<HashMap<String, Running>>,
     lanes: Lanes,
     /// Wakes the reconciler.
     reconcile: Notify,
-    /// No more work is taken.
+    /// Cancelled when no more work is taken.
     closing: CancellationToken,
-    /// What computes runs at a lower priority than what answers.
+    /// Computing runs at a lower priority than answering.
     gives_way: bool,
 }
 
 impl Jobs {
-    /// Prepare the queue's tables; unless `workers` is none, take up what the last process left and begin to work.
+    /// Prepares the queue's tables; unless `workers` is none, takes up what the last process left
+    /// and starts to work.
     ///
     /// # Errors
     /// [`store::Error`]
@@ -158,7 +164,8 @@ impl Jobs {
         Ok(jobs)
     }
 
-    /// The lock on the data folder proves that no other process works on it, so what the last one held is free.
+    /// The lock on the data folder proves that no other process works on it, so leases of the last
+    /// one are free.
     async fn take_up(&self) -> store::Result<()> {
         self.shared.store.end_leases().await?;
         queue::forget_deliveries(&self.shared.store).await?;
@@ -172,7 +179,8 @@ impl Jobs {
         Ok(())
     }
 
-    /// Queue a job and its delivery in one transaction. `false`: the same was asked for before, and this is its job.
+    /// Queues a job and its delivery in one transaction. `false`: the same job was requested
+    /// before, and this is it.
     ///
     /// # Errors
     /// [`store::Error`]
@@ -180,7 +188,8 @@ impl Jobs {
         self.queue(self.shared.store.write().await?, spec).await
     }
 
-    /// The same, if the bench may be used under this reservation, or under none; else why it may not.
+    /// The same, if the bench may be used under this reservation, or under none; otherwise returns
+    /// why it may not.
     ///
     /// # Errors
     /// [`store::Error`]
@@ -209,7 +218,7 @@ impl Jobs {
         Ok((job, created))
     }
 
-    /// Ask a job to end. `None`: it has ended already, or never was.
+    /// Asks a job to end. `None`: it has ended already, or never existed.
     ///
     /// # Errors
     /// [`store::Error`]
@@ -231,12 +240,13 @@ impl Jobs {
         &self.bench
     }
 
-    /// Ends when work ends: hand it to whoever waits for events.
+    /// Cancelled when work ends: for anything that waits for events.
     pub fn closing(&self) -> CancellationToken {
         self.shared.closing.clone()
     }
 
-    /// Stop the bench, take no more jobs, let running ones save a checkpoint and go back into the queue.
+    /// Stops the bench, takes no more jobs, lets running ones save a checkpoint and return to the
+    /// queue.
     pub async fn shutdown(&self) {
         self.shared.closing.cancel();
         for running in self.shared.running().values() {

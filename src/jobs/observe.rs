@@ -1,5 +1,5 @@
-//! What was measured beside the angle: its emulators before a calibration, and a look at the sets after it. Every simulation is saved as it
-//! comes.
+//! Measurements other than the angle: their emulators before a calibration, and a check of the sets
+//! after it. Every simulation is saved as it completes.
 
 use super::calibrate::{keep, unless};
 use super::context::{JobContext, JobError};
@@ -14,21 +14,21 @@ use flip_sim::repose::Refusal;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-/// Simulations of each set and observable at the end.
+/// Simulations per set and observable in the final check.
 const REPEATS: u32 = 4;
 /// Standard errors within which simulation and measurement agree.
 const SIGNIFICANT: f64 = 2.0;
 
-/// What the sets of a calibration make of an observation.
+/// Comparison of a calibration's sets with an observation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Observed {
     /// What was measured.
     pub observation: Observation,
-    /// SHA-256 of the simulations that its emulator is made of.
+    /// SHA-256 of the simulations that make up its emulator.
     pub sha256: String,
-    /// How many of them this calibration ran; the others were there.
+    /// How many of them this calibration ran; the others existed already.
     pub built: u32,
-    /// What fresh simulations of each set give, in the order of the sets.
+    /// Results of fresh simulations of each set, in the order of the sets.
     pub sets: Vec<Simulated>,
     /// Mean over the sets, in the observable's unit; absent without sets.
     pub mean: Option<f64>,
@@ -36,10 +36,11 @@ pub struct Observed {
     pub agrees: bool,
 }
 
-/// What one set makes of an observation.
+/// Simulations of an observation with one set.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Simulated {
-    /// Mean over the simulations, in the observable's unit; absent if each was refused or nothing flowed.
+    /// Mean over the simulations, in the observable's unit; absent if each was refused or nothing
+    /// flowed.
     pub mean: Option<f64>,
     /// Standard deviation over them.
     pub sd: Option<f64>,
@@ -49,7 +50,8 @@ pub struct Simulated {
 
 const INSTRUMENT: Instrument = Instrument { numbers: observe::numbers, value: observe::value };
 
-/// The emulators of everything that was measured beside the angle, and how many of the simulations of each were run for it now.
+/// The emulators of all measurements other than the angle, each with the number of its simulations
+/// that were run now.
 pub(super) fn channels(
     context: &JobContext,
     observations: &[Observation],
@@ -71,7 +73,7 @@ pub(super) fn channels(
     observations.iter().map(channel).collect()
 }
 
-/// Look at the sets a calibration ended with.
+/// Checks the sets that a calibration ended with.
 pub(super) fn look(
     context: &JobContext,
     channels: &[Channel],
@@ -112,7 +114,7 @@ fn simulate(
     move |set, seed| (context.functions.observe)(&observable, set, seed)
 }
 
-/// Carry out a plan, with what is stored of it; the runs, and how many of them are new.
+/// Carries out a plan, reusing stored runs; returns the runs and how many of them are new.
 fn probes(
     context: &JobContext,
     owner: &str,

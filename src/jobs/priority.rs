@@ -1,23 +1,29 @@
-//! Computing gives way to answering, and answering to stops and doses: in a service, what computes runs at the lowest priority of the
-//! system's scheduler, what answers at a lower one than what reads stops and drives a bench, which keeps that of the process.
+//! Thread priorities: computing yields to answering requests, and answering to stops and doses. In
+//! a service, compute threads run at the lowest priority of the system's scheduler, request threads
+//! at a lower one than the threads that read stops and drive a bench, which keep that of the
+//! process.
 //!
-//! Niceness is a thread's own on Linux, and threads inherit it from the one that makes them: libtorch's do so too.
+//! Niceness is per thread on Linux, and threads inherit it from the thread that spawns them:
+//! libtorch's do so too.
 
 use rustix::process::{getpriority_process, setpriority_process};
 
-/// The lowest priority; the scheduler gives such a thread what others leave, a seventieth of a core beside a busy one.
+/// The lowest priority; the scheduler gives such a thread what others leave, a seventieth of a core
+/// next to a busy one.
 const NICEST: i32 = 19;
-/// That of what answers: a third of the share of a thread that reads stops.
+/// Priority of request threads: a third of the share of a thread that reads stops.
 const ANSWERS: i32 = 5;
 
-/// From here on the calling thread gives way to every other of this process. It cannot be taken back without rights.
+/// Makes the calling thread yield to every other thread of this process from now on. Undoing it
+/// needs privileges.
 pub(super) fn give_way() {
     if let Err(error) = setpriority_process(None, NICEST) {
         tracing::warn!(%error, "a thread that computes could not be given a lower priority: the service may answer late");
     }
 }
 
-/// From here on the calling thread, which answers, gives way to those that read stops and drive a bench.
+/// Makes the calling thread, which answers requests, yield to those that read stops and drive a
+/// bench from now on.
 pub fn give_way_to_the_bench() {
     if getpriority_process(None).is_ok_and(|nice| nice >= ANSWERS) {
         return;
@@ -27,7 +33,8 @@ pub fn give_way_to_the_bench() {
     }
 }
 
-/// Have the threads that all computations share give way. Only the first call of a process has an effect, and only before anything was computed.
+/// Makes the shared compute threads yield. Only the first call in a process has an effect, and only
+/// before anything was computed.
 pub(super) fn make_pool_give_way() {
     let pool = rayon::ThreadPoolBuilder::new().start_handler(|_| give_way()).build_global();
     if pool.is_err() && !rayon::broadcast(|_| is_nice()).into_iter().all(|nice| nice) {

@@ -1,7 +1,8 @@
-//! Delivery by apalis, on SQLite in the database file. This file alone knows the queue library: its PostgreSQL sibling
-//! offers the same builder, and a delivery is only a hint, so exchanging it changes nothing else.
+//! Delivery by apalis, on SQLite in the database file. Only this file knows the queue library: its
+//! PostgreSQL sibling offers the same builder, and a delivery is only a hint, so replacing it
+//! changes nothing else.
 //!
-//! What the library does not promise, and who sees to it (read in apalis-sqlite 1.0.0):
+//! What the library does not guarantee, and what handles it (as read in apalis-sqlite 1.0.0):
 //!
 //! | the library | here |
 //! |-------------|------|
@@ -32,21 +33,21 @@ use tower::limit::ConcurrencyLimitLayer;
 const QUEUE: &str = "flip";
 /// How often an idle worker looks for a delivery.
 const POLL: Duration = Duration::from_millis(250);
-/// A worker that has not been heard of for twice this long loses its deliveries.
+/// A worker without a heartbeat for twice this long loses its deliveries.
 const HEARTBEAT: Duration = Duration::from_secs(2);
-/// A worker that has not been heard of for so long hangs.
+/// A worker without a heartbeat for this long hangs.
 const SILENCE: Duration = Duration::from_secs(7);
 
-/// What is delivered: only which job, and of what kind. What it is to do, the ledger knows.
+/// Payload of a delivery: only the job id and kind. The ledger holds the rest.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Delivery {
     /// Job id.
     pub job: String,
-    /// Its kind, which says whom it has to wait for.
+    /// Its kind, which determines what it has to wait for.
     pub kind: JobKind,
 }
 
-/// Create or update the queue's tables.
+/// Creates or updates the queue's tables.
 pub(super) async fn migrate(store: &Store) -> store::Result<()> {
     let mut migrations = SqliteStorage::migrations();
     // FLIP's own migrations are in the same table.
@@ -55,24 +56,24 @@ pub(super) async fn migrate(store: &Store) -> store::Result<()> {
     Ok(())
 }
 
-/// Deliver a job: as part of `tx`, once for each fence.
+/// Delivers a job as part of `tx`, once for each fence.
 pub(super) async fn push(tx: &mut Tx, kind: JobKind, lease: &Lease) -> store::Result<()> {
     let delivery = Delivery { job: lease.job.clone(), kind };
     let args = serde_json::to_vec(&delivery).map_err(|error| store::Error::Corrupt(error.to_string()))?;
     let key = format!("job:{}:{}", lease.job, lease.fence);
-    // One attempt: trying again is the ledger's business.
+    // One attempt: the ledger handles retries.
     let task = TaskBuilder::new(args).idempotency_key(key).max_attempts(1).build();
     apalis_sqlite::queries::push_tasks(tx.connection(), QUEUE, &[task]).await.map_err(library)
 }
 
-/// Remove deliveries that were dealt with, so that their keys are free.
+/// Removes processed deliveries, so that their keys are free.
 pub(super) async fn forget_finished(tx: &mut Tx) -> store::Result<()> {
     let sql = "DELETE FROM Jobs WHERE job_type = ?1 AND status IN ('Done', 'Failed', 'Killed')";
     sqlx::query(sql).bind(QUEUE).execute(tx.connection()).await?;
     Ok(())
 }
 
-/// Remove every delivery. Sound only at start, when no other process can have one in hand.
+/// Removes every delivery. Sound only at start, when no other process can be handling one.
 pub(super) async fn forget_deliveries(store: &Store) -> store::Result<()> {
     let mut tx = store.write().await?;
     sqlx::query("DELETE FROM Jobs WHERE job_type = ?1").bind(QUEUE).execute(tx.connection()).await?;
@@ -80,13 +81,14 @@ pub(super) async fn forget_deliveries(store: &Store) -> store::Result<()> {
     tx.commit().await
 }
 
-/// Hand deliveries to `handle`, one at a time, until `closing`. It has to be quick: see the table above.
+/// Passes deliveries to `handle`, one at a time, until `closing`. It has to be quick: see the table
+/// above.
 ///
-/// The future is boxed here, where its types are named: inside another `async fn` the compiler cannot see that it is
-/// `Send`.
+/// The future is boxed here, where its types are named: inside another `async fn` the compiler
+/// cannot see that it is `Send`.
 ///
 /// # Errors
-/// Whatever ended the worker early; what it was handling has been dropped.
+/// Any error that ended the worker early; the delivery it was handling has been dropped.
 pub(super) fn run<H, F>(
     store: &Store,
     name: &str,
@@ -115,7 +117,7 @@ where
     Ok(worker.run_until(closed).boxed())
 }
 
-/// Returns when the worker of this name, started just now, has not been heard of for some time.
+/// Returns when the worker of this name, started just now, has had no heartbeat for some time.
 pub(super) async fn silence(store: &Store, name: &str) {
     let mut heard = Instant::now();
     let mut last_seen = None;

@@ -1,14 +1,16 @@
-//! The ledger knows what is to be done; the queue may have lost a delivery. This puts it right.
+//! Reconciles ledger and queue: the ledger knows what is to be done, and the queue may have lost a
+//! delivery.
 
 use super::{Shared, queue};
 use flip_store::{self as store, Store, now};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// How often the two are compared when nobody asks for it.
+/// How often the two are compared without a request.
 const EVERY: Duration = Duration::from_secs(2);
 
-/// Deliver every job that can be claimed now. One that is already on its way has the key of this delivery, and stays.
+/// Delivers every job that can be claimed now. One that is already on its way has the key of this
+/// delivery, and stays.
 pub(super) async fn deliver_again(store: &Store) -> store::Result<()> {
     let claimable = store.claimable(now()).await?;
     if claimable.is_empty() {
@@ -22,7 +24,8 @@ pub(super) async fn deliver_again(store: &Store) -> store::Result<()> {
     tx.commit().await
 }
 
-/// Compare ledger and queue now and then, and whenever a job has left a worker, until the machinery closes.
+/// Compares ledger and queue periodically, and whenever a job has left a worker, until the
+/// machinery closes.
 pub(super) async fn keep_delivering(shared: Arc<Shared>) {
     loop {
         tokio::select! {

@@ -1,7 +1,8 @@
-//! The measurement of an angle of repose by camera: pile after pile, until as many as were asked for have an angle.
+//! Measures an angle of repose by camera: pile after pile, until the requested number has an angle.
 //!
-//! Every pile is stored with its raw frames, whatever they show. After a crash the next pile is made anew, the piles before it are kept: the platform is
-//! turned over the funnel first, so that what had run out already runs again.
+//! Every pile is stored with its raw frames, whatever they show. After a crash the interrupted pile
+//! is made again and earlier piles are kept: the platform is turned over the funnel first, so
+//! powder that had already run out runs again.
 
 use super::bench::{PileStand, Piling, Unpiled, audit_exchanges};
 use super::context::{JobContext, JobError};
@@ -22,15 +23,16 @@ use serde::{Deserialize, Serialize};
 use std::sync::PoisonError;
 use std::sync::atomic::Ordering;
 
-/// Piles beyond those asked for that may have no angle before the measurement gives up.
+/// Number of piles beyond those requested that may have no angle before the measurement gives up.
 const SPARE: u32 = 2;
 
-/// What a measurement by camera found.
+/// Result of a measurement by camera.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ReposeResult {
     /// Angles by both estimators.
     pub repeats: Repeats,
-    /// It is the powder's newest measurement now. Not on an emulated bench, where nobody has measured the powder.
+    /// Whether it is now the powder's newest measurement. Not on an emulated bench, where no real
+    /// powder was measured.
     pub registered: bool,
 }
 
@@ -91,7 +93,7 @@ pub(super) fn perform(context: &JobContext, spec: &ReposeSpec) -> Result<(), Job
     Ok(())
 }
 
-/// One pile, and the frames of it.
+/// One pile and its frames.
 fn made(
     context: &JobContext,
     spec: &ReposeSpec,
@@ -114,7 +116,7 @@ fn made(
     let taken = (stand.heap)(&piling, &mut |what| {
         let fraction = f64::from(done) / f64::from(spec.procedure.repeats);
         let progress = Progress { fraction, message: format!("pile {number}: {what}") };
-        // A stop must find the gate's owner awake, whatever holds the database.
+        // The owner of the gate must stay responsive to a stop, whatever holds the database.
         super::calibrate::unless(context.report_meanwhile(&progress), &mut unsaved, context)
     });
     match (unsaved, taken) {
@@ -125,7 +127,7 @@ fn made(
     }
 }
 
-/// Keep the frames, and measure what they show.
+/// Stores the frames, and measures what they show.
 fn looked_at(spec: &ReposeSpec, number: u32, taken: &[Upload], artifacts: &Artifacts) -> store::Result<Pile> {
     let kept = |frame: &Upload| {
         Ok(FrameFiles {

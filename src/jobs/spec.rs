@@ -1,4 +1,4 @@
-//! What a job is to do: everything that its result depends on, and nothing else.
+//! Specifications of jobs: everything that the result depends on, and nothing else.
 
 use super::conditions::Conditions;
 use flip_bench::hardware::stand::Procedure;
@@ -19,10 +19,12 @@ use flip_sim as sim;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-/// Version of this program's simulator. It is part of every specification: results of different ones are never mixed.
+/// Version of this program's simulator. It is part of every specification: results of different
+/// versions are never mixed.
 pub const SIMULATOR: &str = sim::VERSION;
 
-/// What a job is to do. Two equal specifications have equal results, so the second one asked for is the first's job.
+/// Specification of a job. Equal specifications have equal results, so a second request for the
+/// same one gets the first's job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[expect(clippy::large_enum_variant, reason = "a handful exist at a time")]
@@ -46,15 +48,15 @@ pub struct CalibrationSpec {
     pub powder: Option<String>,
     /// The measurement to meet.
     pub target: Flowability,
-    /// What else was measured.
+    /// Other measurements.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub observations: Vec<Observation>,
     /// Settings of the search.
     pub settings: calibrate::Settings,
-    /// The design of the emulator it reads sets off; none with a method that has none.
+    /// Design of the emulator used; none if the method has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub design: Option<calibrate::Design>,
-    /// The extended version at whose reference the target is; none of the base.
+    /// The extended version whose reference conditions the target refers to; none for the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub under: Option<Under>,
     /// Version of the simulator: [`SIMULATOR`].
@@ -79,12 +81,13 @@ pub struct EvaluationSpec {
     pub policy: String,
     /// Controllers to compare.
     pub controllers: Vec<String>,
-    /// What the controller `schedule` does.
+    /// Actions of the controller `schedule`.
     pub schedule: Schedule,
-    /// What the dispenser, the PID and the rules among the controllers are; empty in specifications from before, whose were this program's.
+    /// Definitions of the dispenser, the PID and the rules among the controllers; empty in older
+    /// specifications, which used this program's.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub rivals: Vec<Kind>,
-    /// Powders, and the sets that stand for them.
+    /// Powders, and the sets that represent them.
     pub powders: Vec<EvaluationPowder>,
     /// Targets, mg.
     pub targets_mg: Vec<f64>,
@@ -94,10 +97,10 @@ pub struct EvaluationSpec {
     pub readability_mg: f64,
     /// Steps of a weighing.
     pub max_shakes: u32,
-    /// What is on the spoon; left out where it is usual, so that an evaluation of before has the same text.
+    /// What is on the spoon; omitted where it is usual, so that an older evaluation keeps its text.
     #[serde(default, skip_serializing_if = "Conditions::are_usual")]
     pub conditions: Conditions,
-    /// The extended version on the bench, and its conditions; none of the base.
+    /// The extended version on the bench, and its conditions; none for the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub under: Option<Under>,
     /// Seed.
@@ -111,7 +114,7 @@ pub struct EvaluationSpec {
 pub struct EvaluationPowder {
     /// Powder id.
     pub powder: String,
-    /// Ids of the sets that stand for it.
+    /// Ids of the sets that represent it.
     pub sets: Vec<String>,
     /// What the conditions change about it.
     #[serde(default, skip_serializing_if = "Patch::is_none")]
@@ -121,21 +124,23 @@ pub struct EvaluationPowder {
 /// An investigation to carry out.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InvestigationSpec {
-    /// Angles of repose, and what was recorded beside them; none where balance readings alone are judged.
+    /// Angles of repose, and what was recorded with them; none if only balance readings are judged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub campaign: Option<Campaign>,
-    /// What a balance showed during weighings; left out where there is nothing, so that a specification of before has the same text.
+    /// Balance readings during weighings; omitted if there are none, so that an older specification
+    /// keeps its text.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub traces: Option<Traces>,
     /// How it is judged.
     pub settings: discover::Settings,
-    /// Heaps that it may simulate; none without.
+    /// Heaps that it may simulate; none: no simulations.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub heaps: Option<Heaps>,
-    /// How the files were read; of one of before there is nothing.
+    /// How the files were read; empty in older specifications.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub files: Vec<FileRead>,
-    /// What judges: [`discover::VERSION`]. Another one may find something else.
+    /// Version of the method that judges: [`discover::VERSION`]. Another version may find something
+    /// else.
     pub method: u32,
     /// Version of the simulator: [`SIMULATOR`].
     pub simulator: String,
@@ -144,7 +149,7 @@ pub struct InvestigationSpec {
 /// What an investigation simulates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Heaps {
-    /// Most heaps, at least one.
+    /// Maximum number of heaps, at least one.
     pub budget_runs: u32,
     /// A set for each powder of the campaign.
     pub sets: Vec<(FitSet, ParameterSet)>,
@@ -155,22 +160,23 @@ pub struct Heaps {
 pub struct ReposeSpec {
     /// Powder id.
     pub powder: String,
-    /// Which measurement of this powder it is: the same again is the same one, not another.
+    /// Which measurement of this powder it is: repeating a number refers to the same measurement,
+    /// not another.
     pub run: u32,
-    /// How piles are made and looked at.
+    /// How piles are made and imaged.
     pub procedure: Procedure,
     /// What is known of the rig.
     pub rig: Rig,
-    /// What frames must show.
+    /// Requirements on the frames.
     pub limits: Limits,
-    /// What makes the piles.
+    /// The bench that makes the piles.
     pub bench: BenchKind,
     /// The simulated powder on an emulated bench; none on devices.
     pub set: Option<ParameterSet>,
 }
 
 impl InvestigationSpec {
-    /// Name of the simulator's version that this investigation makes, if its extension wins.
+    /// Name of the simulator version that this investigation creates if its extension wins.
     pub fn version(&self) -> String {
         let text = serde_json::to_string(self).expect("specifications hold only finite numbers, text and lists");
         format!("sv-{}", &hex::encode(Sha256::digest(&text))[..16])
@@ -178,7 +184,7 @@ impl InvestigationSpec {
 }
 
 impl JobSpec {
-    /// What kind of job it makes.
+    /// The kind of job it creates.
     pub fn kind(&self) -> JobKind {
         match self {
             Self::Calibration(_) => JobKind::Calibration,
@@ -189,8 +195,8 @@ impl JobSpec {
         }
     }
 
-    /// Its text and the text's SHA-256. Fields are written in the order of their definition, so equal values give
-    /// equal text.
+    /// Its canonical text and the text's SHA-256. Fields are written in the order of their
+    /// definition, so equal values give equal text.
     pub(super) fn canonical(&self) -> (String, Vec<u8>) {
         let text = serde_json::to_string(self).expect("specifications hold only finite numbers, text and lists");
         let sha256 = Sha256::digest(&text).to_vec();

@@ -1,4 +1,4 @@
-//! The simulated spoon of a spoon that was measured.
+//! The simulated equivalent of a measured spoon.
 //!
 //! ```text
 //! k = length width depth / (those of FLIP's own)      or, without a bowl: k = capacity / (what FLIP's own holds)
@@ -13,17 +13,18 @@ use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::spoon::Spoon;
 use flip_sim::dispense::{self, capacity_mg};
 
-/// Fewest and most grains on a simulated spoon: 7 and 180 mg of a powder like sand. More take a minute for each shake.
+/// Fewest and most grains on a simulated spoon: 7 and 180 mg of a powder like sand. More take a
+/// minute for each shake.
 const GRAINS: std::ops::RangeInclusive<f64> = 500.0..=12_000.0;
-/// A bowl of FLIP's own measures is full with this share more than its usual grains.
+/// A bowl of FLIP's own dimensions is full at this multiple of its usual grains.
 const FULL: f64 = 1.6;
 /// From the tip of the spoon to the axis of the vial's mouth, mm, as with FLIP's own.
 const TIP_MM: f64 = 5.0;
 
-/// These settings with this spoon, as a request names it.
+/// These settings with this spoon, as given in a request.
 ///
 /// # Errors
-/// `spoon.…`: there can be no such spoon, or the simulator cannot fill it.
+/// `spoon.…`: such a spoon is impossible, or the simulator cannot fill it.
 pub fn measured(spoon: &Spoon, usual: dispense::Settings) -> Result<dispense::Settings, FieldError> {
     let within = |error: FieldError| FieldError::new(format!("spoon.{}", error.field), error.message);
     simulated(&spoon.checked().map_err(within)?, usual)
@@ -32,7 +33,8 @@ pub fn measured(spoon: &Spoon, usual: dispense::Settings) -> Result<dispense::Se
 /// These settings with this spoon.
 ///
 /// # Errors
-/// `spoon.…`: the simulator cannot fill such a spoon, or the bowl does not hold what it is said to.
+/// `spoon.…`: the simulator cannot fill such a spoon, or the bowl does not hold the stated
+/// capacity.
 pub(super) fn simulated(spoon: &Spoon, usual: dispense::Settings) -> Result<dispense::Settings, FieldError> {
     let [a, b, c] = usual.semi_axes_mm;
     let fills = spoon.capacity_mg.map(|mg| mg / capacity_mg(&ParameterSet::default(), &usual));
@@ -57,11 +59,12 @@ pub(super) fn simulated(spoon: &Spoon, usual: dispense::Settings) -> Result<disp
     Ok(dispense::Settings { particles: grains.round() as u32, semi_axes_mm, vial_offset_mm, ..usual })
 }
 
-/// What a person's own spoon holds, whichever of these sets is the powder, mg: what was measured, or what is simulated. `None` without sets.
+/// Capacity of a user's own spoon, whichever of these sets is the powder, mg: as measured, or as
+/// simulated. `None` without sets.
 pub fn holds_mg<'a>(spoon: &Spoon, sets: impl Iterator<Item = &'a ParameterSet>) -> Option<f64> {
     let usual = dispense::Settings::default();
     let bowl = Spoon { capacity_mg: None, ..*spoon };
-    // A bowl that cannot be simulated can be weighed with all the same: its volume counts.
+    // A bowl that cannot be simulated can still be used for weighing: its volume counts.
     let scale = bowl.bowl_mm().map_or(1.0, |[length, width, depth]| {
         let [a, b, c] = usual.semi_axes_mm;
         length * width * depth / (4.0 * a * b * c)

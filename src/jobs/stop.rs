@@ -1,4 +1,4 @@
-//! Why a running job should stop, as a flag that its loop looks at.
+//! Why a running job should stop, as a flag that its loop polls.
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -7,11 +7,11 @@ use std::sync::atomic::{AtomicU8, Ordering};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 pub(super) enum Stop {
-    /// The process goes down: save a checkpoint and go back into the queue.
+    /// The process is shutting down: save a checkpoint and return to the queue.
     Shutdown = 1,
-    /// Somebody asked for it.
+    /// It was cancelled on request.
     Cancelled = 2,
-    /// The lease is lost: somebody else computes this job, nothing may be written.
+    /// The lease is lost: another worker computes this job, nothing may be written.
     Fenced = 3,
 }
 
@@ -20,7 +20,7 @@ pub(super) enum Stop {
 pub(super) struct StopFlag(AtomicU8);
 
 impl StopFlag {
-    /// Ask to stop.
+    /// Requests a stop.
     pub fn set(&self, reason: Stop) {
         self.0.fetch_max(reason as u8, Ordering::SeqCst);
     }
@@ -35,7 +35,7 @@ impl StopFlag {
         }
     }
 
-    /// What a loop should do.
+    /// Whether a loop should continue.
     pub fn flow(&self) -> ControlFlow<()> {
         match self.get() {
             None => ControlFlow::Continue(()),

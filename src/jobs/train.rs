@@ -1,7 +1,8 @@
-//! The training job: episodes are saved round by round, and a killed training goes on from its last checkpoint.
+//! The training job: episodes are saved round by round, and a killed training continues from its
+//! last checkpoint.
 //!
-//! Episodes after the last checkpoint are played again on resuming, the same in every bit; those that are stored already
-//! stay as they are.
+//! Episodes after the last checkpoint are replayed on resuming, bit for bit the same; those already
+//! stored are left unchanged.
 
 use super::context::{JobContext, JobError};
 use super::evaluate::load_policy;
@@ -18,16 +19,17 @@ use std::sync::Arc;
 
 pub use flip_learn::train::{Extended, FineTuning, Level, Order, PAPER_LEVELS_DEG, Preset, Settings};
 
-/// Parameter sets in a level: the paper's number. The others of a calibration are left for weighings and evaluations.
+/// Parameter sets in a level: the paper's number. The other sets of a calibration are left for
+/// weighings and evaluations.
 pub const SETS_PER_LEVEL: usize = 7;
-/// Episodes whose mean error is shown as progress.
+/// Number of recent episodes whose mean error is shown as progress.
 const RECENT: usize = 20;
 
-/// A training as jobs call it: [`flip_learn::train::train`] in the product, a formula in tests.
+/// A training as called by jobs: [`flip_learn::train::train`] in the product, a formula in tests.
 pub type Train = Arc<
     dyn Fn(&[Level], &Settings, Start<'_>, &Flow<'_>, &mut Listener<'_>) -> Result<Trained, TrainError> + Send + Sync,
 >;
-/// Who hears what a training does; `Break` when it could not be written down.
+/// Receives the events of a training; returns `Break` when one could not be recorded.
 pub type Listener<'a> = dyn FnMut(Event) -> ControlFlow<()> + 'a;
 
 /// The simulator's training.
@@ -38,13 +40,13 @@ pub fn simulated() -> Train {
     })
 }
 
-/// A training where there is none to be had.
+/// The training of a build without libtorch.
 #[cfg(not(feature = "learn"))]
 pub fn simulated() -> Train {
     Arc::new(|_, _, _, _, _| Err(TrainError::Unavailable))
 }
 
-/// What a training produced.
+/// Result of a training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct TrainingResult {
     /// Policy id.
@@ -53,7 +55,7 @@ pub struct TrainingResult {
     pub episodes: u32,
     /// Mean absolute error of the last 20 episodes, mg.
     pub final_error_mg: f64,
-    /// What it trained on, in the order it was met, with the episodes on each level.
+    /// The levels it trained on, in the order met, with the episodes on each.
     #[schema(value_type = Vec<Object>)]
     pub levels: Vec<serde_json::Value>,
 }
@@ -85,7 +87,8 @@ pub(super) fn perform(context: &JobContext, spec: &TrainingSpec, checkpoint: Opt
     }
 }
 
-/// What the last attempt saved; `None` where it is gone or damaged: then the training begins again, and says so.
+/// Checkpoint of the last attempt; `None` if it is missing or damaged: the training then starts
+/// over, and reports that.
 fn saved(context: &JobContext, sha256: &str) -> Result<Option<Vec<u8>>, JobError> {
     let lost = match context.store.artifacts().get(sha256) {
         Ok(bytes) => return Ok(Some(bytes)),
@@ -102,7 +105,7 @@ fn saved(context: &JobContext, sha256: &str) -> Result<Option<Vec<u8>>, JobError
     Ok(None)
 }
 
-/// The policy that the training goes on from.
+/// The policy that the training continues from.
 fn predecessor(context: &JobContext, spec: &TrainingSpec) -> Result<Option<Actor>, JobError> {
     let Some(from) = &spec.settings.from else { return Ok(None) };
     match load_policy(context, &from.policy)?.controller {
@@ -111,11 +114,11 @@ fn predecessor(context: &JobContext, spec: &TrainingSpec) -> Result<Option<Actor
     }
 }
 
-/// Saves what a training reports.
+/// Saves the events of a training.
 struct Recorder<'a> {
     context: &'a JobContext,
     spec: &'a TrainingSpec,
-    /// Episodes of the round at hand: they come at once, and one transaction stores them.
+    /// Episodes of the current round: they arrive together, and one transaction stores them.
     round: Vec<Episode>,
     recent: VecDeque<f64>,
     unsaved: Option<store::Error>,
@@ -140,7 +143,7 @@ impl Recorder<'_> {
         if self.unsaved.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// Whether the round has come to its end.
+    /// Adds an episode; returns whether the round is complete.
     fn remember(&mut self, record: &EpisodeRecord) -> bool {
         if self.recent.len() == RECENT {
             self.recent.pop_front();

@@ -16,22 +16,25 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
 
-/// Pause before a worker that failed is started again, and the longest after it failed again and again.
+/// Delay before restarting a worker that failed, and the maximum after repeated failures.
 const RESTART: Duration = Duration::from_millis(500);
 const RESTART_MAX: Duration = Duration::from_secs(30);
 
-/// How long a computation may go on after it was told to stop: one heap on a busy machine takes longer than those who shut a service down wait.
+/// How long a computation may continue after it was asked to stop: one heap on a busy machine takes
+/// longer than a shutdown may wait.
 const GRACE: Duration = Duration::from_secs(8);
 
-/// How often, and with what pause, the end of an attempt is written when the database refuses.
+/// How often, and with what delay, writing the end of an attempt is retried when the database
+/// refuses.
 const SETTLE_TRIES: u32 = 30;
 const SETTLE_PAUSE: Duration = Duration::from_secs(1);
 
-/// Keep a queue worker running until the machinery closes: the library ends one on the first statement that fails.
+/// Keeps a queue worker running until the machinery closes: the library ends one on the first
+/// statement that fails.
 pub(super) async fn supervise(shared: Arc<Shared>) {
     let mut pause = RESTART;
     while !shared.closing.is_cancelled() {
-        // A name of its own for every start: the library's fence is the name.
+        // A new name for every start: the library's fence is the name.
         let name = format!("flip-{}", store::new_id());
         let handling = shared.clone();
         let owner = name.clone();
@@ -58,13 +61,14 @@ pub(super) async fn supervise(shared: Arc<Shared>) {
             }
         }
     }
-    // Whoever still computes holds a place until the row is settled.
+    // A running computation holds a slot until the row is settled.
     if tokio::time::timeout(GRACE, shared.lanes.all_free()).await.is_err() {
         leave_behind(&shared).await;
     }
 }
 
-/// Give up computations that do not hear of the shutdown in time: what they saved counts, they write no more, and their jobs wait for the next start.
+/// Abandons computations that do not notice the shutdown in time: what they saved counts, they
+/// write nothing more, and their jobs wait for the next start.
 async fn leave_behind(shared: &Shared) {
     let late: Vec<Running> = shared.running().drain().map(|(_, running)| running).collect();
     for Running { lease, stop } in late {
@@ -82,20 +86,21 @@ async fn leave_behind(shared: &Shared) {
     }
 }
 
-/// One delivery: begin to compute what has waited longest for such a place, or leave it to the reconciler, which delivers again what can be
-/// claimed. Which job was delivered does not count: deliveries overtake one another.
+/// Handles one delivery: starts the job that has waited longest for such a slot, or leaves it to
+/// the reconciler, which redelivers jobs that can be claimed. Which job was delivered does not
+/// matter: deliveries overtake one another.
 async fn handle(shared: Arc<Shared>, owner: String, delivery: Delivery) {
-    // The next who leaves a place wakes the reconciler.
+    // The next job to free a slot wakes the reconciler.
     let Some(place) = shared.lanes.take(delivery.kind) else { return };
     match claim_oldest(&shared, &owner, delivery.kind).await {
         Ok(Some(claimed)) => compute(shared, claimed, place),
         Ok(None) => {}
-        // The row is as it was.
+        // The row is unchanged.
         Err(error) => tracing::error!(job = delivery.job, %error, "could not claim a job"),
     }
 }
 
-/// Claim the oldest job that waits for a place of this kind. `None`: there is none.
+/// Claims the oldest job that waits for a slot of this kind. `None`: there is none.
 async fn claim_oldest(shared: &Shared, owner: &str, kind: JobKind) -> store::Result<Option<Claimed>> {
     let waiting = shared.store.claimable(now()).await?;
     for (_, lease) in waiting.iter().filter(|(waits, _)| shared.lanes.share(*waits, kind)) {
@@ -106,7 +111,7 @@ async fn claim_oldest(shared: &Shared, owner: &str, kind: JobKind) -> store::Res
     Ok(None)
 }
 
-/// Claim a job. `None`: there is nothing to do, or somebody else's lease lasts.
+/// Claims a job. `None`: there is nothing to do, or another lease is still valid.
 async fn claim(shared: &Shared, owner: &str, job: &str) -> store::Result<Option<Claimed>> {
     if shared.closing.is_cancelled() {
         return Ok(None);
@@ -121,7 +126,8 @@ async fn claim(shared: &Shared, owner: &str, job: &str) -> store::Result<Option<
     }
 }
 
-/// Compute on a thread of its own. Nobody waits for it: the lease says that it is computed, and its place when it has ended.
+/// Computes on a separate thread. Nothing waits for it: the lease shows that the job is running,
+/// and its slot when it has ended.
 fn compute(shared: Arc<Shared>, claimed: Claimed, place: Place) {
     let stop = Arc::new(StopFlag::default());
     shared.running().insert(claimed.lease.job.clone(), Running { lease: claimed.lease.clone(), stop: stop.clone() });
@@ -142,7 +148,7 @@ fn on_compute_thread(shared: &Shared, claimed: Claimed, stop: &Arc<StopFlag>, ru
     if let Err(error) = &renewer {
         tracing::error!(job = lease.job, %error, "no thread to renew a lease");
     }
-    // After the thread that renews: it would inherit the priority.
+    // After spawning the thread that renews: it would inherit the priority.
     if shared.gives_way {
         priority::give_way();
     }
@@ -169,7 +175,7 @@ fn perform(context: &JobContext, claimed: &Claimed) -> Result<(), JobError> {
     }
 }
 
-/// Write how an attempt ended, however long the database is busy: the lease is renewed meanwhile.
+/// Records how an attempt ended, however long the database is busy: the lease is renewed meanwhile.
 async fn settle_surely(shared: &Shared, lease: &Lease, stop: &StopFlag, ended: Result<(), JobError>) {
     for _ in 0..SETTLE_TRIES {
         match settle(shared, lease, stop.get(), &ended).await {
@@ -181,7 +187,8 @@ async fn settle_surely(shared: &Shared, lease: &Lease, stop: &StopFlag, ended: R
     tracing::error!(job = lease.job, "a job's end was not recorded; it is tried again when its lease has ended");
 }
 
-/// Write how an attempt ended. Success has been written by the body, together with its results.
+/// Records how an attempt ended. Success was already recorded by the body, together with its
+/// results.
 async fn settle(shared: &Shared, lease: &Lease, stop: Option<Stop>, ended: &Result<(), JobError>) -> store::Result<()> {
     let Err(error) = ended else { return Ok(()) };
     let mut tx = shared.store.write().await?;

@@ -1,23 +1,25 @@
-//! Lines on their way to stderr: whoever logs neither waits for whoever reads them nor hears that nobody does.
+//! Buffered log lines on their way to stderr: logging never waits for the reader of stderr and
+//! never fails because there is none.
 //!
-//! One thread writes. While it is kept from it lines wait, up to a bound; further ones are dropped, and when there is room again the log says how many.
+//! A single thread writes. While it is blocked, lines are queued up to a limit; further lines are
+//! dropped, and once there is room again the log reports how many.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// Most bytes that wait.
+/// Maximum number of queued bytes.
 const BYTES_MAX: usize = 1 << 20;
 
-/// Lines that wait for their writer.
+/// Lines queued for the writer thread.
 #[derive(Debug, Default)]
 struct Waiting {
     lines: VecDeque<Vec<u8>>,
     bytes: usize,
-    /// Lines that came in vain and are not told of yet.
+    /// Lines dropped and not yet reported.
     dropped: u64,
-    /// A line is being written, or told of.
+    /// A line, or the report of dropped lines, is being written.
     writing: bool,
 }
 
@@ -28,15 +30,16 @@ pub(super) struct Lines(Arc<Queue>);
 #[derive(Debug, Default)]
 struct Queue {
     waiting: Mutex<Waiting>,
-    /// A line has come, or one was written.
+    /// Signalled when a line has been queued or written.
     changed: Condvar,
 }
 
 impl Lines {
-    /// Written to `out` by a thread of its own; `tell` says how many were dropped, by a line or in any other way.
+    /// Creates a queue whose own thread writes to `out`; `tell` reports how many lines were
+    /// dropped, as a log line or in any other way.
     ///
     /// # Errors
-    /// The system gives no thread.
+    /// The system cannot spawn a thread.
     pub fn to(out: impl Write + Send + 'static, tell: impl Fn(u64) + Send + 'static) -> io::Result<Self> {
         let lines = Self::default();
         let queue = lines.0.clone();
@@ -44,7 +47,7 @@ impl Lines {
         Ok(lines)
     }
 
-    /// Have a line written, or dropped when too many wait; at once in either case.
+    /// Queues a line, or drops it when too many are queued; returns at once in either case.
     pub fn push(&self, line: &[u8]) {
         let mut waiting = self.0.waiting();
         if waiting.bytes + line.len() > BYTES_MAX {
@@ -56,7 +59,7 @@ impl Lines {
         self.0.changed.notify_all();
     }
 
-    /// Wait until all lines are written, for at most `limit`. Whether they are.
+    /// Waits until all lines are written, for at most `limit`. Returns whether they are.
     pub fn flush(&self, limit: Duration) -> bool {
         let unwritten = |waiting: &mut Waiting| waiting.writing || !waiting.lines.is_empty();
         let waited = self.0.changed.wait_timeout_while(self.0.waiting(), limit, unwritten);
@@ -90,7 +93,8 @@ impl Queue {
         }
     }
 
-    /// How many dropped lines are to be told of now: when one could be written, and there is room for the line that tells.
+    /// Number of dropped lines to report now: once a line could be written again and there is room
+    /// for the report.
     fn lost(&self, well: bool) -> u64 {
         let mut waiting = self.waiting();
         waiting.dropped += u64::from(!well);
@@ -110,7 +114,7 @@ mod tests {
     use super::*;
     use std::sync::mpsc::{Receiver, Sender, channel};
 
-    /// What is written, line by line, once it may be; an error for each `false`.
+    /// Writer that passes lines on one by one, each once permitted; fails for each `false`.
     struct Gate {
         may: Receiver<bool>,
         seen: Sender<Vec<u8>>,
@@ -140,11 +144,11 @@ mod tests {
     fn a_log_that_nobody_reads_holds_nobody_up_and_says_afterwards_how_many_lines_it_lost() {
         let (lines, let_through, written, dropped) = gate();
         let line = vec![b'x'; 1000];
-        // Twice what may wait: the first one is with the writer, which never comes back.
+        // Twice what may be queued: the first line is held by the writer, which never returns.
         let pushed = 2 * BYTES_MAX / line.len();
         (0..pushed).for_each(|_| lines.push(&line));
         assert!(!lines.flush(Duration::from_millis(1)));
-        // From here on it is read.
+        // From here on the writer accepts lines.
         drop(let_through);
         let lost = dropped.recv().unwrap();
         assert!(lines.flush(Duration::MAX));

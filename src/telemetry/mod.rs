@@ -1,6 +1,7 @@
-//! Structured logs, on stderr: stdout belongs to a command's answer.
+//! Structured logs on stderr: stdout is reserved for a command's output.
 //!
-//! Nobody waits for whoever reads stderr, and nothing ends because nobody does: a full or broken pipe costs lines, never a dose.
+//! Nothing waits for the reader of stderr, and nothing fails without one: a full or broken pipe
+//! costs log lines, never a dose.
 
 mod lines;
 
@@ -10,31 +11,31 @@ use std::sync::OnceLock;
 use std::time::Duration;
 use tracing_subscriber::EnvFilter;
 
-/// How long the end of a process waits for its last lines.
+/// How long an exiting process waits for its last lines to be written.
 const LAST: Duration = Duration::from_secs(1);
 
-/// What is said on stderr from the start of the log on.
+/// Queue for everything written to stderr once logging has started.
 static LINES: OnceLock<Lines> = OnceLock::new();
 
-/// How log lines look.
+/// Format of log lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Format {
-    /// For people; coloured on a terminal.
+    /// Human-readable; coloured on a terminal.
     #[default]
     Text,
-    /// One JSON object a line, for log collectors.
+    /// One JSON object per line, for log collectors.
     Json,
 }
 
-/// What a service shows when `FLIP_LOG` does not say.
+/// Default filter of a service when `FLIP_LOG` is not set.
 pub const SERVICE: &str = "info,apalis=warn,sqlx=warn";
-/// What a single command shows when `FLIP_LOG` does not say: its progress bars tell the rest.
+/// Default filter of a single command when `FLIP_LOG` is not set: its progress bars show the rest.
 pub const COMMAND: &str = "warn";
 
-/// Starts logging; `FLIP_LOG` chooses what is shown (e.g. `flip=debug,warn`), else `default` does.
+/// Starts logging; `FLIP_LOG` sets the filter (e.g. `flip=debug,warn`), else `default` applies.
 ///
-/// A filter that does not parse is said on stderr and replaced by the default. Panics become lines of the log. Later calls in one process do nothing,
-/// so that tests may call it freely.
+/// A filter that does not parse is reported on stderr and replaced by the default. Panics are
+/// logged. Later calls in the same process do nothing, so tests may call it freely.
 pub fn start(format: Format, default: &str) {
     queue();
     let subscriber = tracing_subscriber::fmt()
@@ -47,12 +48,13 @@ pub fn start(format: Format, default: &str) {
         Format::Json => subscriber.json().flatten_event(true).try_init(),
     };
     if started.is_ok() {
-        // The standard hook waits for whoever reads stderr.
+        // The standard hook blocks on the reader of stderr.
         std::panic::set_hook(Box::new(|panic| tracing::error!(thread = std::thread::current().name(), "{panic}")));
     }
 }
 
-/// Lines wait for a thread from now on; where the system gives none they are written by whoever has them.
+/// From now on, queues lines for a writer thread; if the system cannot spawn one, the calling
+/// thread writes them.
 fn queue() {
     let tell = |lines| tracing::warn!(lines, "lines of the log were lost: nobody took them");
     if LINES.get().is_none()
@@ -62,13 +64,13 @@ fn queue() {
     }
 }
 
-/// Says a line on stderr, in order with those of the log; nobody who reads it is waited for.
+/// Writes a line to stderr, in order with log lines, without waiting for it to be read.
 pub fn say(line: impl std::fmt::Display) {
-    // Nothing is refused.
+    // This never fails.
     let _said = Stderr.write_all(format!("{line}\n").as_bytes());
 }
 
-/// Dropped where a process ends: waits a moment for lines that are not written yet.
+/// Guard dropped at the end of the process: waits a moment for lines not yet written.
 #[derive(Debug)]
 pub struct LastLines;
 
@@ -80,14 +82,14 @@ impl Drop for LastLines {
     }
 }
 
-/// Takes each line whole, and every line.
+/// Writer that accepts every line, and each as a whole.
 struct Stderr;
 
 impl Write for Stderr {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
         match LINES.get() {
             Some(lines) => lines.push(line),
-            // Nobody to tell.
+            // There is nobody to report the error to.
             None => drop(io::stderr().write_all(line)),
         }
         Ok(line.len())

@@ -1,4 +1,5 @@
-//! The record of old weighings in files: it reads as before, a file that is lost or changed is named, and nothing is lost on the way there.
+//! The record of old weighings in files: it reads as before, a lost or changed file is named, and
+//! nothing is lost on the way there.
 
 use crate::harness::{Service, problem};
 use crate::toy::database;
@@ -17,7 +18,7 @@ async fn weighed(service: &Service, key: &str) -> String {
     id
 }
 
-/// Everything that is told of the record of these weighings and of all.
+/// Everything reported about the record of these weighings and of all.
 async fn told(service: &Service, ids: &[String]) -> Vec<String> {
     let mut told = Vec::new();
     for id in ids {
@@ -28,7 +29,7 @@ async fn told(service: &Service, ids: &[String]) -> Vec<String> {
     told
 }
 
-/// Every record but those of the archiving itself, read page by page and as a file.
+/// Every record except those of the archiving itself, read page by page and as a file.
 async fn all_records(service: &Service) -> (Vec<Value>, Vec<Value>) {
     let is_other = |it: &Value| it["body"]["action"] != "archive audit";
     let (mut listed, mut path) = (Vec::new(), "/v1/audit?limit=3".to_owned());
@@ -85,7 +86,7 @@ async fn an_audit_trail_that_was_archived_reads_as_before_to_the_byte() {
         let held = service.app.verify_audit(Some(hash)).await.unwrap();
         assert_eq!(held.holds_hash, Some(true), "also where it lies in a file");
     }
-    // The chain goes on, and what is archived already is not archived again.
+    // The chain continues, and archived records are not archived again.
     let third = weighed(&service, "three").await;
     assert_eq!(service.app.archive_audit("2000-01-01").await.unwrap().records, 0, "nothing ended before");
     let again = archive(&service).await;
@@ -146,7 +147,7 @@ async fn an_end_between_the_file_and_the_rows_loses_nothing_and_the_next_try_goe
     let service = Service::ready().await;
     let ids = [weighed(&service, "one").await];
     let (before, in_table) = (told(&service, &ids).await, rows(&service).await);
-    // The transaction that names the file does not come about, as if the process had ended before it.
+    // The transaction that names the file fails, as if the process had ended before it.
     sql(&service, "CREATE TRIGGER ended BEFORE INSERT ON audit_away BEGIN SELECT RAISE(ABORT, 'ended'); END").await;
     assert!(service.app.archive_audit(LATER).await.is_err());
     let files = || std::fs::read_dir(service.folder().join("audit")).unwrap().count();

@@ -1,4 +1,5 @@
-//! What was asked before a stop and is whole after it: the head of a request counts, however late the rest of it comes.
+//! Requests begun before a stop and completed after it: the head of a request counts, however late
+//! the rest arrives.
 
 use crate::harness::Service;
 use base64::Engine;
@@ -15,7 +16,7 @@ use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
 
-/// A way to ask: path, content type and body.
+/// A request: path, content type and body.
 type Asking = (String, &'static str, Vec<u8>);
 
 fn rest(path: &str, body: &Value) -> Asking {
@@ -54,7 +55,7 @@ impl HeldBack {
         Self { connection, last: last.to_vec() }
     }
 
-    /// Send the rest; the kind of problem that is the answer, if it is one.
+    /// Sends the rest; returns the kind of problem, if the answer is one.
     async fn end(mut self) -> Option<String> {
         self.connection.write_all(&self.last).await.unwrap();
         let mut answer = Vec::new();
@@ -63,7 +64,7 @@ impl HeldBack {
     }
 }
 
-/// The kind of a problem, as REST and gRPC write it.
+/// The kind of a problem, as formatted by REST and gRPC.
 fn problem_kind(answer: &str) -> Option<String> {
     let (head, body) = answer.split_once("\r\n\r\n").expect(answer);
     let carried = head.lines().find_map(|line| line.strip_prefix("flip-problem-bin: "));
@@ -101,7 +102,7 @@ async fn a_resume_or_a_clear_whose_body_comes_after_a_stop_does_not_undo_it() {
         assert_eq!(held_back.end().await, voided(), "{}", asking.0);
         assert!(is_held(&service).await, "{}", asking.0);
     }
-    // It is the stop that makes them void, not the wait.
+    // It is the stop that invalidates them, not the wait.
     for asking in &resumes {
         service.app.stop_bench().await.unwrap();
         let held_back = HeldBack::send(&service, &token, asking).await;

@@ -6,8 +6,8 @@ use flip::api::ServeConfig;
 use flip::app::Role;
 use serde_json::json;
 
-/// The least role of an operation. Whatever is not listed reads if it is a GET and needs an operator if it is not, so a
-/// new operation cannot be open by oversight.
+/// The least role of an operation. Unlisted operations require a viewer for GET and an operator
+/// otherwise, so a new operation cannot be open by oversight.
 fn least(method: &str, path: &str) -> Role {
     match (method, path) {
         (_, "/v1/tokens" | "/v1/tokens/{id}") => Role::Admin,
@@ -18,8 +18,8 @@ fn least(method: &str, path: &str) -> Role {
     }
 }
 
-/// Sends the operation with an empty body and an id that does not exist: whoever may pass is told something else than
-/// 401 or 403, and nothing is changed.
+/// Sends the operation with an empty body and an id that does not exist: authorised callers get a
+/// status other than 401 or 403, and nothing is changed.
 async fn status(service: &Service, method: &str, path: &str, token: Option<&str>) -> u16 {
     let mut request = service.request(method, &path.replace("{id}", "none"));
     if method != "GET" {

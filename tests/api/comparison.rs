@@ -1,4 +1,4 @@
-//! Two calibrations side by side, and the posterior, over both transports.
+//! Comparison of two calibrations, and the posterior, over both transports.
 
 use crate::harness::{Service, fields, problem};
 use flip::api::grpc::proto;
@@ -43,7 +43,8 @@ async fn two_calibrations_are_compared_the_same_over_both_transports() {
     assert_eq!(spread["key"], "friction");
     assert_eq!(spread["lower"].as_f64(), friction.iter().copied().reduce(f64::min));
     assert_eq!(spread["upper"].as_f64(), friction.iter().copied().reduce(f64::max));
-    // The toy heap has no noise: powders of 36 and 29 deg differ, and a calibration agrees with itself.
+    // The toy heap has no noise: powders of 36 and 29 deg differ, and a calibration agrees with
+    // itself.
     assert_eq!(rest["agree"], false, "{rest}");
     let itself: Value =
         service.get(&format!("/v1/calibrations/{salt}/compare?with={salt}")).await.json().await.unwrap();

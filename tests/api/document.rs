@@ -1,4 +1,4 @@
-//! The OpenAPI document: kept beside the page's client, complete, and true.
+//! The OpenAPI document: in step with the page's client, complete, and true.
 
 use crate::harness::Service;
 use serde_json::Value;

@@ -1,4 +1,4 @@
-//! gRPC beside REST: the same data, the same refusals; health and reflection.
+//! gRPC alongside REST: the same data, the same refusals; health and reflection.
 
 use crate::harness::{Service, fields};
 use flip::api::grpc::proto;
@@ -19,14 +19,14 @@ pub async fn as_operator<T>(service: &Service, message: T) -> Request<T> {
     with_token(&service.token(Role::Operator).await, message)
 }
 
-/// By the holder of this token.
+/// A message with this token.
 pub fn with_token<T>(token: &str, message: T) -> Request<T> {
     let mut request = Request::new(message);
     request.metadata_mut().insert("authorization", format!("Bearer {token}").parse().unwrap());
     request
 }
 
-/// The problem that a status carries, after checking that both say the same.
+/// The problem carried by a status, after checking that both agree.
 pub fn problem_of(status: &Status) -> Value {
     let bytes = status.metadata().get_bin("flip-problem-bin").expect("a problem in the trailer").to_bytes().unwrap();
     let problem: Value = serde_json::from_slice(&bytes).unwrap();

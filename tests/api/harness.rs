@@ -1,4 +1,4 @@
-//! A service of one's own for every test: port 0, a temporary data folder, a toy bench.
+//! A separate service for every test: port 0, a temporary data folder, a toy bench.
 
 use crate::toy::{Bench, Hold};
 use flip::api::{self, ServeConfig};
@@ -24,19 +24,19 @@ pub struct Service {
 }
 
 impl Service {
-    /// On a loopback address, with the published powders.
+    /// Starts on a loopback address, with the published powders.
     pub async fn start() -> Self {
         Self::start_at(ServeConfig::loopback("127.0.0.1:0".parse().unwrap())).await
     }
 
-    /// As [`Service::start`], and salt can be weighed.
+    /// As [`Service::start`], with salt ready to weigh.
     pub async fn ready() -> Self {
         let service = Self::start().await;
         crate::toy::calibrate_salt(service.data.path()).await;
         service
     }
 
-    /// On this bench, and salt can be weighed.
+    /// Starts on this bench, with salt ready to weigh.
     pub async fn ready_on(apparatus: Apparatus) -> Self {
         let config = ServeConfig::loopback("127.0.0.1:0".parse().unwrap());
         let service = Self::start_with(config, Some(apparatus)).await;
@@ -82,7 +82,7 @@ impl Service {
         self.client.request(Method::from_bytes(method.as_bytes()).unwrap(), self.url(path))
     }
 
-    /// As nobody.
+    /// GET without a token.
     pub async fn get(&self, path: &str) -> Response {
         self.request("GET", path).send().await.unwrap()
     }
@@ -92,7 +92,7 @@ impl Service {
         self.app.create_token("test", role).await.unwrap()
     }
 
-    /// Asks for a weighing, as an operator.
+    /// Requests a weighing, as an operator.
     pub async fn weigh(&self, key: &str, body: &Value) -> Response {
         let request = self.request("POST", "/v1/weighings").bearer_auth(self.token(Role::Operator).await);
         request.header("idempotency-key", key).json(body).send().await.unwrap()
@@ -122,7 +122,7 @@ impl Service {
         self.bench.pours()
     }
 
-    /// Keeps whatever pours from going on until the hold is dropped or the weighing is stopped.
+    /// Blocks every pour until the hold is dropped or the weighing is stopped.
     pub fn hold_bench(&self) -> Hold {
         self.bench.hold()
     }
@@ -135,7 +135,7 @@ impl Service {
     }
 }
 
-/// The problem of a refusal, after checking that it is one: status, content type, request id.
+/// The problem of a refusal, after checking its status, content type and request id.
 pub async fn problem(response: Response, status: u16) -> Value {
     let id = response.headers()["x-request-id"].to_str().unwrap().to_owned();
     let kind = response.headers().get("content-type").map(|k| k.to_str().unwrap().to_owned());
@@ -150,7 +150,7 @@ pub async fn problem(response: Response, status: u16) -> Value {
     problem
 }
 
-/// The fields that a problem names.
+/// The fields a problem names.
 pub fn fields(problem: &Value) -> Vec<&str> {
     problem["errors"].as_array().unwrap().iter().map(|e| e["field"].as_str().unwrap()).collect()
 }
@@ -162,7 +162,8 @@ pub struct Watched {
     pub data: Value,
 }
 
-/// The events of a stream that has ended. Every frame must hold one line each of `id`, `event` and `data`.
+/// The events of a stream that has ended. Every frame must hold one line each of `id`, `event` and
+/// `data`.
 fn frames(text: &str) -> Vec<Watched> {
     let frame = |frame: &str| {
         let field = |name: &str| {

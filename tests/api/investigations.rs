@@ -27,7 +27,8 @@ pub async fn as_operator<T>(service: &Service, message: T) -> Request<T> {
     request
 }
 
-/// Twelve days of their own humidity, three runs each of salt and sugar, which pile steeper in damp air: 5 deg from 30 to 70 %, repeats of 1 deg.
+/// Twelve days, each with its own humidity, three runs each of salt and sugar, which pile steeper
+/// in damp air: 5 deg from 30 to 70 %, repeats of 1 deg.
 pub fn humid_campaign() -> String {
     let mut text = String::from("powder,repose_deg,session,relative_humidity_pct,operator,remark\n");
     let mut state = 1_u64;
@@ -48,7 +49,7 @@ pub fn humid_campaign() -> String {
     text
 }
 
-/// The investigation once its job has ended well.
+/// The investigation once its job has succeeded.
 pub async fn finished(service: &Service, id: &str) -> Value {
     for _ in 0..1200 {
         let found = get(service, &format!("{PATH}/{id}")).await;
@@ -87,11 +88,12 @@ async fn a_campaign_is_judged_and_the_same_campaign_is_the_same_job() {
     assert_eq!(report["simulator_version"]["base"], found["simulator"]);
     assert_eq!((&report["verdict"], &report["causes"][0]["mechanism"]), (&json!("cause"), &json!("humidity")));
     let sentence = report["sentence"].as_str().unwrap();
-    // Each powder that is named has its own effect beside its name.
+    // Each named powder has its own effect next to its name.
     assert!(sentence.starts_with("Humidity makes salt and sugar pile steeper"), "{sentence}");
     assert!(sentence.contains("salt +") && sentence.contains("sugar +"), "{sentence}");
     let [low, high] = [0, 1].map(|k| report["findings"][0]["ci95"][k].as_f64().unwrap());
-    // 0.125 deg for each percent of humidity between the percentiles of twelve days, which lie 15 to 40 % apart.
+    // 0.125 deg for each percent of humidity between the percentiles of twelve days, which lie 15
+    // to 40 % apart.
     assert!(low > 0.5 && low < 5.0 && high > 1.9, "{low} to {high}");
     assert!(report["wall_s"].as_f64().unwrap() > 0.0);
 
@@ -131,7 +133,7 @@ async fn what_is_stored_is_a_campaign_too() {
     assert_eq!(found["report"]["rows"].as_array().unwrap().len(), 10);
 }
 
-/// Ten weighings of five shakes, six readings each, with nothing wrong, as the file has them.
+/// Ten weighings of five shakes, six readings each, with nothing wrong, in file format.
 fn weighings() -> String {
     let reading = |k: u32| {
         let (weighing, shake) = (k / 36, k % 36 / 6);
@@ -182,7 +184,8 @@ async fn balance_readings_are_judged_alone_and_beside_angles() {
         sentence.starts_with("Humidity makes") && sentence.contains("Balance readings show no discrepancy"),
         "{sentence}"
     );
-    // The version that the angles made asks for what the angles depart with, and for nothing of the balance.
+    // The version made from the angles requires the condition the angles depart with, and none of
+    // the balance's.
     let version = report["simulator_version"]["extended"].as_str().unwrap();
     let ask = json!({ "measurements_csv": "powder,relative_humidity_pct\nsalt,32\n" });
     let path = format!("/v1/simulators/{version}/predictions");

@@ -1,4 +1,4 @@
-//! The log of a service of its own process, while nobody takes it.
+//! The log of a service in its own process, while nobody reads it.
 
 use serde_json::Value;
 use std::io::{PipeWriter, Read, Write, pipe};
@@ -9,7 +9,7 @@ use tempfile::TempDir;
 
 /// Much longer than an answer takes on a busy machine.
 const SOON: Duration = Duration::from_secs(20);
-/// Bytes that Linux lets wait in a pipe.
+/// Capacity of a pipe on Linux, bytes.
 const PIPE_BYTES: usize = 64 * 1024;
 
 /// Killed when dropped.

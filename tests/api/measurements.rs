@@ -1,4 +1,5 @@
-//! What was measured of powders, as laboratories hand it in: numbers, repeats, heaps, other experiments, CSV files.
+//! Measurements of powders, as laboratories submit them: numbers, repeats, heaps, other
+//! experiments, CSV files.
 
 use crate::harness::{Service, fields, problem};
 use flip::api::grpc::proto;
@@ -38,7 +39,7 @@ async fn a_measurement_is_given_as_a_mean_as_repeats_or_as_heaps() {
     for (body, angle, sd, n) in [
         (json!({ "method": "manual", "repose_deg": 33.5, "sd_deg": 1.25, "n": 4 }), 33.5, 1.25, 4),
         (json!({ "method": "manual", "repeats_deg": [30, 32, 34] }), 32.0, 2.0, 3),
-        // A single value: nobody knows its spread.
+        // A single value: its spread is unknown.
         (json!({ "method": "manual", "repose_deg": 33.5 }), 33.5, 0.0, 1),
         (json!({ "method": "manual", "repose_deg": 33.5, "n": 1 }), 33.5, 0.0, 1),
         (json!({ "method": "manual", "heights_mm": [20, 20], "base_diameters_mm": [40] }), 45.0, 0.0, 2),
@@ -155,7 +156,7 @@ async fn measurements_and_observations_are_the_same_over_grpc() {
         method: proto::Method::Manual.into(),
         ..proto::AddMeasurementRequest::default()
     };
-    // As a client sends it that knows only the three numbers and leaves a zero out.
+    // As sent by a client that only has the three numbers and omits a zero.
     let plain = proto::AddMeasurementRequest { repose_deg: Some(30.0), n: Some(5), ..new() };
     let repeats = proto::AddMeasurementRequest { repeats_deg: vec![30.0, 32.0, 34.0], ..new() };
     let heaps = proto::AddMeasurementRequest { heights_mm: vec![20.0], base_diameters_mm: vec![40.0], ..new() };
@@ -263,7 +264,8 @@ async fn the_same_file_again_makes_no_duplicates_and_says_how_many_were_left_out
         (&json!(4), &json!([]), &json!([]))
     );
     assert_eq!(service.get("/v1/measurements.csv").await.text().await.unwrap(), all);
-    // Another source, another value or another powder is another measurement, and so is what a file has once more than was stored.
+    // Another source, another value or another powder is another measurement, and so is a row that
+    // the file has once more than the store.
     for (csv, added) in [
         ("powder,method,repose_deg,repose_sd_deg,n\nchalk,manual,44.5,1.25,6\nchalk,manual,44.5,1.25,6\n", 1),
         ("powder,method,repose_deg,repose_sd_deg,n,source\nchalk,manual,44.5,1.25,6,Hall\n", 1),

@@ -1,4 +1,4 @@
-//! What holds for every address: problems, methods, headers, probes, the page.
+//! Common to every address: problems, methods, headers, probes, the page.
 
 use crate::harness::{Service, problem};
 use flip::api::{self, ServeConfig, ServeError};

@@ -1,4 +1,4 @@
-//! The record against those who change what it is about: rows by SQL, files by hand.
+//! The record against tampering with its subject: rows by SQL, files by hand.
 
 use crate::harness::{Service, problem};
 use crate::toy::database;
@@ -29,7 +29,7 @@ async fn verified(service: &Service) -> Value {
     service.get("/v1/audit/verification").await.json().await.unwrap()
 }
 
-/// Where a weighing's ticks are.
+/// Path of a weighing's ticks.
 async fn trace_file(service: &Service, id: &str) -> PathBuf {
     let pool = database(service.folder()).await;
     let sha256: String =
@@ -102,7 +102,7 @@ async fn a_forged_row_that_says_it_is_older_than_the_record_is_not_taken_for_one
     problem(service.get("/v1/weighings/old/certificate.html").await, 409).await;
 }
 
-/// What is reported of other rows after this change.
+/// The report on other rows after this change.
 async fn other_rows_after(sql: &'static str) -> (String, Value) {
     let service = Service::ready().await;
     service.token(Role::Operator).await;

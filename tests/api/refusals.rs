@@ -4,7 +4,7 @@ use crate::harness::{Service, fields, problem};
 use flip::app::Role;
 use serde_json::{Value, json};
 
-/// A body that would be accepted, with one thing changed.
+/// A valid body with one thing changed.
 fn weighing(change: impl FnOnce(&mut Value)) -> String {
     let mut body = json!({
         "powder": "salt",

@@ -1,4 +1,4 @@
-//! Angles of repose by camera: a laboratory that is emulated whole, and devices whose frames are uploaded.
+//! Angles of repose by camera: a fully emulated laboratory, and devices whose frames are uploaded.
 
 use crate::grpc::{as_operator, channel, problem_of};
 use crate::harness::{Service, fields, problem};
@@ -35,14 +35,14 @@ async fn get(service: &Service, path: &str) -> Value {
     response.json().await.unwrap()
 }
 
-/// Start a measurement; where it is.
+/// Starts a measurement; returns its location.
 async fn started(service: &Service, body: &Value) -> String {
     let response = post(service, MEASUREMENTS, body).await;
     assert_eq!(response.status(), 202, "{body}");
     response.headers()["location"].to_str().unwrap().to_owned()
 }
 
-/// Ask until what is asked for is so.
+/// Polls until the condition holds.
 async fn until(service: &Service, path: &str, so: impl Fn(&Value) -> bool) -> Value {
     let deadline = Instant::now() + Duration::from_secs(120);
     loop {
@@ -91,12 +91,12 @@ async fn an_emulated_laboratory_piles_and_photographs_by_itself() {
     let heap = 20.0 + 30.0 * unit[4] + 15.0 * unit[7];
     assert!((deg - heap).abs() < 1.5, "{deg} {heap}");
     let known = PUBLISHED.iter().find(|it| it.id == "salt").unwrap().automated.repose_deg;
-    // Nobody has measured the powder: what was known of it stays.
+    // Nobody has measured the powder: its previous value stays.
     assert_eq!(found["result"]["registered"], false);
     assert_eq!(get(&service, "/v1/powders/salt").await["powder"]["flowability"]["repose_deg"], known);
-    // The same again is the same, and another run is another.
+    // The same request again returns the same measurement; another run is another one.
     assert_eq!(post(&service, MEASUREMENTS, &asked).await.status(), 200);
-    // A raw frame is what was photographed.
+    // A raw frame is exactly the photographed one.
     let raw = service.get(&format!("{place}/piles/2/frames/10/depth")).await;
     assert_eq!(raw.status(), 200);
     assert!(raw.bytes().await.unwrap().starts_with(b"\x89PNG"));
@@ -105,7 +105,7 @@ async fn an_emulated_laboratory_piles_and_photographs_by_itself() {
     {
         problem(service.get(&format!("{place}/{missing}")).await, 404).await;
     }
-    // What passed over the wires is on record, and so is every pile.
+    // The wire traffic is on record, and so is every pile.
     let audit = get(&service, "/v1/audit?limit=200").await;
     let kinds: Vec<&str> = audit["items"].as_array().unwrap().iter().map(|it| it["kind"].as_str().unwrap()).collect();
     assert_eq!(kinds.iter().filter(|kind| **kind == "pile").count(), 2);
@@ -125,7 +125,7 @@ async fn frames_are_uploaded_while_a_pile_waits_and_one_without_an_angle_is_made
     let place = started(&service, &asked).await;
     let frames_at = format!("{place}/frames");
     until(&service, &place, |found| found["awaits"] == json!({ "pile": 1, "have": 0, "wanted": 10 })).await;
-    // What cannot be read is refused while the pile still lies there, and counts for nothing.
+    // Unreadable frames are refused while the pile still lies there, and do not count.
     let mut bad = body(&photographed(35.0, 1, 1)[0]);
     bad["description"]["depth_unit_m"] = json!(null);
     assert_eq!(fields(&problem(post(&service, &frames_at, &bad).await, 400).await), ["depth_unit_m"]);
@@ -149,19 +149,19 @@ async fn frames_are_uploaded_while_a_pile_waits_and_one_without_an_angle_is_made
     assert!(found["piles"][0]["measured"].is_null() && found["piles"][0]["refusal"].as_str().is_some());
     let tip = found["piles"][1]["measured"]["tip"]["deg"].as_f64().unwrap();
     assert!((tip - 35.0).abs() < 1.5, "{tip}");
-    // It is what salt is now, and it is compared with what was measured by hand.
+    // It is now the value for salt, and it is compared with the manual measurements.
     let salt = get(&service, "/v1/powders/salt").await;
     assert_eq!(salt["powder"]["flowability"]["repose_deg"].as_f64(), Some(tip));
     let compared = get(&service, "/v1/measurements/comparison").await;
     let row = compared.as_array().unwrap().iter().find(|row| row["powder"] == "salt").unwrap();
     assert_eq!(row["automated"]["repose_deg"].as_f64(), Some(tip));
     assert_eq!(compared.as_array().unwrap().len(), 5);
-    // The bytes are those that came.
+    // The bytes are those received.
     let raw = service.get(&format!("{place}/piles/2/frames/3/colour")).await.bytes().await.unwrap();
     assert_eq!(raw, good[2].colour);
     let late = problem(post(&service, &frames_at, &body(&good[0])).await, 409).await;
     assert!(late["type"].as_str().unwrap().ends_with("no-pile-waits"), "{late}");
-    // Nothing of a frame that nobody waits for is read: this one could not be.
+    // A frame that nobody waits for is not read at all: this one could not be.
     let unread = serde_json::json!({ "depth": "no Base64 at all" });
     problem(post(&service, &frames_at, &unread).await, 409).await;
     service.stop().await;
@@ -281,7 +281,7 @@ async fn a_pile_that_is_being_made_is_told_as_what_moves_and_a_stop_of_the_bench
     assert_eq!((laboratory.slide.opening(), &get(&service, "/v1/bench").await["piling"]), (0.0, &json!(null)));
     assert!(metrics().await.contains("flip_bench_moving 0\n"));
 
-    // One that rests and waits for its frames does not move.
+    // A measurement at rest, waiting for its frames, does not move.
     assert_eq!(post(&service, "/v1/bench/resume", &json!({ "by": "the test" })).await.status(), 200);
     let procedure = json!({ "repeats": 1, "open_s": 1.0, "rest_s": 0.0 });
     let place = started(&service, &json!({ "powder": "salt", "procedure": procedure })).await;

@@ -1,4 +1,5 @@
-//! Versions of the simulator over both transports: what they predict, which one is current, and back.
+//! Versions of the simulator over both transports: what they predict, which one is current, and
+//! back.
 
 use crate::harness::{Service, fields, problem};
 use crate::investigations::{as_operator, finished, humid_campaign, post};
@@ -35,7 +36,7 @@ async fn chosen(service: &Service, simulator: &str) -> Value {
     choose(service, &json!({ "simulator": simulator })).await.json().await.unwrap()
 }
 
-/// What the choices so far said.
+/// The reasons given for the choices so far.
 async fn choices(service: &Service) -> Vec<Value> {
     use futures::StreamExt;
     let events = service.app.events(flip::app::Topic::All, 0).await.unwrap();
@@ -143,7 +144,7 @@ async fn versions_are_the_same_over_grpc() {
     assert_eq!(rows, text.lines().skip(1).collect::<Vec<_>>());
     assert_eq!(rows.len(), 3);
 
-    // `current` is whichever version is, over both.
+    // `current` is the version currently in use, over both transports.
     let base = client.predict(as_operator(&service, ask("current")).await).await.unwrap_err();
     assert_eq!(base.code(), Code::InvalidArgument, "{base}");
     assert!(base.message().contains("simulator"), "{base}");

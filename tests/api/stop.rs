@@ -1,4 +1,4 @@
-//! The stop, while others take what it used to need: seats, readers, descriptors, the write lock.
+//! The stop, while others occupy what it used to need: seats, readers, descriptors, the write lock.
 
 use crate::grpc::{as_operator, channel, with_token};
 use crate::harness::{Service, problem};
@@ -20,12 +20,13 @@ use std::time::Duration;
 use tokio::task::JoinSet;
 use tower::ServiceExt;
 
-/// Much longer than a stop takes on a busy machine, much shorter than it took when others could hold it up.
+/// Much longer than a stop takes on a busy machine, much shorter than it took when others could
+/// delay it.
 const SOON: Duration = Duration::from_secs(5);
 
 type Piece = Result<&'static [u8], std::convert::Infallible>;
 
-/// A body that announces 4096 bytes of a message and sends three; `begun` counts those that were sent.
+/// A body that announces 4096 bytes of a message and sends three; `begun` counts the bodies sent.
 fn unfinished(begun: &Arc<AtomicUsize>) -> impl futures::Stream<Item = Piece> + Send + 'static {
     let begun = begun.clone();
     let then_nothing = stream::poll_fn(move |_| {
@@ -35,7 +36,7 @@ fn unfinished(begun: &Arc<AtomicUsize>) -> impl futures::Stream<Item = Piece> + 
     stream::iter([Ok(&b"\0\0\0\x10\0abc"[..])]).chain(then_nothing)
 }
 
-/// A message to this method that does not come to its end; the task ends when it is answered.
+/// Sends this method a message that never completes; the task ends when it is answered.
 async fn send_unfinished(
     channel: tonic::transport::Channel,
     method: &str,
@@ -48,7 +49,7 @@ async fn send_unfinished(
     answered.fetch_add(1, Ordering::Relaxed);
 }
 
-/// Asks for a stop; its status and document.
+/// Requests a stop; returns its status and document.
 async fn stop(service: &Service, token: &str) -> (u16, Value) {
     let request = service.request("POST", "/v1/bench/stop").bearer_auth(token).timeout(SOON);
     let response = request.send().await.expect("a stop is answered soon");
@@ -62,7 +63,7 @@ async fn pouring(service: &Service) -> String {
     id
 }
 
-/// A weighing that begins when its turn comes; its id.
+/// Requests a weighing that begins when its turn comes; returns its id.
 async fn asked_for(service: &Service, key: &str) -> String {
     let mg = |value: f64| json!({ "value": value, "unit": "mg" });
     let tolerance = json!({ "lower": 1, "upper": 1, "unit": "mg" });
@@ -111,7 +112,7 @@ async fn unfinished_messages_on_three_connections_take_no_stop_away() {
     }
 }
 
-/// Runs `clients` that ask for `path` again and again while `then` works.
+/// Runs `clients` that poll `path` repeatedly while `then` works.
 async fn while_polled<T>(service: &Service, clients: usize, path: &'static str, then: impl AsyncFnOnce() -> T) -> T {
     let (over, answered) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicUsize::new(0)));
     let mut pollers = JoinSet::new();
@@ -147,7 +148,7 @@ async fn three_hundred_pollers_take_no_stop_away() {
     while_polled(&service, 300, "/v1/powders", stops).await;
 }
 
-/// Rows that make the answers of exports long.
+/// Rows that make exports long.
 async fn fill(service: &Service) {
     let pool = database(service).await;
     let many = "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n WHERE k < 20000)";
@@ -266,7 +267,7 @@ async fn no_grpc_method_is_refused_to_those_it_is_for() {
         let answer = request.body(&b"\0\0\0\0\0"[..]).send().await.unwrap();
         let status = answer.headers().get("grpc-status").map(|status| status.to_str().unwrap().to_owned());
         let reads = access(method) == Some(Access::Least(Role::Viewer));
-        // The role that the method itself asks for is the same.
+        // The role required by the method itself is the same.
         assert_eq!(status.as_deref() != Some("7"), reads, "{method}: {status:?}");
     }
 }
@@ -309,7 +310,7 @@ async fn a_write_lock_that_another_process_holds_delays_no_stop() {
     assert_eq!(outcome(&service, &id).await, "stopped");
 }
 
-/// Stops of weighings that wait, each asked for again and again; statuses.
+/// Stops of waiting weighings, each requested repeatedly; returns the statuses.
 fn stops_of_waiting(service: &Service, token: &str, ids: &[String], times: usize) -> JoinSet<u16> {
     let mut stops = JoinSet::new();
     for id in ids.iter().cycle().take(times) {
@@ -376,7 +377,8 @@ async fn stops_of_waiting_weighings_leave_room_for_a_stop_of_the_bench_on_the_sa
     assert_eq!(outcome(&service, &moving).await, "stopped");
 }
 
-/// Asks on this thread, which does nothing else meanwhile; the first line of the answer.
+/// Sends a request on this thread, which does nothing else meanwhile; returns the first line of the
+/// answer.
 fn ask_blocking(service: &Service, path: &str, token: &str) -> String {
     let mut connection = TcpStream::connect(("127.0.0.1", service.address.port())).unwrap();
     connection.set_read_timeout(Some(SOON)).unwrap();
@@ -392,7 +394,7 @@ async fn a_runtime_that_is_stuck_delays_no_stop_of_what_moves() {
     let _held = service.hold_bench();
     let moving = pouring(&service).await;
     let token = service.token(Role::Operator).await;
-    // All but stops works on the thread of this test, which waits.
+    // Everything except stops runs on this test's thread, which waits.
     let stopped = ask_blocking(&service, &format!("/v1/weighings/{moving}/stop"), &token);
     assert!(stopped.starts_with("HTTP/1.1 202"), "{stopped}");
     let stopped = ask_blocking(&service, "/v1/bench/stop", &token);
@@ -400,7 +402,7 @@ async fn a_runtime_that_is_stuck_delays_no_stop_of_what_moves() {
     assert_eq!(outcome(&service, &moving).await, "stopped");
 }
 
-/// A service of its own process that may open few files; killed when dropped.
+/// A service in its own process with a low limit on open files; killed when dropped.
 struct Confined {
     process: Child,
     url: String,
@@ -469,7 +471,7 @@ async fn event_streams_on_all_descriptors_take_no_stop_away() {
     let watching: Vec<_> = (0..300)
         .map(|_| {
             let mut connection = TcpStream::connect(service.address()).unwrap();
-            // Closed already, perhaps, for one that came later.
+            // Possibly closed already in favour of a later one.
             let _sent = connection.write_all(b"GET /v1/events HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n");
             connection
         })

@@ -1,4 +1,4 @@
-//! TLS: what makes an address that others reach acceptable.
+//! TLS: what makes an address reachable by others acceptable.
 
 use crate::harness::Service;
 use flip::api::{ServeConfig, ServeError, Tls, bind};
@@ -26,7 +26,7 @@ async fn with_a_certificate_the_service_answers_encrypted_on_any_address() {
     let channel = Channel::from_shared(url).unwrap().tls_config(trust).unwrap().connect().await.unwrap();
     let answer = HealthClient::new(channel).check(HealthCheckRequest::default()).await.unwrap();
     assert_eq!(answer.into_inner().status, 1);
-    // Nothing is answered in the clear.
+    // Nothing is answered in plain text.
     assert!(reqwest::get(service.url("/healthz")).await.is_err());
 }
 

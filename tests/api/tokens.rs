@@ -17,7 +17,7 @@ async fn may_write(service: &Service, token: &str, powder: &str) -> u16 {
     service.request("POST", "/v1/powders").bearer_auth(token).json(&new).send().await.unwrap().status().as_u16()
 }
 
-/// Bodies of what persons did, newest first.
+/// Bodies of records of persons' actions, newest first.
 async fn deeds(service: &Service) -> Vec<Value> {
     let page: Value = service.get("/v1/audit?limit=200").await.json().await.unwrap();
     let records = page["items"].as_array().unwrap().iter().filter(|record| record["kind"] == "person");
@@ -71,7 +71,8 @@ async fn tokens_are_listed_without_their_secrets_and_end_when_they_are_revoked()
     }
 }
 
-/// Follows everything, one weighing, and the same over gRPC with a token; ends when all of these end.
+/// Follows everything, one weighing, and the same over gRPC with a token; ends when all of these
+/// end.
 async fn follow(service: &Service, weighing: &str, token: &str, then: impl AsyncFnOnce()) {
     let sse = async |path: &str| {
         let stream = service.request("GET", path).bearer_auth(token).send().await.unwrap();
@@ -117,7 +118,7 @@ async fn streams_of_events_end_when_their_token_expires_or_is_revoked_here_or_el
     let (_, secret) = service.app.make_token(&soon).await.unwrap();
     follow(&service, weighing, &secret, async || {}).await;
 
-    // Those of others go on.
+    // Other tokens' streams continue.
     let secret = service.token(Role::Viewer).await;
     let mut mine =
         service.request("GET", "/v1/events").bearer_auth(service.token(Role::Viewer).await).send().await.unwrap();

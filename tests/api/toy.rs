@@ -23,7 +23,7 @@ pub struct Bench {
     held: Arc<AtomicBool>,
 }
 
-/// While it lives, pours do not go on.
+/// While it lives, pours are blocked.
 pub struct Hold(Arc<AtomicBool>);
 
 impl Drop for Hold {
@@ -91,7 +91,7 @@ impl Bench {
     }
 }
 
-/// A heap that is steeper with more friction and cohesion: 20 to 65 degrees.
+/// A heap whose angle grows with friction and cohesion: 20 to 65 degrees.
 fn heap(set: &ParameterSet, _settings: &Settings, _seed: u64) -> Result<Repose, Refusal> {
     let unit = set.to_unit();
     let angle = 20.0 + 30.0 * unit[4] + 15.0 * unit[7];
@@ -117,13 +117,14 @@ fn fixed_policy() -> (String, String, Vec<u8>) {
     (policy::id(&bytes), text, bytes)
 }
 
-/// The database of a data folder, as anybody with the file has it.
+/// The database of a data folder, opened by anyone with the file.
 pub async fn database(data_dir: &Path) -> SqlitePool {
     let options = SqliteConnectOptions::new().filename(data_dir.join("flip.db")).busy_timeout(Duration::from_secs(5));
     SqlitePool::connect_with(options).await.unwrap()
 }
 
-/// Puts a calibrated salt and a policy into the database of a data folder, as a calibration and a training would.
+/// Puts a calibrated salt and a policy into the database of a data folder, as a calibration and a
+/// training would.
 pub async fn calibrate_salt(data_dir: &Path) {
     let pool = database(data_dir).await;
     let set = ParameterSet::default();

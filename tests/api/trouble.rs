@@ -1,4 +1,5 @@
-//! What the service says while its data folder is in trouble: locked by another program, full, gone; and while the bench is latched.
+//! Responses of the service while its data folder is in trouble (locked by another program, full,
+//! gone), and while the bench is latched.
 
 use crate::harness::{Service, problem};
 use crate::toy::database;
@@ -10,7 +11,7 @@ use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::health_client::HealthClient;
 
-/// Another program, which has the database open to write.
+/// Another program holding the database's write lock.
 async fn locked(service: &Service) -> SqliteConnection {
     let options = SqliteConnectOptions::new().filename(service.folder().join("flip.db"));
     let mut other = SqliteConnection::connect_with(&options).await.unwrap();
@@ -18,7 +19,7 @@ async fn locked(service: &Service) -> SqliteConnection {
     other
 }
 
-/// Wait until `/readyz` answers with this status; its document.
+/// Waits until `/readyz` answers with this status; returns its document.
 async fn until_ready_is(service: &Service, status: u16) -> Value {
     loop {
         let response = service.get("/readyz").await;

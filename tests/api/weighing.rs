@@ -54,7 +54,7 @@ async fn a_hundred_requests_with_one_key_pour_once() {
     assert_eq!((ids.len(), replays), (1, 99));
     let id = ids.into_iter().next().unwrap();
     service.watch(&format!("/v1/weighings/{id}/events"), None).await.unwrap();
-    // A second weighing is behind every pour that the first could have caused.
+    // A second weighing is queued behind every pour that the first could have caused.
     let second: Value = service.weigh("another-key", &body).await.json().await.unwrap();
     service.watch(&format!("/v1/weighings/{}/events", second["id"].as_str().unwrap()), None).await.unwrap();
     assert_eq!(service.pours(), 2);
@@ -104,7 +104,7 @@ async fn events_resume_where_the_watcher_left_off() {
         let rest: Vec<i64> = service.watch(&path, Some(*id)).await.unwrap().iter().map(|event| event.id).collect();
         assert_eq!(rest, seqs[seen + 1..]);
     }
-    // 204 tells a browser not to come back.
+    // 204 tells a browser not to reconnect.
     let last = *seqs.last().unwrap();
     assert!(service.watch(&path, Some(last)).await.is_none());
 }

@@ -1,4 +1,5 @@
-//! What was asked of the bench before a stop, and what two ask at once: checked where it is written, not before.
+//! Bench requests made before a stop, and simultaneous requests: checked when they are written, not
+//! before.
 
 use crate::bench::{another_program, clear, code, resume};
 use crate::harness::{OnEvent, calibrated, functions, mg, open, open_in, pour, until};
@@ -13,10 +14,10 @@ use std::pin::pin;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
-/// Longer than a busy machine holds a thread up.
+/// Longer than a busy machine delays a thread.
 const PATIENT_MS: u32 = 20_000;
 
-/// A bench whose arm stays latched until it is recovered, which does this.
+/// A bench whose arm stays latched until it is recovered, which calls this.
 fn latched(recovering: impl Fn() + Send + Sync + 'static) -> (Functions, Arc<AtomicUsize>) {
     let (is_latched, recovered) = (Arc::new(AtomicBool::new(true)), Arc::new(AtomicUsize::new(0)));
     let mut bench: Apparatus = emulated_bench(Default::default());
@@ -71,7 +72,7 @@ async fn a_vial_that_was_said_to_be_in_before_a_stop_is_not_poured_into_after_it
     holding.rollback().await.unwrap();
     assert_eq!(code(ready.await), "stopped_meanwhile");
     app.resume_bench(resume()).await.unwrap();
-    // The lane has looked since: it finds another one that waits.
+    // The lane has polled since: it finds another one waiting.
     let _second = asked(&app, "B").await;
     assert_eq!(app.weighing(&id).await.unwrap().weighing.state, WeighingState::AwaitingVial);
     assert_eq!((laboratory.arm.log().len(), laboratory.dispensed_mg()), (0, 0.0), "nothing has moved");
@@ -128,7 +129,7 @@ async fn a_stop_while_a_clear_is_under_way_wins() {
     app.shutdown().await.unwrap();
 }
 
-/// Latch the bench in the store, behind the back of the process that serves it.
+/// Latches the bench in the store, without the knowledge of the process that serves it.
 async fn latch(other: &sqlx::SqlitePool) {
     let sql = "INSERT INTO latch (at, reason, bench) VALUES (0, 'a dose was interrupted', 'emulated')";
     sqlx::query(sql).execute(other).await.unwrap();
@@ -203,7 +204,7 @@ async fn a_weighing_and_a_reservation_that_are_asked_at_once_are_not_both_taken(
             tokio::join!(app.start_weighing(mg("sand", 5.0), &key), app.reserve_bench(reservation("Ada")));
         match (weighing, reserved) {
             (Ok((weighing, _)), refused) => {
-                // The weighing may have ended before anybody asked.
+                // The weighing may have ended before anyone looked.
                 let ended = done(&app, &weighing.id).await;
                 match refused {
                     Ok(reserved) => {
@@ -235,7 +236,7 @@ async fn a_restored_folder_begins_none_of_its_planned_doses_before_a_person_resu
     let planned = app.start_weighing(mg("sand", 6.0), "planned").await.unwrap().0.id;
     back_up(&data, &kept).await.unwrap();
     gate.open();
-    // It is poured after the backup, which does not know.
+    // It is poured after the backup, which does not contain it.
     assert_eq!(done(&app, &planned).await.outcome, Some(Outcome::Within));
     app.shutdown().await.unwrap();
 
@@ -245,7 +246,7 @@ async fn a_restored_folder_begins_none_of_its_planned_doses_before_a_person_resu
     let why = found.held.expect("a person must look").reason;
     assert!(why.starts_with("restored from a backup of ") && why.contains("look before resuming"), "{why}");
     assert_eq!((made.held, found.waiting.len()), (Some(why), 1));
-    // The lane has looked since: it finds this one at once.
+    // The lane has polled since: it finds this one at once.
     let later = app.start_weighing(mg("sand", 7.0), "later").await.unwrap().0.id;
     assert_eq!(app.weighing(&planned).await.unwrap().weighing.state, WeighingState::Planned);
     assert_eq!(gate.pours.load(Ordering::SeqCst), 2);

@@ -1,4 +1,5 @@
-//! The bench after a stop: it begins nothing until a person resumes, and a stop waits for no database.
+//! The bench after a stop: it starts nothing until a person resumes, and a stop does not wait for a
+//! database.
 
 use crate::harness::{calibrated, mg, open, open_in, until};
 use crate::weighing::{Gate, done};
@@ -25,7 +26,7 @@ pub fn clear(resume: bool) -> ClearRequest {
     ClearRequest { by: "Ada".into(), note: "vial exchanged".into(), looked: true, vial_ready: true, resume }
 }
 
-/// Another program that holds the database to write.
+/// Another program that holds the database's write lock.
 pub async fn another_program(folder: &Path) -> SqlitePool {
     SqlitePool::connect_with(SqliteConnectOptions::new().filename(folder.join("flip.db"))).await.unwrap()
 }
@@ -51,7 +52,7 @@ async fn after_a_stop_the_next_queued_dose_begins_only_when_a_person_resumes() {
     assert_eq!(held.waiting.iter().map(|it| (it.id.as_str(), it.target_mg)).collect::<Vec<_>>(), [(&*waiting, 6.0)]);
     assert_eq!(done(&app, &moving).await.outcome, Some(Outcome::Stopped));
     gate.open();
-    // The lane has looked since: it finds the one that waits at once, and again for this one.
+    // The lane has polled since: it finds the waiting one at once, and polls again for this one.
     let third = app.start_weighing(mg("sand", 7.0), "third").await.unwrap().0.id;
     until("the stop is on record", async || persons(&app).await == ["stop"]).await;
     assert_eq!(app.weighing(&waiting).await.unwrap().weighing.state, WeighingState::Planned);
@@ -130,7 +131,7 @@ async fn two_clients_do_not_mix_while_one_has_reserved_the_bench() {
     assert!(app.start_weighing(own.clone(), "own").await.unwrap().1, "a repeated request is no new one");
     app.shutdown().await.unwrap();
     drop(app);
-    // It outlives a restart, for others would not know that it was lost.
+    // It survives a restart, because others would not know that it was lost.
     let app = open_in(folder.path(), gate.functions()).await;
     assert_eq!(app.bench().await.unwrap().reservation, Some(reserved.clone()));
     let longer = app.reserve_bench(asked(1, Some(reserved.id.clone()))).await.unwrap();

@@ -1,4 +1,4 @@
-//! Calibrations: asked for twice, resumed, cancelled, refused.
+//! Calibrations: requested twice, resumed, cancelled, refused.
 
 use crate::harness::{PATIENCE, calibrated, calibration_of, ended, functions, heap, open, open_in, until};
 use flip::app::{App, CalibrationMethod, CalibrationRequest};
@@ -156,7 +156,7 @@ fn emulated(powder: &str) -> CalibrationRequest {
     CalibrationRequest { method: Some(CalibrationMethod::Emulator), ..calibration_of(powder, 1) }
 }
 
-/// As [`ended`], with the patience that the fits of an emulator of 240 heaps ask for.
+/// As [`ended`], with a longer timeout for the fits of an emulator of 240 heaps.
 async fn ended_in_time(app: &App, id: &str) -> JobState {
     let deadline = tokio::time::Instant::now() + Duration::from_secs(300);
     loop {
@@ -209,7 +209,7 @@ async fn calibrations_share_one_emulator_that_is_built_once_also_when_it_is_inte
     let posterior = app.posterior(&sugar).await.unwrap();
     assert_eq!((posterior.draws.len(), posterior.parameters.len()), (400, 9));
     assert!(posterior.repose_deg.iter().all(|deg| (25.0..38.0).contains(deg)));
-    // The next start sweeps what no row names.
+    // The next start removes files that no row names.
     app.shutdown().await.unwrap();
     drop(app);
     let app = open_in(folder.path(), functions()).await;
@@ -217,7 +217,8 @@ async fn calibrations_share_one_emulator_that_is_built_once_also_when_it_is_inte
     let without = calibrated(&app, "salt").await;
     assert!(matches!(app.posterior(&without.id).await, Err(Error::Conflict { code: "posterior_missing", .. })));
 
-    // What else was measured counts, is simulated once for all calibrations, and is looked at again in the sets.
+    // Other measurements count, are simulated once for all calibrations, and are evaluated again in
+    // the sets.
     let shake = |mean| Observation {
         observable: Observable::ShakeMass { pitch_deg: 30.0, shake_mm: 4.0 },
         mean,
@@ -240,18 +241,18 @@ async fn calibrations_share_one_emulator_that_is_built_once_also_when_it_is_inte
     let result = of_sugar.result.unwrap();
     let made_of = &result.observed[0];
     assert_eq!((made_of.built, made_of.sets.len(), made_of.sets[0].runs), (128, 3, 4));
-    // The formula knows no grains.
+    // The formula has no grains.
     assert!(result.size_shift_deg.is_some_and(|shift| shift.abs() < 0.5), "{:?}", result.size_shift_deg);
     assert!(made_of.agrees && (made_of.mean.unwrap() - 0.42).abs() < 0.03, "{made_of:?}");
     assert!(!posterior.parameters[8].inert, "a shake weighs grains");
     let (of_sand, _) = observed(joint("sand", 0.47)).await;
     let result = of_sand.result.unwrap();
     assert_eq!((result.observed[0].built, &result.observed[0].sha256), (0, &made_of.sha256));
-    // No set of the formula lets fall so little.
+    // No set of the formula dispenses so little.
     let (of_salt, _) = observed(joint("salt", 20.0)).await;
     assert!(!of_salt.result.unwrap().observed[0].agrees);
 
-    // Beyond what the formula reaches, 22 to 49 deg: explained, not failed.
+    // Beyond the range of the formula, 22 to 49 deg: explained, not failed.
     let bare = CalibrationRequest {
         repose_deg: Some(70.0),
         sd_deg: Some(2.0),
@@ -264,7 +265,8 @@ async fn calibrations_share_one_emulator_that_is_built_once_also_when_it_is_inte
     let result = app.calibration(&beyond.id).await.unwrap().result.unwrap();
     let shortfall = result.shortfall.unwrap();
     assert!(!result.reached && result.sets.is_empty());
-    // This formula's steepest heap has 48.7 deg; it does not follow the five numbers of the emulator, which sees its top through a haze.
+    // This formula's steepest heap has 48.7 deg; it does not follow the five numbers of the
+    // emulator, which sees its maximum only with noise.
     assert!((45.0..49.0).contains(&shortfall.nearest_repose_deg), "{shortfall:?}");
     assert!(["friction", "cohesion"].contains(&shortfall.limiting_parameter.unwrap().as_str()));
     app.shutdown().await.unwrap();

@@ -1,4 +1,4 @@
-//! The end of a dose is kept until it is written down, whatever the database does.
+//! The end of a dose is kept until it is written down, whatever happens to the database.
 
 use crate::bench::{another_program, clear};
 use crate::harness::{OnEvent, calibrated, functions, mg, open_in, pour, until};
@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, mpsc};
 
-/// A bench that has devices, on which this happens after the last reading of the first dose.
+/// A bench that has devices, on which `happens` is called after the last reading of the first dose.
 fn at_the_end(happens: impl Fn() + Send + Sync + 'static) -> (Functions, Arc<AtomicUsize>) {
     let pours = Arc::new(AtomicUsize::new(0));
     let counted = pours.clone();
@@ -111,7 +111,7 @@ async fn a_trace_that_cannot_be_stored_loses_neither_the_ending_nor_the_ticks() 
     app.shutdown().await.unwrap();
 }
 
-/// Nothing can be put into this folder any more.
+/// Blocks any further writes to this folder.
 fn block(blobs: &Path) {
     let aside: PathBuf = blobs.with_extension("aside");
     std::fs::create_dir_all(blobs).unwrap();

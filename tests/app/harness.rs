@@ -1,4 +1,4 @@
-//! One application for each test, and the formulas it computes with.
+//! One application per test, and the formulas it computes with.
 
 use flip::app::{
     App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Target, Tolerance, Topic,
@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tempfile::TempDir;
 
-/// Longest that a test waits for anything.
+/// Longest wait of a test.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A heap whose angle grows with friction and cohesion, with a little noise by seed.
@@ -58,10 +58,10 @@ fn train() -> Train {
     })
 }
 
-/// Who hears of what a pour does.
+/// Callback for the events of a pour.
 pub type OnEvent<'a> = &'a mut dyn FnMut(&Event<'_>) -> ControlFlow<()>;
 
-/// A pour of three ticks that is 0.25 mg too much; it stops when asked to.
+/// A pour of three ticks that overdoses by 0.25 mg; it stops when requested to.
 pub fn pour(pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Poured {
     let _recorded = on_event(&Event::Phase(Phase::Dosing));
     let mut ticks = Vec::new();
@@ -130,7 +130,7 @@ pub async fn ended(app: &App, id: &str) -> Job {
     job
 }
 
-/// Calibrate a powder and return the job.
+/// Calibrates a powder and returns the job.
 pub async fn calibrated(app: &App, powder: &str) -> Job {
     let (job, _) = app.start_calibration(calibration_of(powder, 1)).await.unwrap();
     let job = ended(app, &job.id).await;
@@ -143,7 +143,7 @@ pub fn training_of(powder: &str, episodes: u32) -> TrainingRequest {
     TrainingRequest { powders: Some(vec![powder.into()]), episodes: Some(episodes), ..Default::default() }
 }
 
-/// Calibrate a powder, train on it, and return the policy's id.
+/// Calibrates a powder, trains on it, and returns the policy's id.
 pub async fn trained(app: &App, powder: &str) -> String {
     calibrated(app, powder).await;
     let (job, _) = app.start_training(training_of(powder, 8)).await.unwrap();
@@ -152,7 +152,7 @@ pub async fn trained(app: &App, powder: &str) -> String {
     app.training(&job.id).await.unwrap().result.unwrap().policy
 }
 
-/// Wait until `test` holds.
+/// Waits until `test` holds.
 pub async fn until<F: Future<Output = bool>>(what: &str, mut test: impl FnMut() -> F) {
     let deadline = tokio::time::Instant::now() + PATIENCE;
     while !test().await {
@@ -161,7 +161,7 @@ pub async fn until<F: Future<Output = bool>>(what: &str, mut test: impl FnMut() 
     }
 }
 
-/// A request for so much of a powder, a milligram either way.
+/// A request for this mass of a powder, within a milligram.
 pub fn mg(powder: &str, value: f64) -> WeighingRequest {
     WeighingRequest {
         powder: powder.into(),

@@ -1,4 +1,4 @@
-//! Investigations: what can be had of one that has not ended, and one that is not wanted any more.
+//! Investigations: what is available of one that has not ended, and one that is no longer wanted.
 
 use flip::app::{App, Error, InvestigationRequest, JobState, Options, PageQuery};
 

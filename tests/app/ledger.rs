@@ -40,7 +40,8 @@ async fn a_database_that_somebody_locks_for_a_while_costs_time_and_nothing_else(
     let (folder, app) = open(slow).await;
     let (job, _) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();
     until("it runs", async || app.job(&job.id).await.unwrap().state == JobState::Running).await;
-    // Longer than any of our connections waits: the queue's worker ends, and the trial at hand is not saved.
+    // Longer than any of our connections waits: the queue's worker ends, and the current trial is
+    // not saved.
     let path = SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
     let mut intruder = path.connect().await.unwrap();
     let lock = intruder.begin_with("BEGIN IMMEDIATE").await.unwrap();

@@ -1,4 +1,4 @@
-//! What an arm and a spoon can do, against what a policy and a request ask of them.
+//! Limits of an arm and a spoon, against the demands of a policy and a request.
 
 use crate::harness::{calibrated, functions, mg, open, training_of};
 use flip::app::{Error, EvaluationRequest, Functions, TrainingRequest, file_bench};
@@ -16,7 +16,7 @@ use flip_policy::{Controller, Rules, Schedule, ScheduledStep};
 use std::ops::ControlFlow;
 use std::sync::atomic::AtomicBool;
 
-/// A policy that tips the spoon as far as 45 deg and shakes it hard.
+/// A policy that tips the spoon up to 45 deg and shakes it hard.
 fn steep() -> Controller {
     let steps = [15.0, 30.0, 45.0].map(|pitch_deg| ScheduledStep { pitch_deg, shake_mm: 12.0 });
     Controller::Schedule(Schedule { steps: steps.to_vec() })
@@ -65,7 +65,7 @@ fn an_arm_that_cannot_scoop_weighs_what_somebody_filled() {
     }
 }
 
-/// A devices bench of this file, none of whose devices is there.
+/// A devices bench with this spoon, none of whose devices is there.
 fn absent(spoon: &str) -> Functions {
     let devices = "[balance]\ndialect = \"sbi\"\nport = \"/dev/no-such-port\"\n[arm]\nurl = \"http://127.0.0.1:9\"\n";
     Functions { bench: Some(file_bench(BenchFile::parse(&format!("{devices}{spoon}")).unwrap())), ..functions() }

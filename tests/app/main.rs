@@ -1,4 +1,5 @@
-//! The application from outside, on a real database in a temporary folder, with formulas in place of the physics.
+//! The application from outside, on a real database in a temporary folder, with formulas in place
+//! of the physics.
 
 mod asked;
 mod bench;

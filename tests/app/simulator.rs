@@ -1,4 +1,5 @@
-//! An extended version of the simulator: made by an investigation, and then calibrated, trained, evaluated and weighed on.
+//! An extended version of the simulator: made by an investigation, then used to calibrate, train,
+//! evaluate and weigh.
 
 use crate::harness::{OnEvent, calibration_of, ended, functions, heap, mg, open, pour, training_of};
 use flip::app::{
@@ -18,7 +19,7 @@ const CAMPAIGN: &str = include_str!("../../examples/campaigns/humidity.csv");
 /// Degrees that water in the powder adds to the toy's heaps.
 const STEEPENS_DEG: f64 = 28.0;
 
-/// What the toy's heaps and pours were.
+/// Records the toy's heaps and pours.
 #[derive(Default)]
 struct Seen {
     heaps: AtomicU32,
@@ -26,7 +27,7 @@ struct Seen {
     pours: Mutex<Vec<f64>>,
 }
 
-/// The harness's formulas, where heaps and spoons feel water.
+/// The harness's formulas, with heaps and spoons that respond to water.
 fn wet(seen: &Arc<Seen>) -> Functions {
     let (of_heaps, of_pours) = (seen.clone(), seen.clone());
     let simulate = move |set: &ParameterSet, settings: &Settings, seed: u64| {
@@ -52,7 +53,7 @@ fn campaign(budget_runs: u32) -> InvestigationRequest {
 }
 
 async fn succeeded(app: &App, job: &Job) {
-    // An investigation takes longer than what else tests wait for.
+    // An investigation takes longer than anything else tests wait for.
     for _ in 0..1200 {
         if app.job(&job.id).await.unwrap().state.is_terminal() {
             break;
@@ -99,7 +100,7 @@ async fn what_an_investigation_accepts_is_calibrated_weighed_evaluated_and_train
     let humidity = &body["extensions"][0];
     assert_eq!((&humidity["mechanism"], &humidity["hook"]), (&json!("humidity"), &json!({"extension": "humidity"})));
     let number = |value: &serde_json::Value| value.as_f64().unwrap();
-    // The toy's heaps move by 28 deg an amplitude.
+    // The toy's heaps move by 28 deg per unit amplitude.
     let expected = number(&humidity["effect_deg"]) / STEEPENS_DEG;
     assert!((number(&humidity["amplitude"]["value"]) / expected - 1.0).abs() < 0.15, "{humidity}");
     assert_eq!(humidity["fit"]["verified"], json!(true));

@@ -43,7 +43,8 @@ async fn a_training_whose_checkpoint_is_lost_begins_again_says_so_and_ends_with_
     assert_eq!(events_of_a_resumed_training(|file| std::fs::write(file, b"half").unwrap()).await, 1);
 }
 
-/// How often a training that was shut down says that its checkpoint is lost, after this was done to the file.
+/// How often a training that was shut down reports that its checkpoint is lost, after this damage
+/// to the file.
 async fn events_of_a_resumed_training(damage: impl Fn(&std::path::Path)) -> usize {
     let request = TrainingRequest { episodes: Some(40), ..training_of("sand", 40) };
     let (_folder, undisturbed) = open(functions()).await;
@@ -77,7 +78,8 @@ async fn events_of_a_resumed_training(damage: impl Fn(&std::path::Path)) -> usiz
     assert_eq!((job.state, job.attempts), (JobState::Succeeded, 1), "{:?}", job.error);
     assert_eq!(app.training(&job.id).await.unwrap().result.unwrap(), whole_result);
     assert_eq!(all_episodes(&app, &job.id).await, all_episodes(&undisturbed, &whole.id).await);
-    // It is deleted after the job is told to have ended, not before: a row must never name what is gone.
+    // It is deleted after the job is reported as ended, not before: a row must never name a missing
+    // file.
     until("no checkpoint", async || walk(folder.path().join("blobs")).is_empty()).await;
     let events: Vec<_> = app.events(Topic::Job(job.id.clone()), 0).await.unwrap().collect().await;
     app.shutdown().await.unwrap();
@@ -89,7 +91,7 @@ async fn events_of_a_resumed_training(damage: impl Fn(&std::path::Path)) -> usiz
 async fn trainings_run_side_by_side_and_end_as_they_do_alone() {
     let (_folder, alone) = open(functions()).await;
     let (folder, quick) = (tempfile::tempdir().unwrap(), functions());
-    // Each goes on only when the other has begun: one after the other they would wait for ever.
+    // Each continues only when the other has begun: run sequentially they would wait forever.
     let (meeting, train) = (Arc::new(std::sync::Barrier::new(2)), quick.train.clone());
     let together = Functions {
         train: Arc::new(move |levels, settings, resume, flow, listener| {
@@ -221,7 +223,7 @@ async fn what_simple_controllers_come_to_does_not_depend_on_a_policy_that_does_n
     };
     let (before, _) = app.start_evaluation(request.clone()).await.unwrap();
     assert_eq!(ended(&app, &before.id).await.state, JobState::Succeeded);
-    // A policy that has met sets of sand, and is the newest from now on.
+    // A policy trained on sets of sand, and the newest from now on.
     trained(&app, "sand").await;
     let (after, created) = app.start_evaluation(request).await.unwrap();
     assert!(!created && after.id == before.id, "the same evaluation is asked for");

@@ -1,4 +1,5 @@
-//! Vials on a bench that cannot exchange them: somebody says that one is in, and the balance is asked too.
+//! Vials on a bench that cannot exchange them: a person confirms that one is in, and the balance is
+//! checked too.
 
 use crate::bench::{clear, code, resume};
 use crate::harness::{calibrated, functions, mg, open, open_in, until};
@@ -16,7 +17,7 @@ fn spoon(seed: u64) -> Box<FormulaSpoon> {
     Box::new(FormulaSpoon::new(Flow::default(), seed))
 }
 
-/// A laboratory whose vial a person exchanges, and whose time is its own.
+/// A laboratory whose vial a person exchanges, with a clock of its own.
 pub fn laboratory(dead_man_ms: u32) -> (Laboratory, Functions) {
     let clock = Clock::standing();
     let settings =
@@ -26,7 +27,7 @@ pub fn laboratory(dead_man_ms: u32) -> (Laboratory, Functions) {
     (laboratory, Functions { bench, ..functions() })
 }
 
-/// Longer than a busy machine holds a thread up.
+/// Longer than a busy machine delays a thread.
 const PATIENT_MS: u32 = 20_000;
 
 pub async fn asked(app: &App, vial: &str) -> String {
@@ -44,7 +45,7 @@ pub fn said(vial: &str) -> VialReadyRequest {
     VialReadyRequest { by: Some("Ada".into()), vial: Some(vial.into()) }
 }
 
-/// The vial on the pan: its name, and whether it holds this much.
+/// The vial on the pan: its name, and whether it holds this mass.
 fn holds(found: &BenchStatus, name: &str, mass_mg: f64) -> bool {
     let vial = found.vial.as_ref().expect("a vial is known");
     vial.name.as_deref() == Some(name) && vial.holds_mg.is_some_and(|mg| (mg - mass_mg).abs() <= 3.0)
@@ -68,7 +69,7 @@ async fn three_weighings_for_three_named_vials_do_not_go_into_one() {
     let poured_mg = laboratory.dispensed_mg();
     assert!(poured_mg > 5.0, "{first:?}");
 
-    // Nobody has exchanged it, and somebody says so.
+    // Confirmed although nobody has exchanged it.
     until_awaiting(&app, &b).await;
     let found = app.bench().await.unwrap();
     assert!(holds(&found, "A", poured_mg) && found.exchanges_vials == Some(false), "{found:?}");
@@ -110,7 +111,7 @@ async fn whoever_skips_the_vial_is_not_asked_dose_after_dose_and_the_pan_is_stil
     let found = app.bench().await.unwrap();
     let holds_mg = found.vial.unwrap().holds_mg.unwrap();
     assert!((holds_mg - laboratory.dispensed_mg()).abs() <= 4.0 && holds_mg > 15.0, "{holds_mg}");
-    // It is not empty to whoever asks.
+    // A query does not find it empty.
     let id = asked(&app, "B").await;
     until_awaiting(&app, &id).await;
     app.vial_ready(&id, said("B")).await.unwrap();
@@ -128,7 +129,7 @@ async fn what_was_said_of_a_vial_is_void_after_a_stop_and_after_a_restart() {
     until_awaiting(&app, &a).await;
     app.stop_bench().await.unwrap();
     app.vial_ready(&a, said("A")).await.unwrap();
-    // Whoever stops again may take the vial away.
+    // Anyone who stops again may take the vial away.
     app.stop_bench().await.unwrap();
     app.resume_bench(resume()).await.unwrap();
     until("the lane has looked", async || {
@@ -148,7 +149,7 @@ async fn what_was_said_of_a_vial_is_void_after_a_stop_and_after_a_restart() {
     app.shutdown().await.unwrap();
 }
 
-/// A client that has control of the arm and renews it no more.
+/// A client that has control of the arm and no longer renews it.
 pub fn abandoned(laboratory: &Laboratory) -> Arm {
     let client = Arm::connect(
         laboratory.arm.url(),
@@ -160,7 +161,7 @@ pub fn abandoned(laboratory: &Laboratory) -> Arm {
     client
 }
 
-/// A client that takes control of the arm and is heard of no more, until the arm has latched itself.
+/// A client that takes control of the arm and goes silent, until the arm has latched itself.
 pub async fn dead_client(laboratory: &Laboratory) {
     let _client = abandoned(laboratory);
     until("the dead-man", async || laboratory.arm.latched().is_some()).await;
@@ -173,7 +174,7 @@ async fn an_arm_that_is_latched_latches_the_bench_says_why_and_a_person_clears_b
     calibrated(&app, "sand").await;
     assert_eq!(code(app.clear_bench(clear(false)).await), "bench_not_latched");
     dead_client(&laboratory).await;
-    // Before anybody has weighed: the arm alone is latched.
+    // Before any weighing: the arm alone is latched.
     let cleared = app.clear_bench(clear(false)).await.unwrap();
     assert_eq!((cleared.latch, cleared.held, laboratory.arm.latched()), (None, None, None));
 

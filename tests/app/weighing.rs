@@ -19,7 +19,7 @@ pub async fn done(app: &App, id: &str) -> Weighing {
     app.weighing(id).await.unwrap().weighing
 }
 
-/// A bench that holds its breath until it is told to go on, and counts its pours.
+/// A bench that blocks until it is released, and counts its pours.
 #[derive(Default)]
 pub struct Gate {
     open: Mutex<bool>,
@@ -81,7 +81,7 @@ async fn a_hundred_parallel_requests_with_one_key_make_one_weighing_and_one_pour
         let app = app.clone();
         tokio::spawn(async move { app.start_weighing(mg("sand", 12.0), "one key").await })
     }));
-    // A key with a space is refused; the hundred use one without.
+    // A key with a space is refused; the hundred requests use one without.
     assert!(answers.await.into_iter().all(|answer| matches!(answer.unwrap(), Err(Error::Invalid(_)))));
     let answers = join_all((0..100).map(|_| {
         let app = app.clone();
@@ -185,7 +185,8 @@ async fn a_pour_that_panics_is_recorded_and_the_next_one_goes_on() {
     app.shutdown().await.unwrap();
 }
 
-/// What doses were forecast with, one after another, on a bench whose shakes of 4 mm each give half of the dose.
+/// Forecasts used by successive doses, on a bench where one shake of 4 mm dispenses half of the
+/// dose.
 async fn forecasts(remembers: bool) -> Vec<Forecast> {
     let seen = Arc::new(Mutex::new(Vec::new()));
     let told = seen.clone();
@@ -194,7 +195,7 @@ async fn forecasts(remembers: bool) -> Vec<Forecast> {
         told.lock().unwrap().push(pouring.forecast);
         let mut poured = pour(pouring, on_event, stop);
         poured.ticks[1..].iter_mut().for_each(|tick| tick.action.shake_mm = 4.0);
-        // The third one did not run its course: what it shows is not to be built on.
+        // The third one did not run its course: its results must not be used.
         if pouring.order.target_mg == 9.0 {
             poured.outcome = Outcome::Blocked;
         }

@@ -1,7 +1,9 @@
-//! Whole campaigns: the command with the heaps that it simulates by default, from the file of angles to a version of the simulator whose amplitude heaps
-//! have found and fresh heaps have verified, and what that is worth on days that were left out.
+//! Whole campaigns: the command with the number of heaps it simulates by default, from the file of
+//! angles to a version of the simulator whose amplitude was fitted on heaps and verified on fresh
+//! ones, and its gain on left-out days.
 //!
-//! Causes that act through the grains; seeds that no test has. One after the other, so that the seconds are those of a campaign alone on this machine.
+//! Causes that act through the grains; seeds that no test uses. Campaigns run one at a time, so the
+//! seconds are those of a campaign alone on this machine.
 
 use crate::judge::{Answer, Laboratory, kept};
 use crate::rates::{LARGE_DEG, line};
@@ -12,11 +14,11 @@ use std::path::Path;
 /// Causes that the simulator has a mechanism for.
 pub const FAMILIES: [Family; 5] =
     [Family::Humidity, Family::RestTime, Family::Vibration, Family::ContainerAge, Family::FunnelHeight];
-/// Longest and dearest that a campaign may be.
+/// Bounds on a campaign's duration and cost.
 const SECONDS_MAX: f64 = 3600.0;
 const RUNS_MAX: u64 = 220;
 
-/// What a whole campaign came to.
+/// The result of a whole campaign.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Campaign {
     pub family: String,
@@ -24,13 +26,14 @@ pub struct Campaign {
     pub verdict: String,
     pub claimed: Vec<String>,
     pub is_right: bool,
-    /// Whether the extension won on days left out, so that there is a version.
+    /// Whether the extension won on left-out days, so that there is a version.
     pub is_accepted: bool,
-    /// Whether fresh heaps moved as measured ones did.
+    /// Whether fresh heaps moved as the measured ones did.
     pub is_verified: bool,
     pub runs: u64,
     pub wall_s: f64,
-    /// Root mean square error on days left out, before and after, degrees; 95 % interval of the difference, and the runs left out.
+    /// Root mean square error on left-out days, before and after, degrees; 95 % interval of the
+    /// difference, and the number of runs left out.
     pub held_out: Option<HeldOut>,
     pub extensions: Vec<Extension>,
 }
@@ -43,23 +46,24 @@ pub struct HeldOut {
     pub n: u64,
 }
 
-/// What heaps said of one cause.
+/// The simulated heaps' result for one cause.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Extension {
     pub mechanism: String,
-    /// The change that the campaign has, mean of the powders whose heaps were poured, degrees.
+    /// The change in the campaign, mean over the powders whose heaps were poured, degrees.
     pub fitted_deg: f64,
-    /// By how much fresh heaps moved at the amplitude that was found, and its standard error, degrees; absent where none were poured.
+    /// How far fresh heaps moved at the fitted amplitude, and its standard error, degrees; absent
+    /// where none were poured.
     pub heaps_deg: Option<[f64; 2]>,
 }
 
-/// So many campaigns, the families in turn.
+/// This many campaigns, cycling through the families.
 pub fn wanted(count: u64, first_seed: u64) -> Vec<(Family, u64)> {
     let families = FAMILIES.len() as u64;
     (0..count).map(|k| (FAMILIES[(k % families) as usize], first_seed + k / families)).collect()
 }
 
-/// What is known from the file in the folder, and the others as they come.
+/// Results known from the file in the folder, and the others as they are computed.
 pub fn campaigns(folder: &Path, wanted: &[(Family, u64)], simulations: u32) -> Vec<Campaign> {
     let laboratory = Laboratory::new(folder.join("campaigns"));
     let named: Vec<(String, u64)> = wanted.iter().map(|(family, seed)| (family.name().to_owned(), *seed)).collect();
@@ -114,7 +118,7 @@ fn campaign(laboratory: &Laboratory, family: Family, seed: u64, simulations: u32
     }
 }
 
-/// Every campaign, and the rows of the table that they have.
+/// Every campaign, and their rows of the table.
 pub fn table(all: &[Campaign]) -> String {
     if all.is_empty() {
         return String::new();

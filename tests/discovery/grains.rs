@@ -1,11 +1,14 @@
 //! A small discrete-element code: the angle of repose of a heap of soft spheres.
 //!
-//! Another kind of simulator than the product's, which moves grains by projecting positions: here springs push, and Newton's law is stepped. It
-//! uses nothing of the crate, so what the two have in common is physics, not code. A heap is poured from a rising opening onto a round plate of
-//! glued grains; what is too much falls off the rim. The second half is poured in portions; the angle is the mean of those of the flank at rest
-//! after each, for a single heap of bonded grains may just have slid.
+//! A different kind of simulator from the product's, which moves grains by projecting positions:
+//! here springs push, and Newton's law is integrated. It uses nothing from the crate, so the two
+//! share physics, not code. A heap is poured from a rising opening onto a round plate of glued
+//! grains; the excess falls off the rim. The second half is poured in portions; the angle is the
+//! mean of those of the flank at rest after each, because a single heap of bonded grains may just
+//! have slid.
 //!
-//! Units: mean diameter d, mean grain's mass m, gravity g; hence times in √(d/g), forces in m g, stiffnesses in m g / d.
+//! Units: mean diameter d, mean grain's mass m, gravity g; hence times in √(d/g), forces in m g,
+//! stiffnesses in m g / d.
 //!
 //! | Symbol | Meaning | Law | Source |
 //! |---|---|---|---|
@@ -38,7 +41,7 @@ const DAMPING: f64 = 0.3;
 const TANGENTIAL: f64 = 2.0 / 7.0;
 /// Gap up to which grains attract, d.
 const REACH: f64 = 0.05;
-/// Gap up to which pairs are listed beyond what touches or attracts, d.
+/// Gap beyond contact or attraction up to which pairs are listed, d.
 const SKIN: f64 = 0.2;
 /// Grains poured over the cube of the plate's radius; a heap of slope s holds about 1.2 s.
 const POURED_PER_CUBE: f64 = 4.0;
@@ -52,13 +55,14 @@ pub struct Grains {
     pub rolling: f64,
     /// SD σ of the logarithm of the radius, 0 to 0.3.
     pub size_spread: f64,
-    /// Attraction of a pair over the weight of the mean grain, Bo; of 4, few heaps reach the rim.
+    /// Attraction of a pair over the weight of the mean grain, Bo; at 4, few heaps reach the rim.
     pub bond: f64,
     /// Grains poured; the plate grows with them.
     pub count: usize,
 }
 
-/// Angle of repose in degrees of one heap, or None where it does not come to rest or after most portions does not cover its base.
+/// Angle of repose of one heap, degrees, or None if it does not come to rest, or does not cover its
+/// base after most portions.
 pub fn repose_deg(grains: &Grains, seed: u64) -> Option<f64> {
     const PORTIONS: usize = 5;
     let mut rng = Pcg64::seed_from_u64(seed);
@@ -77,9 +81,10 @@ pub fn repose_deg(grains: &Grains, seed: u64) -> Option<f64> {
     (2 * read.len() > PORTIONS).then(|| read.iter().sum::<f64>() / read.len() as f64)
 }
 
-/// Radii of the cut lognormal distribution, scaled so that the mean volume is that of a sphere of diameter 1.
+/// Radii of the cut lognormal distribution, scaled so that the mean volume is that of a sphere of
+/// diameter 1.
 fn radii(grains: &Grains, rng: &mut Pcg64) -> Vec<f64> {
-    // Box and Muller's transform of two uniform numbers.
+    // Box-Muller transform of two uniform numbers.
     let normal = || (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt() * (TAU * rng.random::<f64>()).cos();
     let cut = repeat_with(normal).filter(|it| it.abs() <= 2.0).take(grains.count);
     let drawn: Vec<f64> = cut.map(|it| (grains.size_spread * it).exp()).collect();
@@ -87,7 +92,8 @@ fn radii(grains: &Grains, rng: &mut Pcg64) -> Vec<f64> {
     drawn.iter().map(|it| 0.5 * it / mean_cube.cbrt()).collect()
 }
 
-/// Grains of diameter 1 glued in a triangular lattice, uneven in height so that what lies on them finds no lattice.
+/// Grains of diameter 1 glued in a triangular lattice, uneven in height so that the grains on top
+/// find no lattice.
 fn plate_of_grains(plate: f64, rng: &mut Pcg64) -> Vec<Sphere> {
     let rows = plate.ceil() as i32 + 2;
     let lattice = (-rows..=rows).flat_map(|row| (-rows..=rows).map(move |column| (row, column)));
@@ -98,14 +104,15 @@ fn plate_of_grains(plate: f64, rng: &mut Pcg64) -> Vec<Sphere> {
         .collect()
 }
 
-/// The step for grains of this radius and more: a 25th of the impact of the two smallest.
+/// The time step for grains of this radius and more: a 25th of the impact of the two smallest.
 fn step_time(radius_min: f64) -> f64 {
     let reduced_mass = 0.5 * (2.0 * radius_min).powi(3);
     let stiffness = STIFFNESS * 2.0 * radius_min;
     PI * (reduced_mass / (stiffness * (1.0 - DAMPING * DAMPING))).sqrt() / 25.0
 }
 
-/// Let grains of these radii fall, so many in unit time, from an opening half as wide as the plate and this much above the top of the heap.
+/// Drops grains of these radii, this many per unit time, from an opening half as wide as the plate
+/// and this far above the top of the heap.
 fn pour(world: &mut World, radii: &[f64], plate: f64, dt: f64, rng: &mut Pcg64) {
     const RATE: f64 = 12.0;
     const DROP: f64 = 2.5;
@@ -127,7 +134,7 @@ fn pour(world: &mut World, radii: &[f64], plate: f64, dt: f64, rng: &mut Pcg64) 
     }
 }
 
-/// Wait until the mean grain has next to no energy of motion; None if that takes too long.
+/// Waits until the mean grain has almost no kinetic energy; None if that takes too long.
 fn settle(world: &mut World, dt: f64) -> Option<()> {
     const ENERGY: f64 = 1e-6;
     const TIME_MAX: usize = 100;
@@ -140,10 +147,12 @@ fn settle(world: &mut World, dt: f64) -> Option<()> {
     (0..TIME_MAX).any(rests).then_some(())
 }
 
-/// Slope of the least-squares line through the heights of the flank, averaged over rays, against the distance from the axis.
+/// Slope of the least-squares line through the heights of the flank, averaged over rays, against
+/// the distance from the axis.
 ///
-/// None where at the outer end fewer than a third of the rays meet a free grain: the heap does not reach the rim, and the line ends on the plate.
-/// A covered plate has there one loose layer, on half of the rays or more.
+/// None if at the outer end fewer than a third of the rays meet a free grain: the heap does not
+/// reach the rim, and the line ends on the plate. A covered plate has one loose layer there, on
+/// half of the rays or more.
 fn flank_deg(spheres: &[Sphere], plate: f64) -> Option<f64> {
     const RAYS: u32 = 36;
     let on_rays = |distance: f64| {
@@ -163,7 +172,7 @@ fn flank_deg(spheres: &[Sphere], plate: f64) -> Option<f64> {
     Some((-products / squares).atan().to_degrees())
 }
 
-/// Height of the highest sphere over a point, and what it is; between grains, the height of the plate.
+/// Height and role of the highest sphere over a point; between grains, the height of the plate.
 fn surface(spheres: &[Sphere], x: f64, y: f64) -> (f64, Role) {
     let over = spheres.iter().filter(|it| it.role != Role::Fallen).filter_map(|it| {
         let square = it.radius * it.radius - (it.at.0 - x).powi(2) - (it.at.1 - y).powi(2);
@@ -176,7 +185,7 @@ fn surface(spheres: &[Sphere], x: f64, y: f64) -> (f64, Role) {
 enum Role {
     Free,
     Glued,
-    /// Off the plate, and out of the world.
+    /// Off the plate, and removed from the simulation.
     Fallen,
 }
 
@@ -188,7 +197,7 @@ struct Sphere {
     force: V3,
     torque: V3,
     radius: f64,
-    /// 1/mass; 0 of what does not move.
+    /// 1/mass; 0 if it does not move.
     lightness: f64,
     role: Role,
 }
@@ -210,7 +219,7 @@ impl Sphere {
     }
 }
 
-/// Two spheres near each other, and what their contact remembers.
+/// Two spheres near each other, and the memory of their contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Pair {
     a: usize,
@@ -225,7 +234,7 @@ struct World {
     spheres: Vec<Sphere>,
     /// In the order of a, then b.
     pairs: Vec<Pair>,
-    /// Places when the pairs were listed.
+    /// Positions when the pairs were listed.
     listed_at: Vec<V3>,
 }
 
@@ -234,7 +243,7 @@ impl World {
         Self { grains: *grains, gravity: V3(0.0, 0.0, -1.0), spheres, pairs: Vec::new(), listed_at: Vec::new() }
     }
 
-    /// Advance by dt, by semi-implicit Euler: forces, then velocities, then positions.
+    /// Advances by dt, by semi-implicit Euler: forces, then velocities, then positions.
     fn step(&mut self, dt: f64) {
         let moved = |(it, then): (&Sphere, &V3)| (it.at - *then).norm() > 0.5 * SKIN;
         if self.listed_at.len() < self.spheres.len() || self.spheres.iter().zip(&self.listed_at).any(moved) {
@@ -258,9 +267,10 @@ impl World {
         }
     }
 
-    /// List the pairs that may touch or attract before anything moves by half the skin; contacts keep what they remember.
+    /// Lists the pairs that may touch or attract before anything moves by half the skin; contacts
+    /// keep their memory.
     ///
-    /// Slabs along one axis serve as cells: of a thousand grains a slab holds a hundred.
+    /// Slabs along one axis serve as cells: with a thousand grains a slab holds a hundred.
     fn list_pairs(&mut self) {
         for it in self.spheres.iter_mut().filter(|it| it.role == Role::Free && it.at.2 < -2.0) {
             *it = Sphere::new(it.at, it.radius, Role::Fallen);
@@ -287,7 +297,8 @@ impl World {
     }
 }
 
-/// The contact law of the module's table: force on a, torque on a, torque on b; None beyond the reach of the attraction.
+/// The contact law of the module's table: force on a, torque on a, torque on b; None beyond the
+/// reach of the attraction.
 fn touch(grains: &Grains, a: &Sphere, b: &Sphere, pair: &mut Pair, dt: f64) -> Option<[V3; 3]> {
     let apart = a.at - b.at;
     let distance = apart.norm();
@@ -304,7 +315,7 @@ fn touch(grains: &Grains, a: &Sphere, b: &Sphere, pair: &mut Pair, dt: f64) -> O
     let radius = a.radius.min(b.radius);
     let mass = 1.0 / (a.lightness + b.lightness);
     let stiffness = STIFFNESS * 2.0 * radius;
-    // Arms that meet in the middle of the overlap keep the angular momentum.
+    // Lever arms that meet in the middle of the overlap conserve angular momentum.
     let (arm_a, arm_b) = (a.radius - 0.5 * overlap, b.radius - 0.5 * overlap);
     let velocity = a.velocity - b.velocity - (a.spin * arm_a + b.spin * arm_b).cross(normal);
     let approach = velocity.dot(normal);
@@ -321,7 +332,8 @@ fn touch(grains: &Grains, a: &Sphere, b: &Sphere, pair: &mut Pair, dt: f64) -> O
     Some([normal * push + attraction + friction, turning * arm_a + resistance, turning * arm_b - resistance])
 }
 
-/// Load a damped spring, which gives way at a limit, by a rate over dt; the force or torque it answers with.
+/// Loads a damped spring, which yields at a limit, by a rate over dt; returns the resulting force
+/// or torque.
 fn pull(stretch: &mut V3, rate: V3, dt: f64, stiffness: f64, inertia: f64, limit: f64) -> V3 {
     let damping = rate * (2.0 * DAMPING * (stiffness * inertia).sqrt());
     *stretch = *stretch + rate * dt;
@@ -335,7 +347,7 @@ fn pull(stretch: &mut V3, rate: V3, dt: f64, stiffness: f64, inertia: f64, limit
     answer
 }
 
-/// A vector of space.
+/// A vector in space.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct V3(f64, f64, f64);
 
@@ -412,7 +424,7 @@ fn grains_that_collide_keep_their_momentum_and_angular_momentum() {
     assert!((after.0 - before.0).norm() < 1e-12 && (after.1 - before.1).norm() < 1e-12, "{before:?} became {after:?}");
 }
 
-/// A sphere put down on a slope of this tangent has this acceleration after a while.
+/// A sphere placed on a slope of this tangent has this acceleration after a while.
 fn expect_down_a_slope(grains: &Grains, tangent: f64, expected: f64) {
     let slope = tangent.atan();
     // A glued sphere of this radius is a plane.
@@ -474,7 +486,7 @@ fn the_same_seed_pours_the_same_heap_in_every_bit() {
     assert_ne!(heap(1), heap(2));
 }
 
-/// Mean angles of powders over seeds, printed; each is to be steeper than the one before by this much.
+/// Prints mean angles of powders over seeds; each must be steeper than the one before by this much.
 fn expect_steeper(powders: &[Grains], least_deg: f64) {
     let angle = |grains: &Grains| {
         let angles: Vec<f64> = (1..=3).filter_map(|seed| repose_deg(grains, seed)).collect();

@@ -1,14 +1,15 @@
-//! Campaigns whose effect is in the grains and in no formula: every angle is that of a heap of springs and dashpots ([`crate::grains`]), poured
-//! with what its day's air or its batch does to the grains, on a day that shifts all of its readings.
+//! Campaigns whose effect is in the grains and in no formula: every angle comes from a heap of
+//! springs and dashpots ([`crate::grains`]), poured with the effect of its day's air or its batch
+//! on the grains, on a day that shifts all of its readings.
 //!
-//! Nothing of the crate is used here.
+//! Nothing from the crate is used here.
 
 use crate::grains::{Grains, repose_deg};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::fmt::Write;
 
-/// What is done to the grains.
+/// The change to the grains.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// Contacts attract in humid air.
@@ -30,7 +31,7 @@ impl Kind {
         }
     }
 
-    /// The catalogue's name of it.
+    /// Its name in the catalogue.
     pub fn mechanism(self) -> Option<&'static str> {
         match self {
             Self::Humid => Some("humidity"),
@@ -48,7 +49,7 @@ const REPEATS: u32 = 2;
 const BOND: f64 = 0.5;
 /// Grains of a heap: a third of a second.
 const COUNT: usize = 250;
-/// SD of what a day does to all readings, degrees.
+/// SD of the day effect on all readings, degrees.
 const DAY_DEG: f64 = 0.5;
 
 /// The file of a campaign.

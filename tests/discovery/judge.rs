@@ -1,4 +1,4 @@
-//! What the command answers to a file, and how that compares with the truth.
+//! The command's answer to a file, and its comparison with the truth.
 
 use crate::truth::Case;
 use serde::de::DeserializeOwned;
@@ -9,10 +9,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Inclusion probability from which a report claims a cause.
+/// Inclusion probability required to claim a cause in a report.
 const CLAIM: f64 = 0.8;
 
-/// What a report says, as far as it is judged.
+/// The judged part of a report.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Answer {
     pub sentence: String,
@@ -20,7 +20,7 @@ pub struct Answer {
     pub p_value: f64,
     /// With inclusion probability at least 0.8, under verdict `cause`.
     pub claimed: Vec<String>,
-    /// Most probable of all, with `unknown: <covariate>` and `unrecorded`.
+    /// Most probable of all, including `unknown: <covariate>` and `unrecorded`.
     pub top: String,
     pub top_family: Option<String>,
     pub ambiguous_between: Vec<String>,
@@ -28,21 +28,22 @@ pub struct Answer {
     pub form_class: Option<String>,
     /// Channel of each finding.
     pub channels: Vec<String>,
-    /// Of the first finding: effect and 95 % interval; of one that is told of a single powder none.
+    /// Of the first finding: effect and 95 % interval; none if it is reported for a single powder.
     pub effect: Option<(f64, [f64; 2])>,
-    /// Of the first finding: what the effect is told over; of an interaction both columns, which change at once.
+    /// Of the first finding: the columns over which the effect is reported; for an interaction
+    /// both, which change at once.
     pub over: Vec<String>,
     pub experiment: Vec<std::collections::BTreeMap<String, String>>,
-    /// Version of the simulator that was made.
+    /// Version of the simulator made by the investigation.
     pub extended: Option<String>,
     /// Share of held-out runs within the 90 % interval of the extended simulator.
     pub coverage90: Option<f64>,
-    /// Root mean square error on powders left out whole, before and after.
+    /// Root mean square error on powders left out completely, before and after.
     pub by_powder: Option<[f64; 2]>,
     pub wall_s: f64,
 }
 
-/// A folder in which the command works; what it was asked before, it finds.
+/// A folder in which the command works; it finds the results of its earlier runs.
 pub struct Laboratory {
     folder: PathBuf,
 }
@@ -55,7 +56,7 @@ impl Laboratory {
     }
 
     fn flip(&self, arguments: &[&str]) -> String {
-        // Tests know the program; the report is told.
+        // Tests know the program; the report gets its path.
         let known = option_env!("CARGO_BIN_EXE_flip").map(str::to_owned);
         let program = known.or_else(|| std::env::var("FLIP_BIN").ok()).expect("FLIP_BIN names the program");
         let output =
@@ -71,12 +72,12 @@ impl Laboratory {
         path.display().to_string()
     }
 
-    /// Give the command this file and nothing else; no heaps are simulated.
+    /// Runs the command on this file and nothing else; no heaps are simulated.
     pub fn discover(&self, csv: &str, simulations: u32) -> Answer {
         Answer::of(&self.report(csv, simulations, &["--budget-runs", "0"]))
     }
 
-    /// Give the command this file and nothing else; it simulates as many heaps as it does by default.
+    /// Runs the command on this file and nothing else, with the default number of simulated heaps.
     pub fn whole(&self, csv: &str, simulations: u32) -> Value {
         self.report(csv, simulations, &[])
     }
@@ -88,12 +89,12 @@ impl Laboratory {
         serde_json::from_str(&self.flip(&[&usual[..], more].concat())).unwrap()
     }
 
-    /// The versions of the simulator that the command made.
+    /// The versions of the simulator made by the command.
     pub fn versions(&self) -> Vec<Value> {
         serde_json::from_str(&self.flip(&["discover", "versions", "--json"])).unwrap()
     }
 
-    /// Give the command balance readings, and angles beside them or none.
+    /// Runs the command on balance readings, with or without angles.
     pub fn discover_traces(&self, traces: &str, measurements: Option<&str>, simulations: u32) -> Answer {
         let mut files = vec!["--traces".to_owned(), self.file("T.csv", traces)];
         files.extend(measurements.map_or(Vec::new(), |csv| vec!["--measurements".to_owned(), self.file("M.csv", csv)]));
@@ -103,7 +104,7 @@ impl Laboratory {
         Answer::of(&serde_json::from_str(&self.flip(&[&["discover"], &files[..], &rest].concat())).unwrap())
     }
 
-    /// Angles that an extended simulator predicts for the rows of a file: before and after.
+    /// Angles predicted by an extended simulator for the rows of a file: before and after.
     pub fn predict(&self, version: &str, csv: &str) -> Vec<[f64; 2]> {
         let file = self.file("new.csv", csv);
         let text = self.flip(&["discover", "predict", "--simulator", version, "--measurements", &file]);
@@ -113,8 +114,8 @@ impl Laboratory {
     }
 }
 
-/// Call `one` for every index below `count`, as many at a time as there are processors, each lane with a folder of its own: an investigation alone
-/// cannot use them all.
+/// Calls `one` for every index below `count`, as many at a time as there are processors, each lane
+/// with its own folder: a single investigation cannot use them all.
 pub fn side_by_side(folder: &Path, count: usize, one: impl Fn(&Laboratory, usize) + Sync) {
     let next = AtomicUsize::new(0);
     let lanes = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
@@ -131,7 +132,8 @@ pub fn side_by_side(folder: &Path, count: usize, one: impl Fn(&Laboratory, usize
     });
 }
 
-/// What a file has already, a line each, and whatever of the `wanted` it lacks, each written at once as it comes; in the order of the `wanted`.
+/// The results a file already has, one per line, plus any of the `wanted` it lacks, each written as
+/// soon as it is computed; in the order of the `wanted`.
 pub fn kept<K: PartialEq, T: Clone + Serialize + DeserializeOwned>(
     file: &Path,
     wanted: &[K],
@@ -193,17 +195,17 @@ impl Answer {
         }
     }
 
-    /// Whether something was declared to be wrong.
+    /// Whether something was reported as wrong.
     pub fn is_found(&self) -> bool {
         self.verdict != "no_discrepancy"
     }
 
-    /// Claims that the truth does not bear out.
+    /// Number of claims that contradict the truth.
     pub fn false_claims(&self, case: &Case) -> usize {
         self.claimed.iter().filter(|it| !is_right(case, it)).count()
     }
 
-    /// Every cause of the truth claimed, and no other.
+    /// Every true cause claimed, and no other.
     pub fn is_confident_and_right(&self, case: &Case) -> bool {
         !self.claimed.is_empty()
             && self.false_claims(case) == 0
@@ -223,7 +225,7 @@ fn is_right(case: &Case, cause: &str) -> bool {
     case.mechanisms.contains(&cause) || case.also_right.contains(&cause)
 }
 
-/// Lower and upper 95 % limits of a rate, Clopper and Pearson's: quantiles of beta distributions.
+/// Lower and upper 95 % limits of a rate (Clopper-Pearson): quantiles of beta distributions.
 pub fn limits(hits: usize, of: usize) -> [f64; 2] {
     use statrs::distribution::{Beta, ContinuousCDF};
     let (x, n) = (hits as f64, of as f64);

@@ -1,4 +1,5 @@
-//! Effects hidden in data, and the requirement that the command find them: the file alone goes in, and what comes out is compared with the truth.
+//! Effects hidden in data, and the requirement that the command find them: only the file goes in,
+//! and the result is compared with the truth.
 //!
 //! ```text
 //! truth       laboratories with a hidden cause, or none; shares nothing with the detector       trace_truth   the same of balance readings
@@ -11,11 +12,12 @@
 //! campaigns   whole campaigns with simulated heaps and held-out gain, in the report alone
 //! ```
 //!
-//! `cargo test --test discovery` hides a few dozen. `make discovery-report` hides hundreds and prints the table; it can be stopped and goes on.
+//! `cargo test --test discovery` hides a few dozen. `make discovery-report` hides hundreds and
+//! prints the table; it can be stopped and resumed.
 
 mod grains;
 mod heaps;
-// The report asks for more of it.
+// The report uses more of it.
 #[allow(dead_code)]
 mod judge;
 mod own_doses;
@@ -31,10 +33,10 @@ use rates::{LARGE_DEG, SIMULATIONS, Scored, scored, table, wanted, wanted_heaps,
 use solver::Defect;
 use truth::Family;
 
-/// Nulls that the saboteur without days judges; the real detector judges as many.
+/// Nulls judged by the saboteur without days; the real detector judges as many.
 const RESTLESS: u64 = 8;
 
-/// The score of a detector of which only the verdict and the claim matter.
+/// The score of a detector if only the verdict and the claim matter.
 fn claimed(of: &Scored, found: bool, claim: Option<&str>) -> Scored {
     let is_right = claim == Some(of.family.as_str());
     Scored {
@@ -46,10 +48,12 @@ fn claimed(of: &Scored, found: bool, claim: Option<&str>) -> Scored {
     }
 }
 
-/// What a detector has to do on the cases of the tests: few false alarms, most causes claimed, hardly any wrongly.
+/// The requirements on a detector for the cases of the tests: few false alarms, most causes
+/// claimed, hardly any wrongly.
 ///
-/// Bounds are such that a detector with the suite's target rates fails once in some hundred times (binomial): of 14 nulls at 5 % four or more are
-/// found with a chance of 0.004; of 12 causes at 85 % six or fewer are claimed with a chance of 0.005; of 12 at 5 % three or more wrongly with 0.02.
+/// Bounds are such that a detector with the suite's target rates fails once in some hundred times
+/// (binomial): of 14 nulls at 5 % four or more are found with a chance of 0.004; of 12 causes at 85
+/// % six or fewer are claimed with a chance of 0.005; of 12 at 5 % three or more wrongly with 0.02.
 fn verdict(nulls: &[Scored], effects: &[Scored]) -> Result<(), String> {
     let alarms = nulls.iter().filter(|it| it.is_found).count();
     let right = effects.iter().filter(|it| it.is_confident_and_right).count();
@@ -78,14 +82,15 @@ fn hidden_causes_are_found_and_named_and_saboteurs_fail() {
     let effects = of(&families, 0..2);
     println!("{}", table(&nulls.iter().chain(&effects).cloned().collect::<Vec<_>>()));
     verdict(&nulls, &effects).unwrap();
-    // The same bounds on detectors that are none.
+    // The same bounds on fake detectors.
     let always = |found: bool, claim: Option<&str>, of: &[Scored]| -> Vec<Scored> {
         of.iter().map(|it| claimed(it, found, claim)).collect()
     };
     verdict(&always(false, None, &nulls), &always(false, None, &effects)).unwrap_err();
     let humid = Some("humidity");
     verdict(&always(true, humid, &nulls), &always(true, humid, &effects)).unwrap_err();
-    // The command itself without its days, on nulls whose days differ: with no more of these than of the others, it is past the same bound.
+    // The command itself without its days, on nulls whose days differ: with no more of these than
+    // of the others, it exceeds the same bound.
     let restless = of(&[Family::NullRestless], 0..RESTLESS);
     let blind = scored(folder.path(), &wanted_without_days(&[Family::NullRestless], 0..RESTLESS), SIMULATIONS);
     println!("{}", table(&restless.iter().chain(&blind).cloned().collect::<Vec<_>>()));
@@ -94,7 +99,7 @@ fn hidden_causes_are_found_and_named_and_saboteurs_fail() {
     assert!(failed.contains("false alarms"), "{failed}");
 }
 
-/// What is wrong with the solver is said of the solver, and of a sound one nothing.
+/// Defects of the solver are attributed to the solver, and a sound one gets none.
 #[test]
 fn a_solver_whose_heaps_creep_is_named_and_a_sound_one_is_not() {
     let folder = tempfile::tempdir().unwrap();
@@ -110,7 +115,8 @@ fn a_solver_whose_heaps_creep_is_named_and_a_sound_one_is_not() {
     }
 }
 
-/// A campaign whose covariates moved together gets no name but an experiment, and the name after it. `UPDATE=1` writes the campaign after it.
+/// A campaign whose covariates moved together gets an experiment instead of a name, and the name
+/// after it. `UPDATE=1` writes the campaign after it.
 #[test]
 fn what_moved_together_is_named_after_the_experiment_that_is_asked_for() {
     let folder = tempfile::tempdir().unwrap();
@@ -132,7 +138,8 @@ fn what_moved_together_is_named_after_the_experiment_that_is_asked_for() {
     assert!(then.is_confident_and_right(&case), "{then:?}, hidden is {right}");
 }
 
-/// What is in the grains is found and named as well as what is in formulas, and nothing where nothing is.
+/// Effects in the grains are found and named as well as those in formulas, and nothing is found
+/// where nothing is wrong.
 #[test]
 fn what_another_simulator_does_to_its_grains_is_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -142,7 +149,7 @@ fn what_another_simulator_does_to_its_grains_is_named() {
     }
 }
 
-/// Whether this campaign is the one that the documentation shows; with `UPDATE=1` it is made so.
+/// Checks that this campaign is the one shown in the documentation; `UPDATE=1` writes it.
 fn is_file(name: &str, csv: &str) {
     let path = campaigns().join(format!("{name}.csv"));
     if std::env::var_os("UPDATE").is_some() {
@@ -156,9 +163,9 @@ fn campaigns() -> std::path::PathBuf {
     std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/campaigns")
 }
 
-/// Size of the effects that the documentation shows, degrees.
+/// Size of the effects shown in the documentation, degrees.
 const SHOWN_DEG: f64 = 1.25;
-/// The campaigns that the documentation shows, by file: what is hidden in them is known here alone.
+/// The campaigns shown in the documentation, by file: their hidden effects are known here only.
 const SHOWN: [(&str, Family, u64); 3] =
     [("humidity", Family::Humidity, 3), ("nothing", Family::NullPlain, 3), ("confounded", Family::Confounded, 3)];
 

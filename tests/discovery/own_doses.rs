@@ -1,7 +1,9 @@
-//! Doses of FLIP's own benches: nothing can be wrong with the simulator in what the simulator did itself.
+//! Doses of FLIP's own benches: nothing can be wrong with the simulator in its own doses.
 //!
-//! `own_doses/simulated.csv` and `own_doses/emulated.csv` are what `GET /v1/weighings/{id}/trace.csv` gave of doses of 8 and 15 mg, `flip weigh --seed 1` and on:
-//! five powders of the simulated bench, three of the emulated one, each calibrated by `flip calibrate` as it comes. `step` is the count of shakes there.
+//! `own_doses/simulated.csv` and `own_doses/emulated.csv` were returned by `GET
+//! /v1/weighings/{id}/trace.csv` for doses of 8 and 15 mg, from `flip weigh --seed 1` on: five
+//! powders of the simulated bench, three of the emulated one, each calibrated by `flip calibrate`
+//! with default settings. `step` is the count of shakes there.
 
 use crate::judge::Laboratory;
 use crate::rates::SIMULATIONS;
@@ -30,7 +32,7 @@ fn doses_of_the_simulator_are_not_said_to_depart_from_it() {
             let answer = laboratory.discover_traces(&doses, None, SIMULATIONS);
             assert_eq!(answer.verdict, "no_discrepancy", "{bench} {powder:?}: {answer:?}");
             assert!(answer.claimed.is_empty() && answer.channels.is_empty(), "{bench} {powder:?}: {answer:?}");
-            // Nothing of it was judged, and that is said.
+            // None of it was judged, and the answer says so.
             assert!(answer.sentence.contains("simulated doses"), "{bench} {powder:?}: {}", answer.sentence);
         }
     }

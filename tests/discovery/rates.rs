@@ -11,12 +11,12 @@ use std::path::Path;
 /// Effects whose SD within a powder is this many degrees.
 pub const LARGE_DEG: f64 = 1.0;
 pub const MEDIUM_DEG: f64 = 0.75;
-/// Simulated campaigns of an investigation here: the fewest that there may be.
+/// Simulated campaigns per investigation here: the fewest allowed.
 pub const SIMULATIONS: u32 = 99;
-/// Days of which nothing was seen, for the error against the noise-free truth.
+/// Unseen days, for the error against the noise-free truth.
 const NEW_DAYS: usize = 20;
 
-/// Where a campaign comes from.
+/// The origin of a campaign.
 #[derive(Debug, Clone, Copy)]
 pub enum Source {
     /// Formulas.
@@ -40,7 +40,7 @@ impl Source {
     }
 }
 
-/// What the name of a family ends in where the saboteur judged it.
+/// Suffix of a family's name if the saboteur judged it.
 const WITHOUT_DAYS: &str = " without its days";
 
 /// Every family with every seed.
@@ -54,16 +54,16 @@ pub fn wanted_without_days(families: &[Family], seeds: std::ops::Range<u64>) -> 
     seeds.flat_map(of).collect()
 }
 
-/// Every kind of heaps with every seed; the size is what the grains make of it.
+/// Every kind of heaps with every seed; the size is determined by the grains.
 pub fn wanted_heaps(seeds: std::ops::Range<u64>) -> Vec<Asked> {
     seeds.flat_map(|seed| heaps::Kind::ALL.map(|kind| (Source::Heaps(kind), 0.0, seed))).collect()
 }
 
-/// What one hidden effect came to.
+/// The result for one hidden effect.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Scored {
     pub family: String,
-    /// Of what was asked for, and of what was hidden: nulls have none, and wild cases their own.
+    /// Requested and hidden size: nulls have none, and wild cases their own.
     pub asked_deg: f64,
     pub size_deg: f64,
     pub seed: u64,
@@ -73,24 +73,26 @@ pub struct Scored {
     pub is_confident_and_right: bool,
     pub claims: usize,
     pub false_claims: usize,
-    /// The covariate of an effect outside the catalogue, and its form class.
+    /// Whether the covariate of an effect outside the catalogue is right, and its form class.
     pub is_covariate_right: bool,
     pub is_form_right: bool,
-    /// Whether the 90 % interval holds the true change over the covariate's span; absent where nothing comparable was told.
+    /// Whether the 90 % interval contains the true change over the covariate's span; absent if
+    /// nothing comparable was reported.
     pub is_effect_covered: Option<bool>,
     pub coverage90: Option<f64>,
     /// Mean squared error against the noise-free truth on new days, before, after, degrees squared.
     pub new_days: Option<[f64; 2]>,
-    /// Share of the effect's mean square that the extended simulator explains of powders of which it saw no angle.
+    /// Share of the effect's mean square that the extended simulator explains for powders whose
+    /// angles it never saw.
     pub other_powders: Option<f64>,
-    /// After the experiment that the report asked for: claims, all right.
+    /// After the experiment suggested by the report: claims, all right.
     pub after_experiment: Option<(usize, bool)>,
     pub wall_s: f64,
     pub verdict: String,
     pub top: String,
 }
 
-/// Give a campaign to the command and score what it says.
+/// Runs the command on a campaign and scores its answer.
 pub fn score(laboratory: &Laboratory, asked: &Asked, simulations: u32) -> Scored {
     let &(source, size_deg, seed) = asked;
     match source {
@@ -148,7 +150,7 @@ fn score_formulas(laboratory: &Laboratory, family: Family, size_deg: f64, seed: 
     }
 }
 
-/// What an answer alone is worth.
+/// The score of an answer alone.
 fn scored_of(case: &Case, answer: Answer, asked_deg: f64, seed: u64) -> Scored {
     Scored {
         family: case.family.to_owned(),
@@ -174,14 +176,15 @@ fn scored_of(case: &Case, answer: Answer, asked_deg: f64, seed: u64) -> Scored {
     }
 }
 
-/// The file without what its `session` column says: each run has a session of its own, and their numbers go up and down. All that the command knows of
-/// days is gone, and its noise is that of repeats alone: the saboteur is the command itself, with this one thing taken from it.
+/// The file without the information in its `session` column: each run has its own session, numbered
+/// up and down. The command then knows nothing of days, and its noise is that of repeats alone: the
+/// saboteur is the command itself with this one thing removed.
 fn without_days(csv: &str) -> String {
     let mut reader = csv::Reader::from_reader(csv.as_bytes());
     let header = reader.headers().unwrap().clone();
     let place = header.iter().position(|name| name == "session").expect("every campaign has days");
     let rows: Vec<csv::StringRecord> = reader.records().map(|row| row.unwrap()).collect();
-    // Fibonacci hashing: neighbours are far apart, no two are alike.
+    // Fibonacci hashing: neighbours are far apart, no two are equal.
     let number = |row: usize| (row as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32;
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(&header).unwrap();
@@ -192,18 +195,21 @@ fn without_days(csv: &str) -> String {
     String::from_utf8(writer.into_inner().unwrap()).unwrap()
 }
 
-/// The interval of the report at 90 %: its 95 % interval drawn in by the ratio of the normal deviates.
+/// The interval of the report at 90 %: its 95 % interval narrowed by the ratio of the normal
+/// deviates.
 fn is_effect_covered(case: &Case, answer: &Answer) -> Option<bool> {
     let single = case.mechanisms.len() == 1 && answer.claimed.len() == 1 && answer.false_claims(case) == 0;
     let has_span = case.covariate.is_some() && case.effect_5_95_deg.is_finite();
-    // Of names the report tells the two that differ most, the truth the first and the last: comparable where there are two.
+    // For names, the report gives the two that differ most, the truth the first and the last:
+    // comparable if there are two.
     let is_of_names = ["batch", "method", "operator", "plate"].contains(&case.covariate.as_deref().unwrap_or(""));
     if !single || !has_span || is_of_names {
         return None;
     }
     let (effect, ci95) = answer.effect?;
     let [low, high] = ci95.map(|end| effect + (end - effect) * 1.645 / 1.96);
-    // Over the columns that the report tells it over: humidity alone would leave out what rest adds to humid ageing.
+    // Over the columns used in the report: humidity alone would leave out the contribution of rest
+    // to humid ageing.
     let over: Vec<&str> = answer.over.iter().map(String::as_str).collect();
     (!over.is_empty()).then_some(())?;
     Some((low..=high).contains(&case.change_over_spans_deg(&over)?))
@@ -221,14 +227,15 @@ fn new_days(laboratory: &Laboratory, case: &Case, answer: &Answer) -> Option<[f6
     Some([mse(0), mse(1)])
 }
 
-/// Errors of powders that were left out whole, as the report has them: noise is in both, before and after, and the effect in the first alone.
+/// Errors of powders left out completely, from the report: noise is in both, before and after, and
+/// the effect in the first only.
 fn other_powders(case: &Case, answer: &Answer) -> Option<f64> {
     let effect = case.effect_deg.iter().map(|it| it * it).sum::<f64>() / case.effect_deg.len() as f64;
     let [before, after] = answer.by_powder.filter(|_| answer.extended.is_some())?;
     Some((before.powi(2) - after.powi(2)) / effect)
 }
 
-/// Scores that are in the file already, and the others as they come, each written at once.
+/// Scores already in the file, and the others, each written as soon as it is computed.
 pub fn scored(folder: &Path, wanted: &[Asked], simulations: u32) -> Vec<Scored> {
     let file = folder.join("scored.jsonl");
     let known: Vec<Scored> = std::fs::read_to_string(&file)
@@ -353,7 +360,7 @@ pub fn table(all: &[Scored]) -> String {
     text
 }
 
-/// Gains and times, which are no rates.
+/// Gains and times, which are not rates.
 fn gains(all: &[Scored]) -> String {
     let mut text = String::new();
     let gains: Vec<f64> = all.iter().filter_map(|it| it.new_days).map(|[before, after]| 1.0 - after / before).collect();

@@ -1,16 +1,18 @@
-//! The whole table of rates, as `make discovery-report` prints it: hundreds of hidden effects, each written down as it is scored, so that it can be stopped
-//! and goes on. `NULLS` campaigns of each kind without an effect, `EFFECTS` of each kind with one and solvers of each kind, `WHOLE` campaigns with simulated
-//! heaps, seeds from `FIRST` on; a part alone with `ONLY=angles`, `solvers`, `campaigns` or `traces`.
+//! The whole table of rates, as printed by `make discovery-report`: hundreds of hidden effects,
+//! each written down once scored, so the run can be stopped and resumed. `NULLS` campaigns of each
+//! kind without an effect, `EFFECTS` of each kind with one and solvers of each kind, `WHOLE`
+//! campaigns with simulated heaps, seeds from `FIRST` on; a single part with `ONLY=angles`,
+//! `solvers`, `campaigns` or `traces`.
 
 mod campaigns;
-// Its own tests ask for more of it.
+// Its own tests use more of it.
 #[allow(dead_code)]
 mod grains;
 mod heaps;
 mod judge;
 mod rates;
 mod solver;
-// Its own tests ask for more of it.
+// Its own tests use more of it.
 mod trace_rates;
 #[allow(dead_code)]
 mod trace_truth;
@@ -29,7 +31,8 @@ fn main() {
     let is_asked = |part: &str| only.as_deref().is_none_or(|only| only == part);
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("target/discovery");
     std::fs::create_dir_all(&folder).unwrap();
-    // Seeds from 1000 on no test and no tuning has; whoever changes the detector looks at others.
+    // Seeds from 1000 on are used in no test and no tuning; anyone changing the detector looks at
+    // others.
     let first = count("FIRST", 1000);
     let (null_seeds, seeds) = (first..first + nulls, first..first + effects);
     if is_asked("angles") {

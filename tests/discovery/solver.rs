@@ -1,7 +1,9 @@
-//! Defects planted in a copy of the solver's settings: heaps that are wrong because of how they are computed, whatever the powder.
+//! Defects planted in a copy of the solver's settings: heaps that are wrong because of how they are
+//! computed, whatever the powder.
 //!
-//! The job is the one that the command runs, over a file in which nothing is hidden; what is exchanged is the one function that simulates a heap. It
-//! pours real heaps, of a quarter of the grains and read once so that a case takes seconds, with the settings that it is asked for and one thing wrong:
+//! The job is the one the command runs, over a file in which nothing is hidden; only the function
+//! that simulates a heap is replaced. It pours real heaps, with a quarter of the grains and read
+//! once so that a case takes seconds, with the requested settings and one thing wrong:
 //!
 //! | planted | what is wrong | what has to be said |
 //! |---|---|---|
@@ -21,7 +23,7 @@ use std::fmt::Write;
 use std::path::Path;
 use std::sync::Arc;
 
-/// What is planted.
+/// The planted defect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Defect {
@@ -33,7 +35,7 @@ pub enum Defect {
 impl Defect {
     pub const ALL: [Self; 3] = [Self::Nothing, Self::Engine, Self::LongSubstep];
 
-    /// The settings that were asked for, of a smaller heap, with the defect.
+    /// The requested settings, for a smaller heap, with the defect.
     fn planted(self, asked: &Settings) -> Settings {
         let of = Settings::with_particles(asked.particles / SMALLER);
         let small = Settings {
@@ -50,30 +52,30 @@ impl Defect {
     }
 }
 
-/// Share of the grains that are poured, as its inverse.
+/// Inverse of the share of grains poured.
 const SMALLER: u32 = 4;
 /// Factor on the substep.
 const LONGER: f64 = 8.0;
-/// Heaps that the job may pour, the command's default: three of each kind, 24 together.
+/// Heaps the job may pour, the command's default: three of each kind, 24 together.
 const BUDGET_RUNS: u32 = 60;
 
-/// What was said of a solver.
+/// The findings about a solver.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Criticised {
     pub planted: Defect,
     pub seed: u64,
-    /// What angles were said to depend on.
+    /// The settings that angles were reported to depend on.
     pub depends_on: Vec<String>,
-    /// Degrees a decade of settling time, and the 99 % interval.
+    /// Degrees per decade of settling time, and the 99 % interval.
     pub creep_deg: f64,
     pub creep_ci99: [f64; 2],
-    /// Whether the document has creep as its first cause and the page says so.
+    /// Whether the document lists creep as its first cause and the page shows it.
     pub creep_is_told: bool,
     pub heaps: u64,
 }
 
 impl Criticised {
-    /// Whether creep was found, and told under its name.
+    /// Whether creep was found, and reported under its name.
     pub fn is_creep_named(&self) -> bool {
         self.creep_is_told && self.depends_on.iter().any(|it| it == "settling_time")
     }
@@ -88,7 +90,7 @@ pub fn wanted(defects: &[Defect], seeds: std::ops::Range<u64>) -> Vec<(Defect, u
     seeds.flat_map(|seed| defects.iter().map(move |&defect| (defect, seed))).collect()
 }
 
-/// What is known from the file in the folder, and the others as they come.
+/// Results known from the file in the folder, and the others as they are computed.
 pub fn criticised(folder: &Path, wanted: &[(Defect, u64)]) -> Vec<Criticised> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
     let one = |&(defect, seed): &(Defect, u64)| runtime.block_on(criticise(defect, seed));
@@ -135,7 +137,8 @@ async fn criticise(planted: Defect, seed: u64) -> Criticised {
     }
 }
 
-/// A campaign of one powder on eight days, of another angle for each seed: whose heaps are poured goes by that.
+/// A campaign of one powder on eight days, with a different angle for each seed, which decides
+/// whose heaps are poured.
 fn nothing_hidden(seed: u64) -> String {
     let mut rng = Pcg64::seed_from_u64(seed ^ 0x736f_6c76);
     let mean_deg = rng.random_range(29.0..42.0);
@@ -150,7 +153,7 @@ fn nothing_hidden(seed: u64) -> String {
     text
 }
 
-/// The rows of the table that solvers have.
+/// The solvers' rows of the table.
 pub fn table(all: &[Criticised]) -> String {
     let mut text = String::new();
     let mut rate = |name: &str, planted: Defect, is: &dyn Fn(&Criticised) -> bool, target: &str| {

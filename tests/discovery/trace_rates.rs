@@ -1,4 +1,5 @@
-//! Rates over many hidden causes of balance readings: M13 of the suite, each rate with its Clopper-Pearson limits.
+//! Rates over many hidden causes of balance readings: M13 of the suite, each rate with its
+//! Clopper-Pearson limits.
 
 use crate::judge::{limits, side_by_side};
 use crate::trace_truth::{TraceFamily, trace_case};
@@ -7,12 +8,12 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::Mutex;
 
-/// What one bench came to.
+/// The result for one bench.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct TraceScored {
     pub family: String,
     pub seed: u64,
-    /// Which of its forms the family drew.
+    /// The form drawn by the family.
     pub form: u32,
     pub verdict: String,
     /// Causes that were claimed.
@@ -26,7 +27,8 @@ impl TraceScored {
         self.verdict != "no_discrepancy"
     }
 
-    /// Whether the cause has its name and no other was claimed; of what wanders, whether it was left without one.
+    /// Whether the cause has its name and no other was claimed; for a wander, whether it was left
+    /// without one.
     pub fn is_named(&self) -> bool {
         match self.right() {
             Some(right) => self.claimed == [right],
@@ -49,7 +51,8 @@ pub fn wanted(families: &[TraceFamily], seeds: std::ops::Range<u64>) -> Vec<(Tra
     seeds.flat_map(|seed| families.iter().map(move |&family| (family, seed))).collect()
 }
 
-/// Scores that are in the file already, and the others as the command gives them, each written at once.
+/// Scores already in the file, and the others from the command, each written as soon as it is
+/// computed.
 pub fn scored(folder: &Path, wanted: &[(TraceFamily, u64)], simulations: u32) -> Vec<TraceScored> {
     let file = folder.join("scored_traces.jsonl");
     let known = std::fs::read_to_string(&file).unwrap_or_default();
@@ -83,7 +86,7 @@ pub fn scored(folder: &Path, wanted: &[(TraceFamily, u64)], simulations: u32) ->
     wanted.iter().filter_map(|asked| of(&known, asked)).collect()
 }
 
-/// The rows of the table that balance readings have.
+/// The rows of the table for balance readings.
 pub fn table(all: &[TraceScored]) -> String {
     let mut text = String::new();
     let mut rate = |name: &str, of: &[&TraceScored], is: &dyn Fn(&TraceScored) -> bool, target: &str| {

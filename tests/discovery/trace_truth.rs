@@ -1,15 +1,18 @@
-//! Benches with a hidden truth: balance readings of weighings in which a known cause, or none, is at work.
+//! Benches with a hidden truth: balance readings of weighings in which a known cause, or none, is
+//! at work.
 //!
-//! As [`truth`](crate::truth) for angles: nothing of the crate is used here, a [`TraceCase`] is the file that a laboratory would upload, and the same
-//! family and seed give the same bytes. Each family draws one of several forms, none of which the catalogue of the detector has.
+//! As [`truth`](crate::truth) for angles: nothing from the crate is used here, a [`TraceCase`] is
+//! the file that a laboratory would upload, and the same family and seed produce the same bytes.
+//! Each family draws one of several forms, none of which is in the detector's catalogue.
 //!
 //! ```text
 //! mass of a shake   rate (A / 8 mm)^b exp(c pitch + day + weighing + shake)        scatter: 0.08, 0.12 and 0.15 to 0.3 of the log, chosen
 //! reading           mass on the pan + 0.04 to 0.12 mg of noise, a third of it slower than 0.15 s, shown in steps of 0.01 or 0.1 mg
 //! ```
 //!
-//! Forty weighings on eight to ten days, aimed at 5 to 20 mg with long shakes first and short ones last, a spoon of 25 to 70 mg that empties, six to
-//! fourteen readings after each shake, and on most days a log of the empty pan and one of a standard mass.
+//! Forty weighings on eight to ten days, targets of 5 to 20 mg with long shakes first and short
+//! ones last, a spoon of 25 to 70 mg that empties, six to fourteen readings after each shake, and
+//! on most days a log of the empty pan and one of a standard mass.
 
 mod family;
 
@@ -22,9 +25,9 @@ use std::fmt::Write;
 /// Readings and their truth.
 #[derive(Debug, Clone)]
 pub struct TraceCase {
-    /// What the laboratory uploads.
+    /// The file a laboratory uploads.
     pub csv: String,
-    /// Which of its forms the family drew, for people.
+    /// The form drawn by the family, for people.
     pub form: u32,
 }
 
@@ -34,7 +37,7 @@ pub fn trace_case(family: TraceFamily, seed: u64) -> TraceCase {
     TraceCase { form: bench.form, csv: bench.csv() }
 }
 
-/// What a powder does.
+/// The properties of a powder.
 struct Powder {
     name: &'static str,
     /// mg of a shake of 8 mm at 10 deg, exponent of the amplitude, log mass per degree of pitch.
@@ -45,7 +48,7 @@ struct Powder {
     susceptibility: f64,
 }
 
-/// What one weighing or log has around it.
+/// The surroundings of one weighing or log.
 struct Around {
     day: usize,
     humidity: f64,
@@ -57,7 +60,7 @@ struct Around {
     jumps: [[f64; 2]; 6],
 }
 
-/// Mass that fell at a time, with the charge and susceptibility that it has.
+/// Mass that fell at a time, with its charge and susceptibility.
 struct Fallen {
     at_s: f64,
     mg: f64,
@@ -164,11 +167,11 @@ impl Bench {
         }
     }
 
-    /// What of a step of the load is still to come after x seconds, as a share.
+    /// Remaining share of a load step after x seconds.
     fn behind(&self, x: f64) -> f64 {
         let tau = 0.5 * self.size;
         match self.form {
-            // Three equal filters in turn.
+            // Three equal filters in series.
             0 => (1.0 + 3.0 * x / tau + 4.5 * (x / tau).powi(2)) * (-3.0 * x / tau).exp(),
             // A fast and a slow part.
             1 => 0.6 * (-x / (0.4 * tau)).exp() + 0.4 * (-x / (2.5 * tau)).exp(),
@@ -224,7 +227,7 @@ impl Bench {
         self.size_of(TraceFamily::Wander) * course
     }
 
-    /// SD of a reading over what it is on a still bench.
+    /// SD of a reading relative to that on a still bench.
     fn shaken(&self, vibration: f64) -> f64 {
         let v = vibration / 0.01;
         let more = match self.form {
@@ -235,7 +238,8 @@ impl Bench {
         1.0 + self.size_of(TraceFamily::VibrationNoise) * 0.8 * more
     }
 
-    /// Factor of the n-th shake's mass, of `mm`, from a spoon that holds `fill` after `energy` of earlier shakes, mm^2.
+    /// Factor on the n-th shake's mass, of `mm`, from a spoon that holds `fill` after `energy` of
+    /// earlier shakes, mm^2.
     fn let_fall(&self, n: u32, mm: f64, fill: f64, energy: f64, powder: &Powder) -> f64 {
         let n = f64::from(n);
         let s = powder.susceptibility;
@@ -269,7 +273,7 @@ impl Bench {
         packed * full * (done.max(0.2) / mm).powf(powder.exponent)
     }
 
-    /// Readings from `from_s` on of a load, each time and what was shown.
+    /// Readings from `from_s` on of a load, each the time and the displayed value.
     fn read(
         &mut self,
         around: &Around,
@@ -293,7 +297,7 @@ impl Bench {
                         shown += step.charge * step.susceptibility * self.pull(x, around.humidity);
                     }
                 }
-                // The balance's own filter, and air that wanders.
+                // The balance's own filter, and wandering air.
                 let own = self.normal();
                 let kept = (-self.every_s / 0.15).exp();
                 slow[0] = kept * slow[0] + (1.0 - kept * kept).sqrt() * own;
@@ -374,7 +378,8 @@ impl Bench {
                 let mut mg = own * (mm / 8.0).powf(exponent) * (per_deg * (pitch - 10.0) + scatter).exp() * factor;
                 let room = self.size_of(TraceFamily::SpoonHoldup) * 3.5 * susceptibility;
                 let kept = match self.form {
-                    // Half of each shake until there is no more room; what a film of half the room lacks; less and less with each shake.
+                    // Half of each shake until there is no more room; the part missing from a film
+                    // of half the room; less and less with each shake.
                     0 => (0.5 * mg).min(room - film),
                     1 => mg * (room - film).max(0.0) / (room - film + 0.5 * room + 1e-9),
                     _ => {

@@ -6,11 +6,12 @@ use crate::trace_rates::{TraceScored, scored, table, wanted};
 use crate::trace_truth::{TraceFamily, trace_case};
 use crate::truth::{self, Family};
 
-/// What a detector has to do on the benches of the tests.
+/// The requirements on a detector for the benches of the tests.
 ///
-/// Bounds are such that a detector with the target rates fails once in some thousand times (binomial): of 6 nulls at 5 % three or more are found with a
-/// chance of 0.002; of 12 effects at 90 % eight or fewer are found with a chance of 0.03 and seven or fewer with 0.004; at 85 % six or fewer are named
-/// with a chance of 0.005; at 5 % three or more have a wrong name with 0.02.
+/// Bounds are such that a detector with the target rates fails once in some thousand times
+/// (binomial): of 6 nulls at 5 % three or more are found with a chance of 0.002; of 12 effects at
+/// 90 % eight or fewer are found with a chance of 0.03 and seven or fewer with 0.004; at 85 % six
+/// or fewer are named with a chance of 0.005; at 5 % three or more have a wrong name with 0.02.
 fn verdict(nulls: &[TraceScored], effects: &[TraceScored]) -> Result<(), String> {
     let count = |of: &[TraceScored], is: &dyn Fn(&TraceScored) -> bool| of.iter().filter(|it| is(it)).count();
     let alarms = count(nulls, &TraceScored::is_found);
@@ -35,7 +36,7 @@ fn causes_hidden_in_balance_readings_are_found_and_named_and_saboteurs_fail() {
     effects.extend(of(&TraceFamily::OTHERS, 0..1));
     println!("{}", table(&nulls.iter().chain(&effects).cloned().collect::<Vec<_>>()));
     verdict(&nulls, &effects).unwrap();
-    // The same bounds on detectors that are none.
+    // The same bounds on fake detectors.
     let says = |of: &[TraceScored], verdict: &str, claimed: &[&str]| -> Vec<TraceScored> {
         let claimed: Vec<String> = claimed.iter().map(|it| (*it).to_owned()).collect();
         of.iter()
@@ -45,12 +46,12 @@ fn causes_hidden_in_balance_readings_are_found_and_named_and_saboteurs_fail() {
     let (none, drift) = ("no_discrepancy", ["balance_drift"]);
     verdict(&says(&nulls, none, &[]), &says(&effects, none, &[])).unwrap_err();
     verdict(&says(&nulls, "cause", &drift), &says(&effects, "cause", &drift)).unwrap_err();
-    // One that finds whatever there is and gives it one name.
+    // One that always finds something and gives it one name.
     verdict(&nulls, &says(&effects, "cause", &drift)).unwrap_err();
     verdict(&nulls, &says(&effects, "unexplained", &[])).unwrap_err();
 }
 
-/// Angles in which nothing is wrong stay so beside a bench in which something is.
+/// Angles in which nothing is wrong stay so alongside a bench in which something is.
 #[test]
 fn a_balance_that_drifts_is_told_beside_angles_that_are_right() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,7 +1,9 @@
-//! Laboratories with a hidden truth: campaigns of angles of repose in which a known cause, or none, is at work.
+//! Laboratories with a hidden truth: campaigns of angles of repose in which a known cause, or none,
+//! is at work.
 //!
-//! Nothing of the crate is used here, so detector and truth share no code and no formulas: a [`Case`] is the file that a chemist would upload,
-//! and what only the truth knows. The same family, size and seed give the same bytes.
+//! Nothing from the crate is used here, so detector and truth share no code and no formulas: a
+//! [`Case`] is the file a chemist would upload, plus the hidden truth. The same family, size and
+//! seed produce the same bytes.
 //!
 //! ```text
 //! y = powder + effect + day + day x powder + repeat          effect = sum over causes of scale * susceptibility[powder] * product of factors
@@ -13,7 +15,7 @@
 //! | SD of day, of day x powder | 0.5, 0.4; [`Family::NullDays`] has days of 1.2, [`Family::NullRestless`] of 2.5 | deg | chosen: the suite's default campaign |
 //! | size | SD of the effect of each cause within a powder, over all runs | deg | 0.5, 0.75 and 1.0 are S, M and L |
 //!
-//! Effects have the mean 0 within each powder of the campaign, for a mean is what calibration takes away.
+//! Effects have mean 0 within each powder of the campaign, because calibration removes the mean.
 
 mod effect;
 mod families;
@@ -24,7 +26,7 @@ mod tests;
 use laboratory::{Laboratory, Run, Value, mean, percentile};
 use std::collections::BTreeMap;
 
-/// What is hidden.
+/// The hidden effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Family {
     /// Nothing.
@@ -35,8 +37,8 @@ pub enum Family {
     NullMissing,
     /// Nothing, but days differ by 1.2 deg.
     NullDays,
-    /// Nothing, on four days of fifteen runs that differ by 2.5 deg, and so do weather, operator and plate: whoever takes the runs of a day for
-    /// independent ones finds a cause.
+    /// Nothing, on four days of fifteen runs that differ by 2.5 deg, and so do weather, operator
+    /// and plate: treating the runs of a day as independent finds a cause.
     NullRestless,
     /// Nothing, but humidity, temperature and the age of the containers move together.
     NullConfounded,
@@ -64,7 +66,7 @@ pub enum Family {
     Order,
     /// Batches differ.
     Batch,
-    /// The camera reads otherwise than the hand.
+    /// The camera reads differently from the hand.
     MethodBias,
     /// Operators differ.
     Operator,
@@ -72,11 +74,12 @@ pub enum Family {
     BaseFriction,
     /// Two of the single causes that do not look alike, each of the full size.
     TwoCauses,
-    /// One of two causes whose covariates went together: the right answer is to ask.
+    /// One of two causes whose covariates went together: the right answer is to ask for an
+    /// experiment.
     Confounded,
-    /// A recorded covariate that no mechanism belongs to.
+    /// A recorded covariate without a mechanism.
     Recorded,
-    /// Something that nobody recorded, over the weeks.
+    /// Something unrecorded, over the weeks.
     Unrecorded,
     /// Anything: see [`wild`]. Never tune to it.
     Wild,
@@ -113,7 +116,7 @@ impl Family {
     /// The others.
     pub const OTHERS: [Self; 5] = [Self::TwoCauses, Self::Confounded, Self::Recorded, Self::Unrecorded, Self::Wild];
 
-    /// Name of the family; that of a single cause is the cause's in the catalogue.
+    /// Name of the family; for a single cause, the cause's name in the catalogue.
     pub fn name(self) -> &'static str {
         match self {
             Self::NullPlain => "null_plain",
@@ -153,45 +156,49 @@ pub struct Case {
     pub name: String,
     /// [`Family::name`].
     pub family: &'static str,
-    /// What the chemist uploads.
+    /// The file the chemist uploads.
     pub csv: String,
-    /// The one cause of the catalogue that is at work; none where there is none, or two.
+    /// The one cause of the catalogue at work; none if there is none, or two.
     pub mechanism: Option<&'static str>,
-    /// Answers that are as good: `unrecorded` where nobody recorded it; of a wild case any cause that works by its covariate.
+    /// Equally right answers: `unrecorded` if it was not recorded; for a wild case any cause that
+    /// acts through its covariate.
     pub also_right: Vec<&'static str>,
-    /// Every cause of the catalogue that is at work.
+    /// Every cause of the catalogue at work.
     pub mechanisms: Vec<&'static str>,
-    /// Causes that these data cannot tell from `mechanism`.
+    /// Causes these data cannot distinguish from `mechanism`.
     pub rivals: Vec<&'static str>,
-    /// The column that the (first) cause works by, if it was recorded.
+    /// The column through which the (first) cause acts, if it was recorded.
     pub covariate: Option<String>,
-    /// Of a recorded cause outside the catalogue: linear, power, threshold, saturating, periodic or smooth.
+    /// For a recorded cause outside the catalogue: linear, power, threshold, saturating, periodic
+    /// or smooth.
     pub form_class: Option<&'static str>,
     /// The hidden effect, for people.
     pub formula: String,
     /// SD of each cause's effect within a powder in the campaign, degrees.
     pub size_deg: f64,
-    /// Powder mean and effect: what repeats without end would give on a day like any other.
+    /// Powder mean and effect: the limit of infinitely many repeats on an average day.
     pub noise_free_deg: Vec<f64>,
-    /// The effect, its mean within each powder of the campaign being 0.
+    /// The effect, with mean 0 within each powder of the campaign.
     pub effect_deg: Vec<f64>,
-    /// [`Case::change_deg`] of `covariate` over its [`Case::span`]; 0 without a covariate, NaN for batches that are each of one powder.
+    /// [`Case::change_deg`] of `covariate` over its [`Case::span`]; 0 without a covariate, NaN for
+    /// batches that are each of one powder.
     pub effect_5_95_deg: f64,
     laboratory: Laboratory,
     runs: Vec<Run>,
 }
 
-/// A campaign of this family; the size of nulls and wild cases is their own.
+/// A campaign of this family; nulls and wild cases have their own size.
 ///
 /// # Panics
-/// No laboratory of many drawn shows the effect clearly: the family is wrongly made.
+/// No laboratory out of many drawn shows the effect clearly: the family is badly defined.
 pub fn case(family: Family, size_deg: f64, seed: u64) -> Case {
     let laboratory = families::draw(family, size_deg, seed);
     let runs = laboratory.campaign();
     Case::of(format!("{} {:.2} deg, seed {seed}", family.name(), laboratory.truth.size_deg), laboratory, runs)
 }
 
-/// A campaign of any kind: 3 to 8 powders, 12 to 40 days, 1 to 3 repeats, noise normal or not, an effect of composed forms or none.
+/// A campaign of any kind: 3 to 8 powders, 12 to 40 days, 1 to 3 repeats, noise normal or not, an
+/// effect of composed forms or none.
 pub fn wild(seed: u64) -> Case {
     case(Family::Wild, f64::NAN, seed)
 }
@@ -225,7 +232,8 @@ impl Case {
         case
     }
 
-    /// The 5th and the 95th percentile of a column; of names, the first and the last in the alphabet, if powders share them.
+    /// The 5th and the 95th percentile of a column; for names, the first and the last in the
+    /// alphabet, if powders share them.
     pub fn span(&self, column: &str) -> Option<[String; 2]> {
         let mut numbers = Vec::new();
         let mut names = Vec::new();
@@ -242,15 +250,17 @@ impl Case {
         shared.then_some([names.iter().min()?.clone(), names.iter().max()?.clone()])
     }
 
-    /// Mean change over the powders if a column goes from one value to another and all else is as it was in the runs, degrees.
+    /// Mean change over the powders if a column goes from one value to another and all else stays
+    /// as it was in the runs, degrees.
     ///
     /// # Panics
-    /// No such column, or text that is no number where it should be.
+    /// No such column, or text where a number is required.
     pub fn change_deg(&self, column: &str, from: &str, to: &str) -> f64 {
         self.change_of_all_deg(&[(column, [from.to_owned(), to.to_owned()])])
     }
 
-    /// [`Case::change_deg`] of these columns, all at once from the one end of their [`Case::span`] to the other; none where one has no span.
+    /// [`Case::change_deg`] of these columns, all at once from one end of their [`Case::span`] to
+    /// the other; none where one has no span.
     pub fn change_over_spans_deg(&self, columns: &[&str]) -> Option<f64> {
         let moves: Option<Vec<_>> = columns.iter().map(|&column| Some((column, self.span(column)?))).collect();
         moves.map(|moves| self.change_of_all_deg(&moves))
@@ -272,16 +282,19 @@ impl Case {
         mean(&(0..self.laboratory.powders.len()).map(of_powder).collect::<Vec<_>>())
     }
 
-    /// The next days of the same laboratory, and only these: for the error of a prediction against the noise-free truth.
+    /// The next days of the same laboratory, and only these: for the error of a prediction against
+    /// the noise-free truth.
     pub fn more_days(&self, days: usize) -> Self {
         let runs = self.laboratory.ordinary_days(self.next_day(), days);
         Self::of(format!("{}, {days} days more", self.name), self.laboratory.clone(), runs)
     }
 
-    /// The campaign with the rows that the laboratory measures when it is asked for these settings, column to value, in this order.
+    /// The campaign with the rows the laboratory measures for these requested settings, column to
+    /// value, in this order.
     ///
-    /// A row without `powder` is measured with each. Rows with one text for `session`, or with none, share a day, which is a new one whatever it is
-    /// called. What a row does not set is as on any day; columns that the campaign lacks are added.
+    /// A row without `powder` is measured with each. Rows with the same text for `session`, or with
+    /// none, share a day, which is always a new one. Conditions not set in a row are as on any day;
+    /// columns that the campaign lacks are added.
     ///
     /// # Panics
     /// A column that cannot be set, a powder that the laboratory does not have.

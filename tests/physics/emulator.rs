@@ -1,4 +1,4 @@
-//! The emulator of the product on the product's simulator: held-out heaps are where it says they are.
+//! The product's emulator on the product's simulator: held-out heaps are where it predicts them.
 
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
@@ -23,7 +23,7 @@ fn heap(set: &ParameterSet, Pour { particles, readings }: Pour, seed: u64) -> Re
     })
 }
 
-/// A set of the box, from nothing but its number.
+/// A set of the box, derived only from its number.
 fn held_out(k: u64) -> ParameterSet {
     let uniform = |j: u64| (derive(97, &[k, j]) >> 11) as f64 / (1u64 << 53) as f64;
     ParameterSet::from_unit(std::array::from_fn(|j| uniform(j as u64)))
@@ -31,7 +31,7 @@ fn held_out(k: u64) -> ParameterSet {
 
 #[test]
 fn held_out_heaps_are_where_the_emulator_says_as_often_as_it_says() {
-    // Less than half of the product's heaps: its doubts have to be right at any size.
+    // Less than half of the product's heaps: its uncertainties have to be right at any size.
     let design = Design { runs: 100, initial: 64, round: 18, ..Design::with_particles(PARTICLES) };
     let emulator = build(&design, sim::directions, &[], heap, |_, _| ControlFlow::Continue(())).unwrap();
     let scores: Vec<f64> = (0..HELD_OUT)
@@ -39,7 +39,7 @@ fn held_out_heaps_are_where_the_emulator_says_as_often_as_it_says() {
         .filter_map(|k| {
             let set = held_out(k);
             let expected = emulator.expect(&set);
-            // Where calibrations ask; far beyond, the design looks only at its beginning.
+            // In the range of calibrations; far beyond it, the design is explored only initially.
             if !(22.0..52.0).contains(&expected.mean.mean) {
                 return None;
             }

@@ -3,7 +3,7 @@
 use flip_sim::validate::{Check, Suite, experiments};
 use rayon::prelude::*;
 
-/// Run the named experiments and expect every check to be accounted for.
+/// Runs the named experiments and expects every check to be accounted for.
 fn expect(names: &[&str]) {
     let chosen: Vec<_> = experiments().into_iter().filter(|e| names.contains(&e.name)).collect();
     assert_eq!(chosen.len(), names.len(), "an experiment of {names:?} is missing");
@@ -12,7 +12,7 @@ fn expect(names: &[&str]) {
     for check in &checks {
         assert!(check.is_accounted_for(), "{check:?}, off by {}", check.miss());
         if let Some(known) = check.known_deviation {
-            // A documented miss that has shrunk is to be documented anew.
+            // A documented miss that has shrunk must be documented again.
             assert!(check.miss() >= 0.5 * known.miss, "{check:?}, off by {} only", check.miss());
         }
     }

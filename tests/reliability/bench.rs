@@ -19,16 +19,16 @@ use std::time::{Duration, Instant};
 
 /// Late in a dose: this share of the target lies in the vial.
 const LATE_SHARE: f64 = 0.6;
-/// How long an answer of the balance may take, and how late a slow one is.
+/// Longest time for an answer of the balance, and delay of a slow one, s.
 const ANSWER_S: f64 = 0.9;
 const SLOW_REPLY_MS: u64 = 1000;
-/// Longer than a busy machine holds a thread up, so that no case has a fault that nobody asked for.
+/// Longer than a busy machine delays a thread, so that no case has an unplanned fault.
 const DEAD_MAN_MS: u32 = 1200;
-/// How long the arm may take to come to rest when nobody controls it any more.
+/// Longest time for the arm to come to rest once nobody controls it.
 const REST: Duration = Duration::from_secs(8);
 const RULES: Rules = Rules { steps_max: 30, ending: Ending::OnTarget, pitch: PitchLimits::WIDE };
 
-/// What is weighed.
+/// A dose to weigh.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dose {
     pub target_mg: f64,
@@ -46,20 +46,20 @@ impl Dose {
     }
 }
 
-/// How it went.
+/// The result of a run.
 #[derive(Debug)]
 pub struct Ran {
     /// The weighing, or why the bench could not be opened.
     pub weighed: Result<Weighed, String>,
     pub record: Record,
-    /// What fell into the vial, mg.
+    /// Mass that fell into the vial, mg.
     pub vial_mg: f64,
     pub is_level: bool,
     pub is_retracted: bool,
     pub latched: Option<&'static str>,
 }
 
-/// Weigh, with this fault if there is one.
+/// Runs a weighing, with this fault if there is one.
 pub fn run(dose: Dose, case: Option<Case>) -> Ran {
     let clock = Clock::standing();
     let bell = Bell::default();
@@ -101,7 +101,7 @@ fn dosed(station: &mut Station, dose: Dose, watcher: &Watcher) -> Weighed {
 #[derive(Clone, Default)]
 struct Bell(Arc<OnceLock<Weak<Watcher>>>);
 
-/// A spoon that tells when its powder comes loose.
+/// A spoon that reports when its powder comes loose.
 struct Probe {
     spoon: FormulaSpoon,
     bell: Bell,
@@ -149,11 +149,11 @@ struct State {
     laboratory: Laboratory,
     record: Record,
     shakes: u32,
-    /// Questions to the balance in this phase, and since the last shake.
+    /// Queries to the balance in this phase, and since the last shake.
     questions: u32,
     since_shake: u32,
     injected: bool,
-    /// Messages to the device until a fault that passes is over.
+    /// Messages to the device until a passing fault is over.
     passes_in: Option<u32>,
 }
 
@@ -221,7 +221,7 @@ impl Watcher {
         state.passes_in = (!case.lasting).then(|| case.fault.answers());
         let answers = if case.lasting { u32::MAX } else { case.fault.answers() };
         match case.fault {
-            // What is no matter of answers ends with a message, below.
+            // Faults that do not affect answers end with a message, below.
             Fault::Balance(balance::Fault::VialLifted) => state.laboratory.balance.inject(balance::Fault::VialLifted),
             Fault::Balance(fault) => state.laboratory.balance.inject_for(fault, answers),
             Fault::Arm(fault) => state.laboratory.arm.inject(fault),
@@ -229,7 +229,7 @@ impl Watcher {
         }
     }
 
-    /// One message less until a fault that passes is over.
+    /// Counts one message towards the end of a passing fault.
     fn pass(&self, state: &mut State, device: &str) {
         let Some(case) = self.case.filter(|case| case.fault.device() == device) else { return };
         state.passes_in = match state.passes_in {
@@ -245,7 +245,7 @@ impl Watcher {
         };
     }
 
-    /// Wait until the arm rests, and say how all stands.
+    /// Waits until the arm rests, and returns the final state.
     fn ended(&self, weighed: Result<Weighed, String>) -> Ran {
         let began = Instant::now();
         let rests = |state: &State| {
@@ -264,7 +264,7 @@ impl Watcher {
 }
 
 impl State {
-    /// What has fallen into the vial, mg, wherever the vial is now.
+    /// Mass that has fallen into the vial, mg, wherever the vial is now.
     fn vial_mg(&self) -> f64 {
         self.laboratory.arm.log().iter().map(|event| event.poured_mg).sum()
     }

@@ -1,19 +1,19 @@
-//! The list of what goes wrong, and when: data, so that a run can be counted and a case can be named.
+//! The list of faults and their moments: data, so that a run can be counted and a case named.
 
 use flip_bench::emulate::{arm, balance, gripper};
 use flip_core::domain::seed::derive;
 use std::fmt;
 use std::time::Duration;
 
-/// Answers that are spoiled by a fault of the balance that passes.
+/// Answers spoiled by a passing fault of the balance.
 const FEW: u32 = 5;
-/// A shake that goes as far beyond what was asked for as the emulator lets it.
+/// A shake that exceeds the commanded one as far as the emulator allows.
 const WILD: f64 = 2.0;
 /// Late answers of the arm: within its deadline, and beyond it.
 const LATE: Duration = Duration::from_millis(150);
 const TOO_LATE: Duration = Duration::from_millis(2500);
 
-/// Something that goes wrong with one device.
+/// A fault of one device.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Fault {
     Balance(balance::Fault),
@@ -32,13 +32,14 @@ pub enum When {
     Approach,
     Tare,
     FirstRead,
-    /// With the command to incline; early is before the first shake, late when six tenths of the target lie in the vial.
+    /// With the command to incline; early is before the first shake, late when six tenths of the
+    /// target lie in the vial.
     Incline(Course),
     /// With the command to shake.
     Shake(Course),
     /// The spoon is shaking: its powder has come loose and is about to fall.
     Pouring(Course),
-    /// With the first question to the balance after a shake.
+    /// With the first query to the balance after a shake.
     Read(Course),
     Level,
     Retract,
@@ -123,7 +124,7 @@ impl Fault {
         }
     }
 
-    /// It happens at once and only a person ends it, or it has no meaning to let it pass.
+    /// It happens at once and only a person ends it, or a passing version has no meaning.
     fn happens_once(self) -> bool {
         use {balance::Fault as B, gripper::Fault as G};
         match self {
@@ -133,7 +134,7 @@ impl Fault {
         }
     }
 
-    /// Answers that it spoils where it passes.
+    /// Answers it spoils if it passes.
     pub fn answers(self) -> u32 {
         use balance::Fault as B;
         match self {
@@ -142,7 +143,8 @@ impl Fault {
         }
     }
 
-    /// Most that the dose may pass target and tolerance, mg, where no message shows this fault; `None`: it shows, so not at all.
+    /// Most that the dose may exceed target and tolerance, mg, if no message shows this fault;
+    /// `None`: it shows, so not at all.
     ///
     /// | fault | why nobody can see it | what bounds the harm |
     /// |---|---|---|
@@ -179,12 +181,12 @@ impl Case {
         cases
     }
 
-    /// The balance is switched on anew.
+    /// The balance is switched on again.
     pub fn is_restart(&self) -> bool {
         self.fault == Fault::Balance(balance::Fault::Restart)
     }
 
-    /// A number that follows from what the case is, whatever its place in the list.
+    /// A number derived from the case itself, regardless of its place in the list.
     pub fn hash(&self) -> u64 {
         self.to_string().bytes().fold(0, |hash, byte| derive(hash, &[byte.into()]))
     }

@@ -1,6 +1,8 @@
-//! Does a fault ever pour too much, leave a spoon tilted, or go unnamed? Every fault of every device that a weighing uses, at every moment of one.
+//! Does a fault ever pour too much, leave a spoon tilted, or go unnamed? Every fault of every
+//! device a weighing uses, at every moment of one.
 //!
-//! `cargo test` takes a tenth of the cases and every restart of the balance, `make reliability` all of them (`docs/reliability.md`).
+//! `cargo test` runs a tenth of the cases and every restart of the balance, `make reliability` all
+//! of them (`docs/reliability.md`).
 
 mod bench;
 mod cases;
@@ -14,11 +16,11 @@ use report::Row;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Weighings at once: they wait for one another's devices more than they compute.
+/// Concurrent weighings: they wait for one another's devices more than they compute.
 const AT_ONCE: usize = 16;
-/// One case in so many where not all are asked for.
+/// One case in this many, if not all are requested.
 const SHARE: u64 = 10;
-/// What is weighed; each passes through every moment that a fault can begin at.
+/// The doses weighed; each passes through every moment at which a fault can begin.
 const DOSES: [Dose; 4] = [
     Dose { target_mg: 5.0, seed: 1 },
     Dose { target_mg: 10.0, seed: 1 },
@@ -33,7 +35,8 @@ fn no_fault_pours_too_much_leaves_the_spoon_tilted_or_goes_unnamed() {
     let only = std::env::var("FLIP_RELIABILITY_ONLY").ok();
     let is_chosen = |case: &Case| match &only {
         Some(name) => case.to_string().contains(name),
-        // A balance that restarts is looked at in every state: nothing but its own word tells it.
+        // A balance that restarts is checked in every state: nothing but its own message reveals
+        // it.
         None => is_full || case.is_restart() || case.hash().is_multiple_of(SHARE),
     };
     let chosen: Vec<Case> = all.iter().copied().filter(is_chosen).collect();
@@ -46,7 +49,8 @@ fn no_fault_pours_too_much_leaves_the_spoon_tilted_or_goes_unnamed() {
         let which = case.hash() as usize / 64 % DOSES.len();
         let began = std::time::Instant::now();
         let ran = run(DOSES[which], Some(*case));
-        // A busy machine may hold an answer up beyond its deadline before the fault has begun: then nothing was tried.
+        // A busy machine may delay an answer beyond its deadline before the fault has begun: then
+        // nothing was tested.
         let is_tried = ran.record.injected_at().is_some();
         let ran = if is_tried { ran } else { run(DOSES[which], Some(*case)) };
         Row::new(DOSES[which], *case, &ran, twins[which].vial_mg, began.elapsed())
@@ -60,7 +64,7 @@ fn no_fault_pours_too_much_leaves_the_spoon_tilted_or_goes_unnamed() {
     assert!(wrong.is_empty(), "{} complaints:\n{}", wrong.len(), wrong.join("\n"));
 }
 
-/// What `work` gives for each of these, in their order.
+/// The results of `work` for each of these, in order.
 fn at_once<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
     let next = AtomicUsize::new(0);
     let done = Mutex::new(Vec::new());

@@ -1,4 +1,4 @@
-//! What a weighing told and what passed over its wires, in one order, and whether anything is missing.
+//! The events of a weighing and its wire traffic, in one order, and whether anything is missing.
 
 use flip_bench::hardware::wire::{Direction, Exchange};
 use flip_bench::weigh::{Event, Phase};
@@ -8,7 +8,7 @@ use flip_core::domain::bench::Action;
 #[derive(Debug, Clone, PartialEq)]
 pub enum Entry {
     Phase(Phase),
-    /// A decision, the reading it was made on, and what lay in the vial then.
+    /// A decision, the reading it was made on, and the mass in the vial then.
     Decision {
         allowed: Option<Action>,
         reading_mg: f64,
@@ -18,7 +18,7 @@ pub enum Entry {
         step: u32,
     },
     Passed(Exchange),
-    /// The fault began, with this in the vial.
+    /// The fault began, with this mass in the vial.
     Injected {
         vial_mg: f64,
     },
@@ -35,7 +35,7 @@ impl Record {
     pub fn hear(&mut self, event: &Event<'_>, vial_mg: f64) {
         self.entries.push(match event {
             Event::Phase(phase) => Entry::Phase(*phase),
-            // No dose of these is compared with one before.
+            // None of these doses is compared with an earlier one.
             Event::Pan(_) => return,
             Event::Decision(decision) => {
                 Entry::Decision { allowed: decision.allowed, reading_mg: self.reading_mg, vial_mg }
@@ -65,7 +65,7 @@ impl Record {
             .collect()
     }
 
-    /// The first thing that a record must not show.
+    /// The first violation in the record.
     pub fn check(&self) -> Result<(), String> {
         self.phases_in_order()?;
         self.motions_decided()?;
@@ -89,7 +89,7 @@ impl Record {
         if is_counted { Ok(()) } else { Err(format!("ticks are {ticks:?}")) }
     }
 
-    /// Powder moves only as decided, and after a halt nothing but the way back.
+    /// Powder moves only as decided, and after a halt only the way back is made.
     fn motions_decided(&self) -> Result<(), String> {
         let mut allowed: Option<Action> = None;
         let mut settling = false;
@@ -115,7 +115,8 @@ impl Record {
         Ok(())
     }
 
-    /// Once the arm has answered with an error nothing pours any more, but for one repeat under the same number.
+    /// Once the arm has answered with an error nothing pours any more, except one repeat under the
+    /// same number.
     fn nothing_after_an_error(&self) -> Result<(), String> {
         let mut failed: Option<&str> = None;
         let mut last = "";
@@ -141,7 +142,8 @@ impl Record {
         Ok(())
     }
 
-    /// Each call of the arm has its answer or its error before the next call; of the other devices, each answer comes after a question.
+    /// Each call of the arm has its answer or its error before the next call; for the other
+    /// devices, each answer follows a query.
     fn answers_complete(&self) -> Result<(), String> {
         let mut open: Option<&str> = None;
         let mut asked = Vec::new();

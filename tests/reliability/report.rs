@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::time::Duration;
 
-/// What is kept of a case.
+/// The stored result of a case.
 pub struct Row {
     case: Case,
     outcome: String,
@@ -37,7 +37,7 @@ impl Row {
         }
     }
 
-    /// What is wrong with it, in words.
+    /// Its problems, in words.
     pub fn complaints(&self) -> Vec<String> {
         let name = |what: &String| format!("{}: {what} [{} {}]", self.case, self.outcome, self.cause);
         self.wrong.iter().map(name).collect()
@@ -57,7 +57,7 @@ pub fn twin(dose: Dose, ran: &Ran) -> String {
     format!("{dose:?} without a fault: {:.2} mg, {outcome:?}", ran.vial_mg)
 }
 
-/// Cases by device and fault, how they ended, and what lay in the vial beyond target and tolerance.
+/// Cases by device and fault, how they ended, and the mass in the vial beyond target and tolerance.
 pub fn table(rows: &[Row]) -> String {
     let mut text = String::from(
         "\n| device | fault | cases | outcomes | a person must look | over: twin, in flight, chance, fault | worst excess mg |\n|---|---|---|---|---|---|---|\n",

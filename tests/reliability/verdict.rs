@@ -1,4 +1,4 @@
-//! What every case must keep, and what an overdose came from.
+//! The requirements on every case, and the cause of an overdose.
 
 use crate::bench::{Dose, Ran};
 use crate::cases::{Case, Fault, When};
@@ -7,21 +7,21 @@ use flip_bench::hardware::wire::Direction;
 use flip_bench::weigh::Weighed;
 use flip_core::domain::weighing::Outcome;
 
-/// A display of whole milligrams says the truth if it is no further from it, mg.
+/// A display of whole milligrams is correct if it is no further from the true mass, mg.
 const TRUE_MG: f64 = 1.5;
-/// Masses are the same but for rounding, mg.
+/// Masses that differ by less are equal up to rounding, mg.
 const SAME_MG: f64 = 1e-6;
 
-/// Why more lies in the vial than target and tolerance.
+/// Why more than target and tolerance lies in the vial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Excess {
     /// It does not.
     None,
     /// The healthy twin has as much.
     Twin,
-    /// The motion that was under way when the fault began.
+    /// The motion in progress when the fault began.
     InFlight,
-    /// A shake that was decided on a true reading: the chance that the guard takes without any fault.
+    /// A shake decided on a correct reading: the risk the guard takes without any fault.
     Chance,
     /// The fault.
     Fault,
@@ -29,8 +29,9 @@ pub enum Excess {
 
 /// Where the excess comes from.
 ///
-/// The shake that passed the limit is the last one decided while no more than the limit lay in the vial. Decided before the fault began, its powder was in
-/// flight; decided afterwards on a display that told the truth, it is the chance that the guard takes in every dose; else the fault did it.
+/// The shake that passed the limit is the last one decided while no more than the limit lay in the
+/// vial. If it was decided before the fault began, its powder was in flight; if afterwards on a
+/// correct display, it is the risk the guard takes in every dose; otherwise the fault caused it.
 pub fn excess(dose: Dose, case: &Case, ran: &Ran, twin_mg: f64) -> Excess {
     let limit_mg = dose.limit_mg();
     if ran.vial_mg <= limit_mg + SAME_MG {
@@ -54,7 +55,7 @@ pub fn excess(dose: Dose, case: &Case, ran: &Ran, twin_mg: f64) -> Excess {
     }
 }
 
-/// Everything that is wrong with how this case ended.
+/// Everything wrong with how this case ended.
 pub fn faults(dose: Dose, case: &Case, ran: &Ran, twin_mg: f64) -> Vec<String> {
     let mut wrong = Vec::new();
     if ran.record.injected_at().is_none() {
@@ -100,10 +101,10 @@ fn unnamed(ran: &Ran) -> Option<String> {
     }
 }
 
-/// What a person can look at.
+/// Names of things a person can check.
 const NAMED: [&str; 6] = ["the balance", "the arm", "the gripper", "the reading", "the vial", "spoon"];
 
-/// Pieces of answers that came and are not on record.
+/// Received pieces of answers that are not on record.
 fn unheard(case: &Case, ran: &Ran) -> Option<String> {
     let begun = ran.record.injected_at()?;
     let is_piece = case.fault == Fault::Balance(flip_bench::emulate::balance::Fault::PartialLine);
@@ -118,7 +119,8 @@ fn unheard(case: &Case, ran: &Ran) -> Option<String> {
     (is_piece && asked > 0 && heard == 0).then(|| "a piece of an answer is not on record".to_owned())
 }
 
-/// A reading that is none: of an aborted dose, or of a balance that was switched on anew between the tare and the final reading.
+/// An invalid reading that was accepted: of an aborted dose, or of a balance that was switched on
+/// again between the tare and the final reading.
 fn believed(case: &Case, ran: &Ran) -> Option<String> {
     use flip_bench::emulate::balance::Fault::Restart;
     let weighed = ran.weighed.as_ref().ok()?;
@@ -135,7 +137,7 @@ fn believed(case: &Case, ran: &Ran) -> Option<String> {
         .then(|| format!("a balance that restarted is believed: {outcome:?}, {reading_mg:?} mg, must look {must_look}"))
 }
 
-/// The result is not what the record tells.
+/// The result does not match the record.
 fn untold(ran: &Ran) -> Option<String> {
     let weighed = ran.weighed.as_ref().ok()?;
     let ticks: Vec<u32> = weighed.ticks.iter().map(|tick| tick.step).collect();

@@ -1,4 +1,5 @@
-//! Commands beside a running `flip serve`, each in a process of its own: tokens, backups, and starts that are refused.
+//! Commands alongside a running `flip serve`, each in its own process: tokens, backups, and starts
+//! that are refused.
 
 use crate::harness::Service;
 use serde_json::{Value, json};

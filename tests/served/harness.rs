@@ -1,20 +1,20 @@
-//! A service in a process of its own.
+//! A service in a separate process.
 
 use serde_json::Value;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-/// A service in a process of its own, killed when it is dropped.
+/// A service in a separate process, killed when dropped.
 pub struct Service {
     process: Child,
     pub url: String,
-    /// The token that a first start prints.
+    /// The token printed on first start.
     pub token: Option<String>,
     pub client: reqwest::Client,
 }
 
 impl Service {
-    /// Start it on a data folder, and wait until it listens.
+    /// Starts it on a data folder, and waits until it listens.
     pub fn start(folder: &Path) -> Self {
         let mut process = Command::new(env!("CARGO_BIN_EXE_flip"))
             .args(["serve", "--json", "--listen", "127.0.0.1:0", "--data-dir"])
@@ -31,12 +31,12 @@ impl Service {
         Self { process, url, token, client: reqwest::Client::new() }
     }
 
-    /// Of the process.
+    /// Process id.
     pub fn id(&self) -> u32 {
         self.process.id()
     }
 
-    /// SIGKILL: no destructor, no last word.
+    /// SIGKILL: no destructor, no final output.
     pub fn kill(self) {
         drop(self);
     }

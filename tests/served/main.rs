@@ -1,4 +1,4 @@
-//! `flip serve` in a process of its own: commands beside it, and what it loses when it is killed.
+//! `flip serve` in a separate process: commands alongside it, and what it loses when killed.
 
 mod beside;
 mod harness;

@@ -1,4 +1,5 @@
-//! `flip serve` is killed, again and again, in the middle of its work. Nothing is lost, and nothing is done twice.
+//! `flip serve` is killed repeatedly in the middle of its work. Nothing is lost, and nothing is
+//! done twice.
 
 use crate::harness::Service;
 use serde_json::{Value, json};
@@ -24,7 +25,7 @@ impl Service {
         self.get(&format!("{path}?limit=5000")).await["items"].as_array().unwrap().clone()
     }
 
-    /// Ask for a weighing; its id.
+    /// Requests a weighing; returns its id.
     async fn weigh(&self, token: &str, key: &str, body: &Value) -> String {
         let request = self.client.post(format!("{}/v1/weighings", self.url)).bearer_auth(token).json(body);
         let response = request.header("Idempotency-Key", key).send().await.unwrap();
@@ -37,7 +38,7 @@ impl Service {
         ["queued", "running"].contains(&job["state"].as_str().unwrap())
     }
 
-    /// Wait until the job has ended, and return it.
+    /// Waits until the job has ended, and returns it.
     async fn ended(&self, id: &str) -> Value {
         let deadline = Instant::now() + PATIENCE;
         while self.works_on(id).await {
@@ -48,8 +49,8 @@ impl Service {
     }
 }
 
-/// Kill the service over and over while it works on a job: at a moment of its own each time, and every other time only
-/// after this life has saved something. The service that finally lives.
+/// Kills the service repeatedly while it works on a job: at a different moment each time, and every
+/// other time only after this life has saved something. Returns the service that finally lives.
 async fn torment(mut service: Service, folder: &Path, job: &str, series: &str) -> Service {
     for kill in 0..KILLS {
         let before = service.items(series).await.len();
@@ -111,7 +112,7 @@ async fn ten_kills_during_a_calibration_and_a_training_lose_nothing_and_repeat_n
     check_database(folder.path()).await;
 }
 
-/// A weighing that was moving when the process ended is never taken up again; one that waited is.
+/// A weighing in motion when the process ended is never resumed; a waiting one is.
 async fn interrupted_weighing(service: Service, folder: &Path, token: &str) -> Service {
     let mg = |value: f64| json!({"value": value, "unit": "mg"});
     let tolerance = json!({"lower": 1.0, "upper": 1.0, "unit": "mg"});
@@ -140,7 +141,7 @@ async fn interrupted_weighing(service: Service, folder: &Path, token: &str) -> S
     service
 }
 
-/// What SQLite itself says about the file that so many processes left behind.
+/// SQLite's own integrity check of the file left by so many processes.
 async fn check_database(folder: &Path) {
     let pool = SqlitePool::connect_with(SqliteConnectOptions::new().filename(folder.join("flip.db"))).await.unwrap();
     let integrity: String = sqlx::query_scalar("PRAGMA integrity_check").fetch_one(&pool).await.unwrap();
@@ -153,7 +154,7 @@ async fn check_database(folder: &Path) {
     pool.close().await;
 }
 
-/// How many heaps of emulators are stored, as soon as there are more than were known, or all.
+/// Number of stored emulator heaps, as soon as there are more than were known, or all.
 async fn more_heaps(folder: &Path, known: i64) -> i64 {
     let options = SqliteConnectOptions::new().filename(folder.join("flip.db")).read_only(true);
     let pool = SqlitePool::connect_with(options).await.unwrap();

@@ -1,6 +1,8 @@
-//! FLIP's balance driver against simulators by others, and a client by others against FLIP's emulator.
+//! FLIP's balance driver against third-party simulators, and a third-party client against FLIP's
+//! emulator.
 //!
-//! `tests/peers/balance_peers.py` installs them from PyPI under `target/`, once. Without python or a network the tests say why they are skipped.
+//! `tests/peers/balance_peers.py` installs them from PyPI under `target/`, once. Without python or
+//! a network the tests report why they are skipped.
 
 use flip_bench::emulate::balance::{Balance as Emulated, Fault, Settings as Emulation, Socket};
 use flip_bench::emulate::pan::Pan;
@@ -13,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::OnceLock;
 
-/// What their simulators have on the pan at first, mg.
+/// Initial load of their simulators, mg.
 const THEIR_LOAD_MG: f64 = 52_187.34;
 /// Two display steps of 0.1 mg, and their noise.
 const CLOSE_MG: f64 = 0.3;
@@ -22,7 +24,7 @@ fn script() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/balance_peers.py")
 }
 
-/// The python that has the peers; `None`, with a printed reason, if they cannot be had.
+/// The python that has the peers; `None`, with a printed reason, if they cannot be installed.
 fn python() -> Option<&'static Path> {
     static PYTHON: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     let installed = PYTHON.get_or_init(|| {
@@ -35,7 +37,7 @@ fn python() -> Option<&'static Path> {
     match installed {
         Ok(python) => Some(python),
         Err(reason) => {
-            // Not by println, which is shown for failed tests only.
+            // Not println, which is shown for failed tests only.
             let _ = writeln!(std::io::stderr(), "skipped: the peers cannot be installed: {reason}");
             None
         }
@@ -84,7 +86,8 @@ impl Drop for Simulator {
 fn check_driver(kind: &str, dialect: Dialect) {
     let Some(python) = python() else { return };
     let mut simulator = Simulator::start(python, kind);
-    // Their MT-SICS simulator flags no immediate reading as stable: its own command is asked.
+    // Their MT-SICS simulator flags no immediate reading as stable, so the separate command is
+    // used.
     let stable_by = StableBy::Command;
     let settings =
         Settings { stable_by, readability_mg: Some(0.1), ..Settings::new(dialect, simulator.address.as_str()) };
@@ -140,10 +143,10 @@ fn an_independent_sbi_balance_that_moves_underloads_or_adjusts_itself_is_underst
     assert!(matches!(balance.immediate(), Err(DeviceError::Forbidden { .. })));
 }
 
-/// FLIP's emulator with 52.187 g on it, and what their client calls the dialect.
+/// FLIP's emulator with a load of 52.187 g, and their client's name for the dialect.
 fn emulated(dialect: Dialect, fault: Option<Fault>) -> (&'static str, Emulated) {
     let settings = Emulation { dialect, noise_mg: 0.0, ..Emulation::default() };
-    // Ten times as fast as a room, so that nobody waits long for the stable flag.
+    // Ten times real time, so the stable flag comes quickly.
     let pan = Pan::holding(52_187.0, Clock::fast(10.0));
     let mut balance = Emulated::start(settings, pan, Socket::Tcp(([127, 0, 0, 1], 0).into())).unwrap();
     if let Some(fault) = fault {
@@ -152,7 +155,7 @@ fn emulated(dialect: Dialect, fault: Option<Fault>) -> (&'static str, Emulated) 
     (if dialect == Dialect::Sbi { "sbi" } else { "mt_sics" }, balance)
 }
 
-/// What their client finds on each of these.
+/// Results of their client for each of these balances.
 fn their_client(python: &Path, balances: &[(&'static str, Emulated)]) -> Vec<serde_json::Value> {
     let arguments = balances.iter().flat_map(|(kind, balance)| [*kind, balance.address()]);
     let output = Command::new(python).arg(script()).arg("client").args(arguments).output().unwrap();

@@ -1,4 +1,5 @@
-//! The gate's sketch, compiled for this computer and driven by the driver over a pseudo-terminal. Needs `g++`.
+//! The gate's sketch, compiled for this computer and used by the driver over a pseudo-terminal.
+//! Needs `g++`.
 
 use flip_bench::emulate::gate::{EmulatedGate, Settings, Slide};
 use flip_bench::emulate::port::Port;
@@ -25,7 +26,7 @@ fn program() -> &'static Path {
         let source = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/gate_firmware/host.cpp");
         let mut compiler = Command::new("g++");
         compiler.args(["-std=c++11", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Werror"]);
-        // Ends at the first byte that is read or written where none is.
+        // Exits at the first out-of-bounds read or write.
         compiler.args(["-fsanitize=address,undefined", "-fno-sanitize-recover=all", source, "-o"]).arg(&program);
         let compiled = compiler.output().expect("`make test` needs g++");
         assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
@@ -97,7 +98,7 @@ fn opening_the_port_again_resets_the_board() {
     let mut gate = board.driver();
     gate.open_gate(Opening::FULL, LONG).unwrap();
     drop(gate);
-    // A board sees that its port was closed when it stays so for a moment.
+    // A board detects a closed port only if it stays closed for a moment.
     std::thread::sleep(Duration::from_millis(50));
     assert_eq!(board.driver().status().unwrap().closed_for, Some(Why::Reset));
 }
@@ -141,7 +142,7 @@ fn noise_does_not_break_the_sketch() {
     line.receive(Duration::from_secs(5)).unwrap();
     let mut state = 1_u32;
     for _ in 0..200 {
-        // Bytes of a linear congruential generator, rich in ends of lines and stars.
+        // Bytes of a linear congruential generator, rich in line ends and stars.
         let noise = (0..97).map(|_| {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             match (state >> 24) as u8 {
@@ -161,7 +162,7 @@ fn noise_does_not_break_the_sketch() {
     assert!(matches!(reply.said, Said::Hi(_, status) if status.state == State::Closed), "{reply:?}");
 }
 
-/// What a board says to these lines, each a number that says whether it stands or moves.
+/// A board's replies to these lines, each with a number for whether it stands or moves.
 fn transcript(port: &str, lines: &[&str]) -> Vec<String> {
     let serial = Serial { baud: 115_200, ..Serial::default() };
     let mut line = Line::open("gate", port, &serial, Tap::none()).unwrap();
@@ -221,7 +222,7 @@ fn the_emulated_board_and_the_sketch_answer_alike() {
     let emulated = Port::pty(EmulatedGate::new(Slide::new(settings, Clock::wall()))).unwrap();
     let (sketch, emulated) = (transcript(&board.port, &lines), transcript(emulated.address(), &lines));
     for ((line, sketch), emulated) in lines.iter().zip(&sketch).zip(&emulated) {
-        // Positions on the way and whether a moment was enough to arrive depend on the machine.
+        // Intermediate positions, and whether a moment was enough to arrive, depend on the machine.
         let without_time = |reply: &str| match parse(reply.as_bytes()).unwrap().said {
             Said::Ok(status) => format!("{:?} {:?}", parse(reply.as_bytes()).unwrap().seq, status.closed_for),
             _ => reply.to_owned(),

@@ -1,8 +1,9 @@
-//! What was measured beside the angle, judged as angles are: the time that powder takes to flow out (`flow.rs`), and how far repeats scatter
-//! (`scatter.rs`).
+//! Quantities measured alongside the angle and judged the same way: the time a powder takes to flow
+//! out (`flow.rs`), and how much repeats scatter (`scatter.rs`).
 //!
-//! Both are logarithms ([`percent`](super::campaign::percent)), so that a cause multiplies; a powder's own time and scatter are its means, which are not
-//! looked at. Nobody knows how much a cause of the catalogue changes the flow of which powder, so signs and responses are left open.
+//! Both are logarithms ([`percent`](super::campaign::percent)), so a cause multiplies; a powder's
+//! own time and scatter are its means, which are not judged. How much a cause of the catalogue
+//! changes the flow of each powder is unknown, so signs and responses are left open.
 
 use super::campaign::Campaign;
 use super::claim::{Claim, Proposal};
@@ -17,7 +18,7 @@ use super::{effects, experiment, law, words};
 use flip_core::domain::FieldError;
 use std::ops::ControlFlow;
 
-/// A channel that was screened.
+/// A screened channel.
 pub(super) struct Beside<'a> {
     pub campaign: &'a Campaign,
     pub prepared: &'a Prepared,
@@ -25,9 +26,9 @@ pub(super) struct Beside<'a> {
     pub screening: Screening,
 }
 
-/// What one more channel says, to be added to a document.
+/// The results of one more channel, to be added to a document.
 pub(super) struct Heard {
-    /// What was measured, to begin a sentence with.
+    /// What was measured, as the beginning of a sentence.
     pub what: &'static str,
     pub verdict: Verdict,
     pub sentence: String,
@@ -39,10 +40,10 @@ pub(super) struct Heard {
 }
 
 impl Beside<'_> {
-    /// What it says; `p_value` is corrected for what else is judged.
+    /// The channel's results; `p_value` is corrected for the other channels judged.
     ///
     /// # Errors
-    /// A campaign whose runs say nothing of their noise.
+    /// A campaign whose runs carry no information about their noise.
     pub fn heard(&self, p_value: f64, settings: &Settings) -> Result<(Heard, SideChannel), FieldError> {
         let Self { campaign, prepared, posterior, screening } = self;
         let judgement = Judgement::of(prepared, posterior, p_value);
@@ -108,7 +109,7 @@ impl Beside<'_> {
     }
 }
 
-/// The same runs, of which the flow is what counts.
+/// The same runs with flow time as the measured quantity.
 fn timed(it: Experiment) -> Experiment {
     Experiment { what: format!("{}, and of each the time that the powder takes to flow out", it.what), ..it }
 }

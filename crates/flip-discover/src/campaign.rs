@@ -5,29 +5,31 @@ use flip_core::domain::FieldError;
 use flip_core::stats::summary::mean;
 use serde::{Deserialize, Serialize};
 
-/// Fewest runs that can say anything: with fewer there is no telling days from repeats.
+/// Fewest runs that can be judged: with fewer, days cannot be separated from repeats.
 pub const RUNS_MIN: usize = 12;
-/// Most different names of a covariate that is looked at: each is a number of its own to fit.
+/// Most distinct names of a judged covariate: each is a coefficient of its own to fit.
 pub const LEVELS_MAX: usize = 50;
-/// Share of runs that may lack a covariate before nothing is asked of it.
+/// Share of runs that may lack a covariate before it is not judged.
 const MISSING_MAX: f64 = 0.5;
 
 /// One angle of repose.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Run {
-    /// Row of the file that it came from, the header being row 1; the repeats behind a summary share theirs.
+    /// Row of the file it came from, the header being row 1; the repeats behind a summary share one
+    /// row.
     pub row: u32,
     /// Index into [`Campaign::powders`].
     pub powder: usize,
-    /// Day, by number in order of time; runs of one day share what a day does.
+    /// Day, numbered in order of time; runs of one day share its day effect.
     pub session: usize,
     /// Angle of repose, degrees; none where it is to be predicted.
     pub repose_deg: Option<f64>,
 }
 
-/// Angles with this mean and SD: of a normal distribution the repeats behind a summary say nothing else, and nothing less.
+/// Generates angles with this mean and SD: for a normal distribution these are sufficient, so the
+/// repeats behind a summary carry neither more nor less.
 ///
-/// `repeats` of 1 have no SD.
+/// With 1 for `repeats` there is no SD.
 pub fn repeats_of(mean_deg: f64, sd_deg: f64, repeats: u32) -> Vec<f64> {
     let middle = f64::from(repeats.saturating_sub(1)) / 2.0;
     let places: Vec<f64> = (0..repeats).map(|k| f64::from(k) - middle).collect();
@@ -35,10 +37,10 @@ pub fn repeats_of(mean_deg: f64, sd_deg: f64, repeats: u32) -> Vec<f64> {
     places.iter().map(|place| mean_deg + if spread > 0.0 { sd_deg * place / spread } else { 0.0 }).collect()
 }
 
-/// Something that was recorded with each run; `None` where it was not.
+/// A quantity recorded with each run; `None` where it was not.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Covariate {
-    /// As the column is called: `relative_humidity_pct`.
+    /// The column's name: `relative_humidity_pct`.
     pub name: String,
     /// One for each run.
     pub values: Values,
@@ -48,37 +50,37 @@ pub struct Covariate {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Values {
-    /// In the unit that the covariate's name ends in.
+    /// In the unit given by the end of the covariate's name.
     Numbers(Vec<Option<f64>>),
     /// Names.
     Levels {
         /// Every name, in alphabetical order.
         names: Vec<String>,
-        /// Index of the name of each run.
+        /// Index of each run's name.
         of: Vec<Option<usize>>,
     },
 }
 
-/// What is measured in runs.
+/// The quantity measured in the runs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Quantity {
     /// Angles of repose, degrees.
     #[default]
     Repose,
-    /// Times that powder takes to flow out, as [`percent`] has them.
+    /// Times the powder takes to flow out, as returned by [`percent`].
     FlowTime,
-    /// How far repeats are from each other, as [`percent`] has it.
+    /// How far repeats are from each other, as returned by [`percent`].
     Scatter,
 }
 
-/// A hundred times the natural logarithm: what changes by a hundredth changes it by one.
+/// A hundred times the natural logarithm: a change of one hundredth changes it by one.
 pub(super) fn percent(value: f64) -> f64 {
     100.0 * libm::log(value)
 }
 
 impl Quantity {
-    /// A change as a reader is told of it, in the unit beside it.
+    /// Converts a change to the reported value, in the unit from [`Self::unit`].
     pub(super) fn told(self, change: f64) -> f64 {
         match self {
             Self::Repose => change,
@@ -98,7 +100,7 @@ impl Quantity {
         }
     }
 
-    /// What was measured, to begin a sentence with.
+    /// What was measured, as the beginning of a sentence.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Repose => "Angles of repose",
@@ -123,22 +125,24 @@ pub struct Campaign {
     pub powders: Vec<String>,
     /// What was measured.
     pub runs: Vec<Run>,
-    /// What was recorded beside it.
+    /// What was recorded alongside.
     pub covariates: Vec<Covariate>,
-    /// Time that the powder took to flow out, s, one for each run; empty where none was measured.
+    /// Time the powder took to flow out, s, one for each run; empty if never measured.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub flow_time_s: Vec<Option<f64>>,
-    /// What [`Run::repose_deg`] holds. Of a laboratory's file angles; of what is made from one, see [`Quantity`].
+    /// What [`Run::repose_deg`] holds: angles in a laboratory's file; for derived campaigns, see
+    /// [`Quantity`].
     #[serde(default, skip_serializing_if = "Quantity::is_repose")]
     pub quantity: Quantity,
 }
 
 impl Campaign {
-    /// The campaign, if it can say anything at all.
+    /// Returns the campaign if it can be judged at all.
     ///
     /// # Errors
-    /// Fewer than [`RUNS_MIN`] measured runs beyond one for each powder; an angle that is no number; angles that are the same in all runs of each
-    /// powder; a covariate with another number of values than there are runs.
+    /// Fewer than [`RUNS_MIN`] measured runs beyond one for each powder; an angle that is not a
+    /// number; angles that are the same in all runs of each powder; a covariate whose number of
+    /// values differs from the number of runs.
     pub fn checked(self) -> Result<Self, FieldError> {
         let measured = self.measured().len();
         if measured.saturating_sub(self.powders.len()) < RUNS_MIN {
@@ -176,20 +180,21 @@ impl Campaign {
         angles.any(|(powder, angle)| *first[powder].get_or_insert(angle) != angle)
     }
 
-    /// The runs that have an angle, by index.
+    /// Indices of the runs that have an angle.
     pub fn measured(&self) -> Vec<usize> {
         (0..self.runs.len()).filter(|&i| self.runs[i].repose_deg.is_some()).collect()
     }
 
-    /// The same without the angles of these runs: what is to be predicted must not be seen.
+    /// A copy without the angles of these runs, which are to be predicted and must not be seen.
     pub fn without(&self, hidden: &[usize]) -> Self {
         let mut rest = self.clone();
         hidden.iter().for_each(|&i| rest.runs[i].repose_deg = None);
         rest
     }
 
-    /// The same with another's runs behind, without their angles: rows to predict. What the other recorded and this one did not is left out; names
-    /// that this one never saw are as if not recorded.
+    /// A copy with another campaign's runs appended without their angles: rows to predict.
+    /// Covariates recorded only in the other campaign are dropped; names never seen in this one
+    /// count as not recorded.
     pub fn joined(&self, other: &Self) -> Self {
         let mut all = Self { flow_time_s: Vec::new(), ..self.clone() };
         let session = all.runs.iter().map(|run| run.session + 1).max().unwrap_or(0);
@@ -222,7 +227,7 @@ impl Campaign {
         self.runs.iter().map(|run| run.powder).collect()
     }
 
-    /// How many sessions there are.
+    /// Number of sessions.
     pub fn sessions(&self) -> usize {
         let mut sessions = self.session_of();
         sessions.sort_unstable();
@@ -235,7 +240,8 @@ impl Campaign {
         self.runs.iter().map(|run| run.session).collect()
     }
 
-    /// Numbers of a covariate with the gaps filled: by the mean of the same session, else by the mean of all. An error says why it cannot be used.
+    /// Numbers of a covariate with gaps filled: by the mean of the same session, else by the
+    /// overall mean. The error states why it cannot be used.
     pub(super) fn numbers(&self, name: &str) -> Result<Vec<f64>, String> {
         let Some(Values::Numbers(values)) = self.values(name) else {
             return Err(format!("{name} was not recorded"));
@@ -258,7 +264,7 @@ impl Campaign {
         Ok(filled.map(|(run, value)| value.or_else(|| of_session(run.session)).unwrap_or(overall)).collect())
     }
 
-    /// Level of each run and how many levels there are; runs without are a level of their own.
+    /// Level of each run and the number of levels; runs without one form a level of their own.
     pub(super) fn levels(&self, name: &str) -> Result<(Vec<usize>, usize), String> {
         let Some(Values::Levels { of: values, .. }) = self.values(name) else {
             return Err(format!("{name} was not recorded"));

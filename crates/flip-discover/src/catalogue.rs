@@ -1,4 +1,4 @@
-//! The causes that FLIP knows, and how strong each is in each run of a campaign.
+//! The causes FLIP knows, and how strong each is in each run of a campaign.
 //!
 //! | mechanism | covariate | strength, up to its size |
 //! |---|---|---|
@@ -14,8 +14,12 @@
 //! | `order` | place in the session k | k, k^2, 1 - exp(-k / 2), 1 - exp(-k / 5) |
 //! | `batch`, `method_bias`, `operator`, `base_friction` | batch, method, operator, plate | one number for each level |
 //!
-//! The forms are ours: of each kind some that grow ever faster, some that approach a limit, and some that rise in the middle; no number in them was
+//! The forms are ours: of each kind some that grow ever faster, some that approach a limit, and
+//! some that rise in the middle; no number in them was
 //! measured.
+//!
+//! The forms are ours: for each kind, some grow ever faster, some approach a limit, and some rise
+//! in the middle. None of their numbers was measured.
 
 use super::campaign::{Campaign, Quantity, Values};
 use super::signature::Course;
@@ -23,7 +27,7 @@ use super::signature::Course;
 /// Causes that look alike are claimed together first.
 pub type Family = &'static str;
 
-/// A cause that the simulator can be extended by.
+/// A cause the simulator can be extended by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs)] // The module's table says what each is.
 pub enum Mechanism {
@@ -44,7 +48,7 @@ pub enum Mechanism {
 }
 
 impl Mechanism {
-    /// All of them.
+    /// Every mechanism.
     pub const ALL: [Self; 14] = [
         Self::Humidity,
         Self::Deliquescence,
@@ -62,7 +66,7 @@ impl Mechanism {
         Self::BaseFriction,
     ];
 
-    /// Name, as reports have it, and family.
+    /// Name used in reports, and family.
     pub fn name(self) -> (&'static str, Family) {
         match self {
             Self::Humidity => ("humidity", "moisture"),
@@ -82,7 +86,7 @@ impl Mechanism {
         }
     }
 
-    /// The covariates without which nothing can be said.
+    /// The covariates it needs to be judged at all.
     pub fn covariates(self) -> &'static [&'static str] {
         match self {
             Self::Humidity | Self::Deliquescence | Self::Charge => &["relative_humidity_pct"],
@@ -100,8 +104,9 @@ impl Mechanism {
         }
     }
 
-    /// Whether it can move this at all. Powder that runs out of a funnel knows nothing of how a heap is looked at, what it lies on and from where it
-    /// fell; of scatter the simulator says nothing, so it has no causes.
+    /// Whether it can affect this quantity at all. Powder running out of a funnel does not depend
+    /// on how a heap is viewed, what it lies on or how far it fell; the simulator makes no
+    /// prediction of scatter, so scatter has no causes.
     pub(super) fn moves(self, quantity: Quantity) -> bool {
         match quantity {
             Quantity::Repose => true,
@@ -110,7 +115,8 @@ impl Mechanism {
         }
     }
 
-    /// Which way a cause moves the angle of repose, up (1) or down (-1), where physics says so.
+    /// Direction in which a cause moves the angle of repose, up (1) or down (-1), where physics
+    /// fixes it.
     pub(super) fn sign(self) -> Option<f64> {
         match self {
             Self::Humidity | Self::Deliquescence | Self::Charge => Some(1.0),
@@ -120,7 +126,7 @@ impl Mechanism {
         }
     }
 
-    /// The forms of its first covariate, where that is a number.
+    /// The forms of its first covariate, if that is numeric.
     fn forms(self) -> &'static [Form] {
         match self {
             Self::Humidity => &HUMIDITY,
@@ -137,7 +143,7 @@ impl Mechanism {
         }
     }
 
-    /// How strong it is by the form of this name where its covariates have these values; `None` of a form that it has not.
+    /// Its strength by the named form at these covariate values; `None` if it has no such form.
     pub(super) fn strength(self, form: &str, values: &[f64]) -> Option<f64> {
         let at = |forms: &[Form], name: &str, value: f64| Some(forms.iter().find(|it| it.0 == name)?.1(value));
         match (self, form.split_once(TIMES), values) {
@@ -147,7 +153,7 @@ impl Mechanism {
         }
     }
 
-    /// What this cause may do to the runs of a campaign, one course for each form that it may have.
+    /// The possible effect of this cause on the runs of a campaign, one course for each form.
     ///
     /// # Errors
     /// Why this campaign cannot tell.
@@ -185,7 +191,7 @@ impl Mechanism {
     }
 }
 
-/// Between the names of forms that are multiplied.
+/// Joins the names of forms that are multiplied.
 const TIMES: &str = " times ";
 
 /// A form's name, and the form.
@@ -201,15 +207,15 @@ const HUMIDITY: [Form; 7] = [
     ("a rise around 50 %", |h| step(h, 50.0, 5.0)),
     ("a rise around 60 %", |h| step(h, 60.0, 5.0)),
 ];
-/// What age is multiplied by: all of it is small in dry air, or ageing would be rest.
+/// Factor on age: all are small in dry air, otherwise ageing would be rest.
 const HUMID: [Form; 4] = [
     ("1 / log(1 / h)", |h| 1.0 / (100.0 / h.clamp(1.0, 99.0)).ln()),
     ("h^2", |h| (h / 100.0).powi(2)),
     ("h^4", |h| (h / 100.0).powi(4)),
     ("h - 30 % above 30 %", |h| (h / 100.0 - 0.3).max(0.0)),
 ];
-/// Quartz and starch do not dissolve, and hydrogen carbonate takes up water only beyond 85 %. Salt (from 75 %), sugar (from 85 %) and what is not
-/// known here may.
+/// Quartz and starch do not dissolve, and hydrogen carbonate takes up water only above 85 %. Salt
+/// (from 75 %), sugar (from 85 %) and powders not known here may.
 const INSOLUBLE: [&str; 3] = ["sand", "semolina", "sodium_bicarbonate"];
 const DELIQUESCENCE: [Form; 6] = [
     ("a step at 60 %", |h| step(h, 60.0, 1.0)),
@@ -282,19 +288,19 @@ fn of(values: &[f64], forms: &[Form]) -> Vec<(String, Vec<f64>)> {
     forms.iter().map(|(name, form)| ((*name).to_owned(), values.iter().map(|&value| form(value)).collect())).collect()
 }
 
-/// The same, and nothing in these runs.
+/// The same strengths, zero in these runs.
 fn but_not(mut strengths: Vec<(String, Vec<f64>)>, runs: &[usize]) -> Vec<(String, Vec<f64>)> {
     strengths.iter_mut().for_each(|(_, strength)| runs.iter().for_each(|&i| strength[i] = 0.0));
     strengths
 }
 
-/// Runs of powders that no humidity of a laboratory dissolves.
+/// Runs of powders that do not dissolve at any laboratory humidity.
 fn insoluble(campaign: &Campaign) -> Vec<usize> {
     let is_insoluble = |powder: usize| INSOLUBLE.contains(&campaign.powders[powder].as_str());
     (0..campaign.runs.len()).filter(|&i| is_insoluble(campaign.runs[i].powder)).collect()
 }
 
-/// Runs with an ioniser, which takes charge away; where nobody recorded one there was none.
+/// Runs with an ioniser, which removes charge; where none was recorded there was none.
 fn ionised(campaign: &Campaign) -> Vec<usize> {
     match campaign.values("ioniser_on") {
         Some(Values::Levels { names, of }) => {

@@ -1,12 +1,15 @@
-//! Angles of repose, flow times and balance readings, judged together: each channel by itself, with p-values that are corrected for there being several.
+//! Judges angles of repose, flow times and balance readings together: each channel by itself, with
+//! p-values corrected for multiple channels.
 //!
 //! ```text
 //! p_1 <= .. <= p_k     of the channels, each against its own simulated nulls
 //! p_i becomes          the largest over j <= i of min(1, (k - j + 1) p_j)         Holm, Scand. J. Statist. 6 (1979) 65
 //! ```
 //!
-//! With nothing wrong in any, one of them is found in at most 5 % of investigations; what is found in one does not cost the others its level again. How far
-//! repeats scatter is told beside them and decides nothing: the simulator says nothing of it, and a null may scatter as it likes.
+//! With nothing wrong in any channel, one is found in at most 5 % of investigations; a finding in
+//! one does not cost the others their level again. Scatter of repeats is reported alongside and
+//! decides nothing: the simulator makes no prediction of it, and under the null it may take any
+//! form.
 
 use super::beside::{Beside, Heard};
 use super::campaign::Campaign;
@@ -25,19 +28,20 @@ use flip_core::domain::FieldError;
 use flip_core::domain::job::Progress;
 use std::ops::ControlFlow;
 
-/// Share of the work that balance readings are, and of what is left that flow times are.
+/// Share of the work spent on balance readings, and share of the rest spent on flow times.
 const TRACES_SHARE: f64 = 0.3;
 const FLOW_SHARE: f64 = 0.2;
 
-/// Investigate a campaign of angles, balance readings of weighings, or both.
+/// Investigates a campaign of angles, balance readings of weighings, or both.
 ///
 /// | argument | meaning |
 /// |----------|---------|
 /// | `base` | version of the simulator that is judged |
-/// | `on_progress` | hears what is being done; `Break` stops, and there is no report |
+/// | `on_progress` | receives progress; `Break` stops, and there is no report |
 ///
 /// # Errors
-/// A setting out of bounds; a campaign whose runs, or traces whose readings, say nothing; neither of them.
+/// A setting out of bounds; a campaign whose runs, or traces whose readings, cannot be judged;
+/// neither of them given.
 pub fn investigate(
     campaign: Option<&Campaign>,
     traces: Option<&Traces>,
@@ -69,7 +73,7 @@ pub fn investigate(
     };
     let (campaign, mut left_out) = follows::without(campaign);
     let campaign = &campaign;
-    // Flow times that say nothing are no reason to refuse the angles.
+    // Flow times that cannot be judged are no reason to refuse the angles.
     let flow = flow_times(campaign).map(|flow| -> Result<_, FieldError> {
         let (flow, of_flow) = follows::without(&flow?);
         left_out.extend(of_flow);
@@ -126,7 +130,7 @@ pub fn investigate(
     Ok(Some(document))
 }
 
-/// The p-value of one channel, corrected for others.
+/// The p-value of one channel, corrected for the others.
 fn holm(p: f64, others: &[f64]) -> f64 {
     let channels = others.len() + 1;
     let mut ascending: Vec<f64> = others.iter().copied().filter(|&other| other < p).chain([p]).collect();
@@ -135,17 +139,17 @@ fn holm(p: f64, others: &[f64]) -> f64 {
     grown.fold(0.0, f64::max).min(1.0)
 }
 
-/// All p-values but one of these.
+/// All p-values except one of these.
 fn without(all: &[f64], p: f64) -> Vec<f64> {
     let own = all.iter().position(|&it| it == p);
     all.iter().enumerate().filter(|(k, _)| Some(*k) != own).map(|(_, &it)| it).collect()
 }
 
-/// Add what one more channel says to a document.
+/// Adds the results of one more channel to a document.
 fn add(document: &mut Report, heard: Heard) {
     let Heard { what, verdict, sentence, findings, causes, ambiguous_between, unexplained, experiment } = heard;
     let leads = strength(verdict) > strength(document.verdict);
-    // What was claimed must be of a channel in which it was found, and beside a claim there is no hint.
+    // A claim must belong to a channel in which it was found, and a claim drops any hint.
     if leads {
         document.causes.clear();
         document.findings.clear();
@@ -167,7 +171,8 @@ fn add(document: &mut Report, heard: Heard) {
     let new: Vec<String> = new.collect();
     document.ambiguous_between.extend(new);
     document.unexplained = document.unexplained.take().or(unexplained);
-    // One experiment is the document's: that of what is open, else of what was found, else of what came first.
+    // The document has one experiment: for what is open, else for what was found, else for what
+    // came first.
     let decides = match (document.verdict, verdict) {
         (Verdict::Ambiguous, _) => false,
         (_, Verdict::Ambiguous) => true,
@@ -184,7 +189,8 @@ fn add(document: &mut Report, heard: Heard) {
     document.sentence = parts.iter().filter(|it| !it.is_empty()).map(String::as_str).collect::<Vec<_>>().join(" ");
 }
 
-/// What two channels say of one cause: the larger probability, and the numbers of both.
+/// Merges the results of two channels for one cause: the larger probability, and the numbers of
+/// both.
 fn add_cause(causes: &mut Vec<CauseReport>, cause: CauseReport) {
     match causes.iter_mut().find(|it| it.mechanism == cause.mechanism) {
         None => causes.push(cause),
@@ -198,11 +204,11 @@ fn add_cause(causes: &mut Vec<CauseReport>, cause: CauseReport) {
     }
 }
 
-/// Add what balance readings say to a document.
+/// Adds the results of the balance readings to a document.
 fn add_traces(document: &mut Report, of_traces: TraceReport) {
     let TraceReport { channel, sentence, findings, causes, ambiguous_between, unexplained, .. } = of_traces;
     let leads = strength(channel.verdict) > strength(document.verdict);
-    // What was found comes first, each channel from its most probable cause on.
+    // Findings come first, within each channel from its most probable cause on.
     match leads {
         true => document.evidence.splice(..0, of_traces.evidence).for_each(drop),
         false => document.evidence.extend(of_traces.evidence),
@@ -225,7 +231,7 @@ fn strength(verdict: Verdict) -> u8 {
     }
 }
 
-/// The verdict over two channels: what is open in one is open, and what has a name in one has it.
+/// The verdict over two channels: open if either is open, named if either is named.
 fn both(one: Verdict, other: Verdict) -> Verdict {
     use Verdict::{Ambiguous, Cause, Hint, NoDiscrepancy, Unexplained};
     match [one, other] {
@@ -243,15 +249,17 @@ mod tests {
 
     #[test]
     fn channels_cost_each_other_no_more_than_holm_says() {
-        // Holm's example of two hypotheses: 0.01 and 0.04 become 0.02 and 0.04, 0.03 and 0.04 both 0.06.
+        // Holm's example of two hypotheses: 0.01 and 0.04 become 0.02 and 0.04; 0.03 and 0.04 both
+        // become 0.06.
         let both = |a: f64, b: f64| [holm(a, &[b]), holm(b, &[a])];
         assert_eq!((both(0.01, 0.04), both(0.03, 0.04)), ([0.02, 0.04], [0.06, 0.06]));
         assert_eq!((both(0.7, 0.9), both(0.03, 0.03), holm(0.03, &[])), ([1.0, 1.0], [0.06, 0.06], 0.03));
-        // Of three: 0.01, 0.02 and 0.03 become 0.03, 0.04 and 0.04, in whatever order they come.
+        // Of three: 0.01, 0.02 and 0.03 become 0.03, 0.04 and 0.04, in any order.
         let three = [0.02, 0.03, 0.01];
         let of_three: Vec<f64> = three.iter().map(|&p| holm(p, &without(&three, p))).collect();
         assert_eq!(of_three, [0.04, 0.04, 0.03]);
-        // Nothing wrong, each p uniform: one of them is found in 5 % of investigations and a little less, 1 - (1 - 0.025)^2.
+        // Nothing wrong, each p uniform: one is found in slightly less than 5 % of investigations,
+        // 1 - (1 - 0.025)^2.
         let grid = || (0..400).map(|k| (f64::from(k) + 0.5) / 400.0);
         let alarms =
             grid().flat_map(|a| grid().map(move |b| (a, b))).filter(|&(a, b)| both(a, b).iter().any(|p| *p <= 0.05));

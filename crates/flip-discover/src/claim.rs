@@ -1,4 +1,5 @@
-//! What may be claimed of what the evidence proposes: the one place where a verdict is made.
+//! Decides what may be claimed of what the evidence proposes: the one place where a verdict is
+//! made.
 //!
 //! | proposed | an effect told from zero | predicts what was left out | verdict |
 //! |---|---|---|---|
@@ -7,13 +8,14 @@
 //! | a cause | no | no | no discrepancy |
 //! | several causes, or none of the catalogue | | | ambiguous, unexplained |
 //!
-//! An effect is told from zero where its 95 % interval is, as it is printed. Evidence alone is not enough: the best of many causes looks larger than it
-//! is, and outliers can be evidence for a cause that moves nothing.
+//! An effect counts as nonzero if its 95 % interval, as printed, excludes zero. Evidence alone is
+//! not enough: the best of many causes looks larger than it is, and outliers can be evidence for a
+//! cause that moves nothing.
 
 use super::hypothesis::Cause;
 use super::report::{Finding, Verdict};
 
-/// What the evidence alone would say.
+/// The conclusion from the evidence alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Proposal {
     Nothing,
@@ -22,21 +24,22 @@ pub(super) enum Proposal {
     Unexplained,
 }
 
-/// A cause, and its effect where what it goes with was recorded.
+/// A cause, and its effect if the covariate it depends on was recorded.
 #[derive(Debug, Clone)]
 pub(super) struct Told {
     pub cause: Cause,
     pub finding: Option<Finding>,
 }
 
-/// What is said of a channel.
+/// What is claimed of a channel.
 pub(super) struct Claim {
     pub verdict: Verdict,
-    /// The causes that the verdict is of, most probable first; none where nothing is shown.
+    /// The causes behind the verdict, most probable first; empty if nothing is shown.
     pub told: Vec<Told>,
-    /// What evidence pointed at that has neither an effect nor a gain.
+    /// A cause favoured by the evidence that has neither an effect nor a gain.
     pub passing: Option<Finding>,
-    /// Whether the simulator extended by it is a better one: what was left out is predicted better, and it is no mere hint.
+    /// Whether extending the simulator by it makes it better: left-out data are predicted better,
+    /// and it is more than a hint.
     pub is_worth_something: bool,
 }
 
@@ -47,7 +50,8 @@ impl Proposal {
 }
 
 impl Claim {
-    /// `told`: the proposed causes, most probable first. `is_accepted`: they predict better what was left out.
+    /// `told`: the proposed causes, most probable first. `is_accepted`: they predict left-out data
+    /// better.
     pub fn of(proposal: Proposal, mut told: Vec<Told>, is_accepted: bool) -> Self {
         let has_effect = told.iter().any(Told::is_known_and_told);
         let verdict = verdict(proposal, has_effect, is_accepted);
@@ -62,12 +66,12 @@ impl Claim {
         Self { verdict, told, passing, is_worth_something }
     }
 
-    /// The effects of what is told.
+    /// The effects of the reported causes.
     pub fn findings(&self) -> Vec<Finding> {
         self.told.iter().filter_map(|it| it.finding.clone()).collect()
     }
 
-    /// The effect that is told of a cause.
+    /// The reported effect of a cause.
     pub fn finding(&self, cause: &Cause) -> Option<&Finding> {
         self.told.iter().find(|it| it.cause == *cause)?.finding.as_ref()
     }
@@ -83,7 +87,7 @@ impl Told {
     }
 }
 
-/// What a proposal comes to.
+/// The verdict on a proposal.
 pub(super) fn verdict(proposal: Proposal, has_effect: bool, is_accepted: bool) -> Verdict {
     match (proposal, has_effect, is_accepted) {
         (Proposal::Nothing, ..) | (Proposal::Cause, false, false) => Verdict::NoDiscrepancy,
@@ -94,7 +98,7 @@ pub(super) fn verdict(proposal: Proposal, has_effect: bool, is_accepted: bool) -
     }
 }
 
-/// Decimals with which sentences print what has this unit.
+/// Decimals used when printing values of this unit in sentences.
 pub(super) fn decimals(unit: &str) -> usize {
     match unit {
         "%" => 0,
@@ -103,12 +107,12 @@ pub(super) fn decimals(unit: &str) -> usize {
     }
 }
 
-/// Whether an interval leaves zero out, as it is printed.
+/// Whether an interval, as printed, excludes zero.
 pub fn is_told(ci95: [f64; 2], unit: &str) -> bool {
     ci95[0] * ci95[1] > 0.0 && ci95.iter().all(|&end| is_shown(end, decimals(unit)))
 }
 
-/// Whether a number is printed as another one than zero.
+/// Whether a number prints as something other than zero.
 pub(super) fn is_shown(value: f64, decimals: usize) -> bool {
     format!("{:.decimals$}", value.abs()).contains(|digit| ('1'..='9').contains(&digit))
 }
@@ -172,7 +176,7 @@ mod tests {
         let claim = Claim::of(Proposal::Cause, all.clone(), true);
         assert_eq!((claim.verdict, claim.findings().len()), (Verdict::Cause, 1));
         assert!(claim.finding(&Cause::Known(Mechanism::Operator)).is_none());
-        // An unknown's effect makes no cause of the catalogue.
+        // The effect of an unknown does not make it a cause of the catalogue.
         let unknown = vec![all[1].clone(), told(Cause::Unknown("supply_v".to_owned()), [0.5, 1.5])];
         assert_eq!(Claim::of(Proposal::Cause, unknown, true).verdict, Verdict::Hint);
         assert_eq!(Claim::of(Proposal::Ambiguous, all, false).told.len(), 3);

@@ -1,4 +1,5 @@
-//! What this design would find: the effect of each cause that four of five campaigns like this one would show.
+//! What this design would find: the effect of each cause that four of five campaigns like this one
+//! would show.
 
 use super::campaign::Campaign;
 use super::hypothesis::Cause;
@@ -13,12 +14,13 @@ use nalgebra::DMatrix;
 const POWER: f64 = 0.8;
 /// Simulated campaigns.
 const CAMPAIGNS: u32 = 60;
-/// Bounds of a cause's root mean square over the SD of a repeat, and halvings between them.
+/// Bounds of a cause's root mean square over the SD of a repeat, and the number of halvings between
+/// them.
 const BOUNDS: [f64; 2] = [0.02, 4.0];
 const HALVINGS: u32 = 7;
 
-/// For each mechanism of which the campaign can tell. What even the upper bound does not show is left out. What was found is no noise, and is taken
-/// off first.
+/// Detectable effects of the mechanisms this campaign can judge. Mechanisms not shown even at the
+/// upper bound are left out. Found effects are not noise and are subtracted first.
 pub(super) fn detectable(
     campaign: &Campaign,
     prepared: &Prepared,
@@ -40,7 +42,7 @@ pub(super) fn detectable(
     let of = |hypothesis: &super::hypothesis::Hypothesis| {
         let Cause::Known(mechanism) = hypothesis.cause else { return None };
         let features = hypothesis.features[0].select_rows(measured);
-        // Of names, the first.
+        // For names, the first.
         let course = features.column(0).into_owned();
         let sign = hypothesis.sign.unwrap_or(1.0);
         let shows = |size: f64| {
@@ -60,7 +62,8 @@ pub(super) fn detectable(
         let mut sorted: Vec<f64> = course.iter().copied().collect();
         sorted.sort_by(f64::total_cmp);
         let between = |low: f64, high: f64| Some(quantile(&sorted, high)? - quantile(&sorted, low)?);
-        // A step that few runs are past has no range between the percentiles: then all of it.
+        // A step passed by few runs has no range between the percentiles; then the full range is
+        // used.
         let (range, all) = (between(0.05, 0.95)?, between(0.0, 1.0)?);
         let range = if range < all / 2.0 { all } else { range };
         let effect_deg = high * repeat_deg * range;

@@ -1,4 +1,4 @@
-//! How large an effect is, on which powders, and its course over what was recorded.
+//! How large an effect is, on which powders, and its course over the recorded covariates.
 
 use super::campaign::{Campaign, Covariate, LEVELS_MAX, Values};
 use super::claim::{Told, is_told};
@@ -11,21 +11,22 @@ use super::screen::Prepared;
 use flip_core::domain::FieldError;
 use std::cmp::Ordering;
 
-/// Shares of the runs that are below the ends between which an effect is told, and those of all that was seen.
+/// Shares of runs below the two ends of the range over which an effect is reported, and those of
+/// the full range.
 const PERCENTILES: [f64; 2] = [0.05, 0.95];
 const ENDS: [f64; 2] = [0.0, 1.0];
-/// Places of a course.
+/// Grid points of a course.
 const PLACES: usize = 21;
-/// Normal deviate that 90 % of values are within, on either side.
+/// Normal deviate of a two-sided 90 % interval.
 const BAND: f64 = 1.645;
 
-/// These causes, each with its effect on all powders and on each.
+/// These causes, each with its effect on all powders and on each one.
 pub(super) fn told(campaign: &Campaign, responses: &Responses, causes: &[Cause]) -> Result<Vec<Told>, FieldError> {
     let of = |cause: &Cause| Ok(Told { cause: cause.clone(), finding: finding(campaign, responses, cause)? });
     causes.iter().map(of).collect()
 }
 
-/// The largest effect of a cause over its spans, one that is told from zero before any other.
+/// The largest effect of a cause over its spans, preferring one that is distinguishable from zero.
 fn finding(campaign: &Campaign, responses: &Responses, cause: &Cause) -> Result<Option<Finding>, FieldError> {
     let mut best: Option<Finding> = None;
     for shares in [PERCENTILES, ENDS] {
@@ -35,7 +36,7 @@ fn finding(campaign: &Campaign, responses: &Responses, cause: &Cause) -> Result<
             best =
                 best.into_iter().chain(finding).max_by(|a, b| rank(a).partial_cmp(&rank(b)).unwrap_or(Ordering::Equal));
         }
-        // A step that few runs are past is beyond the percentiles; names have none.
+        // A step passed by few runs lies beyond the percentiles; names have none.
         let is_of_names = cause.covariates().iter().any(|name| levels(campaign, name).is_some());
         if is_of_names || best.as_ref().is_none_or(|it| is_told(it.ci95, &it.unit)) {
             break;
@@ -44,7 +45,8 @@ fn finding(campaign: &Campaign, responses: &Responses, cause: &Cause) -> Result<
     Ok(best)
 }
 
-/// The effect of a cause over one span; `None` where no powder was measured at both of two names, or no component of the posterior has the cause.
+/// The effect of a cause over one span; `None` if no powder was measured at both of two names, or
+/// no component of the posterior contains the cause.
 fn over(
     campaign: &Campaign,
     responses: &Responses,
@@ -89,13 +91,13 @@ fn over(
     }))
 }
 
-/// The powder whose effect is largest over the width of its interval.
+/// The powder with the largest effect relative to the width of its interval.
 fn clearest<'a>(of: &[&'a PowderEffect]) -> Option<&'a PowderEffect> {
     let clear = |it: &PowderEffect| it.effect.abs() / (it.ci95[1] - it.ci95[0]).max(f64::MIN_POSITIVE);
     of.iter().copied().max_by(|a, b| clear(a).total_cmp(&clear(b)))
 }
 
-/// Powders on which a change between these ends was seen: of names, those that were measured with both.
+/// Powders on which a change between these ends was seen; for names, those measured with both.
 fn measured_with(campaign: &Campaign, ends: &[Conditions; 2]) -> Vec<usize> {
     let is_at = |i: usize, (name, setting): (&String, &Setting)| match (campaign.values(name), setting) {
         (Some(Values::Levels { of, .. }), Setting::Level(level)) => of[i] == Some(*level),
@@ -109,14 +111,14 @@ fn measured_with(campaign: &Campaign, ends: &[Conditions; 2]) -> Vec<usize> {
     (0..campaign.powders.len()).filter(|&powder| ends.iter().all(|end| was_at(powder, end))).collect()
 }
 
-/// The covariate of a cause; of an interaction, both.
+/// The covariate of a cause; both of an interaction.
 pub(super) fn covariate_of(cause: &Cause) -> Option<String> {
     let covariates = cause.covariates();
     (!covariates.is_empty()).then(|| covariates.join(" and "))
 }
 
-/// From which conditions to which the effect of a cause is told, and how that reads: these shares of the runs are below. Of more than two names every pair;
-/// the largest counts.
+/// The conditions between which the effect of a cause is reported, and their wording, at these
+/// shares of the runs. With more than two names, every pair; the largest counts.
 fn spans(campaign: &Campaign, cause: &Cause, shares: [f64; 2]) -> Vec<(String, [Conditions; 2])> {
     let covariates = cause.covariates();
     if let Some(names) = covariates.first().and_then(|name| levels(campaign, name)) {
@@ -137,24 +139,24 @@ fn spans(campaign: &Campaign, cause: &Cause, shares: [f64; 2]) -> Vec<(String, [
     if covariates.is_empty() { Vec::new() } else { vec![(span, shares.map(at))] }
 }
 
-/// A number for a reader: three digits.
+/// A number for display: three digits.
 pub(super) fn rounded(value: f64) -> String {
     let digits = (2.0 - value.abs().max(1e-9).log10().floor()).clamp(0.0, 6.0) as usize;
     let text = format!("{value:.digits$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
-/// What a column holds, for the middle of a sentence, and its unit, with a space before.
+/// What a column holds, worded for the middle of a sentence, and its unit with a leading space.
 pub(super) fn quantity(covariate: &str) -> (String, String) {
     let (label, unit) = names::column(covariate);
     (names::lower(&label), names::with_unit("", unit))
 }
 
-/// Residuals' course over every recorded covariate.
+/// Course of the residuals over every recorded covariate.
 pub(super) fn curves(campaign: &Campaign, responses: &Responses) -> Result<Vec<Curve>, FieldError> {
     let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0);
     let powders = campaign.powders.len();
-    // Names that are too many to be judged have no course either.
+    // Covariates with too many names to be judged have no course either.
     let few = |it: &&Covariate| levels(campaign, &it.name).is_none_or(|names| names.len() <= LEVELS_MAX);
     let covariates: Vec<&Covariate> = campaign.covariates.iter().filter(few).collect();
     let places = |covariate: &str| -> Vec<f64> {
@@ -194,7 +196,8 @@ pub(super) fn curves(campaign: &Campaign, responses: &Responses) -> Result<Vec<C
             course.push([place, mean(&|i| shifts[i]), BAND * mean(&|i| predicted[i][1].sd_deg)]);
             next += powders;
         }
-        // The course is of this covariate alone: what others add on average is taken from it.
+        // The course is of this covariate alone: the average contribution of the others is
+        // subtracted.
         let middle = course.iter().map(|it| it[1]).sum::<f64>() / course.len().max(1) as f64;
         course.iter_mut().for_each(|it| it[1] -= middle);
         let at = match &covariate.values {
@@ -207,7 +210,7 @@ pub(super) fn curves(campaign: &Campaign, responses: &Responses) -> Result<Vec<C
     Ok(curves)
 }
 
-/// One value for each row of the file: repeats behind a summary share theirs.
+/// One value for each row of the file: repeats behind a summary share one.
 fn row_values(campaign: &Campaign, of: impl Fn(usize) -> Option<f64>) -> Vec<Option<f64>> {
     let starts = |i: &usize| *i == 0 || campaign.runs[*i].row != campaign.runs[i - 1].row;
     (0..campaign.runs.len()).filter(starts).map(of).collect()

@@ -1,8 +1,10 @@
-//! The one experiment that best tells two or three causes apart.
+//! Plans the one experiment that best distinguishes two or three causes.
 //!
-//! Runs at low and high settings of what they act through, all in one session and in random order, so that the day is the same for all. Each
-//! candidate is played: an angle is drawn for each run under one of the causes (as probable as it is now), all are judged again with these
-//! runs, and it counts how often the right one then holds [`ANSWER`] of the probability that they have together.
+//! Runs at low and high settings of the covariates the causes act through, all in one session and
+//! in random order, so the day is the same for all. Each candidate is simulated: an angle is drawn
+//! for each run under one of the causes (as probable as it is now), all are judged again with these
+//! runs, and a success is counted when the right cause then holds [`ANSWER`] of their joint
+//! probability.
 
 use super::campaign::{Campaign, Values};
 use super::hypothesis::{Cause, Responses};
@@ -20,21 +22,22 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::collections::BTreeMap;
 
-/// Plays of each candidate.
+/// Simulations of each candidate.
 const PLAYS: usize = 60;
 /// Runs of a candidate.
 const RUNS: [usize; 4] = [12, 24, 48, 80];
-/// Powders that take part: those that respond most.
+/// Powders that take part: those with the largest response.
 const POWDERS: usize = 3;
 /// Difference that matters to a chemist, degrees.
 const SETTLED_DEG: f64 = 1.0;
-/// Chance of an answer that is enough.
+/// Sufficient chance of an answer.
 const ENOUGH: f64 = 0.95;
-/// Share among the candidates that counts as an answer: causes that are no candidates keep some of the rest.
+/// Share among the candidates that counts as an answer: causes that are not candidates keep some of
+/// the rest.
 const ANSWER: f64 = 0.9;
-/// SD of what a day does to all its runs, over that of a repeat; it is the same for all causes.
+/// SD of the day effect over that of a repeat; it is the same for all causes.
 const DAY: f64 = 0.3;
-/// SD of the size of an effect over what it is thought to be.
+/// SD of the size of an effect over its estimate.
 const SIZE_SD: f64 = 0.3;
 /// Minutes of a run: filling, pouring, reading, cleaning.
 const RUN_MIN: f64 = 4.0;
@@ -42,8 +45,8 @@ const RUN_MIN: f64 = 4.0;
 /// A covariate and its low and high settings.
 type Ends = (String, [Setting; 2]);
 
-/// What to measure to tell these causes apart; `None` where no setting differs. `is_claimed`: the first is to be confirmed, so what it acts
-/// through is varied in any case.
+/// What to measure to distinguish these causes; `None` where no setting differs. `is_claimed`: the
+/// first is to be confirmed, so the covariate it acts through is always varied.
 pub(super) fn experiment(
     campaign: &Campaign,
     responses: &Responses,
@@ -65,7 +68,7 @@ pub(super) fn experiment(
         let acts = |name: &str| causes[0].covariates().contains(&name);
         designs.retain(|design| design.iter().any(|(name, _)| acts(name)));
     }
-    // What each cause would do to the runs of every candidate.
+    // The effect of each cause on the runs of every candidate.
     let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0) + 1;
     let planned = |design: &Vec<&Ends>, count| runs(campaign, design, &ends, &powders, count, settings.seed);
     let candidates: Vec<Vec<Vec<Planned>>> =
@@ -91,7 +94,7 @@ pub(super) fn experiment(
             let [chance, expected] = game.play(runs, &shifts, settings.seed)?;
             is_enough = chance >= ENOUGH;
             let minutes = minutes(runs);
-            // The cheapest that is likely to answer, else the likeliest.
+            // The cheapest that is likely to answer, else the most likely to answer.
             let score = if is_enough { 2.0 - minutes / 1e5 } else { chance - minutes / 1e6 };
             if best.as_ref().is_none_or(|(best, _)| score > *best) {
                 let what = words(campaign, design, &ends, &powders, runs.len());
@@ -110,7 +113,7 @@ pub(super) fn experiment(
     Ok(best.map(|(_, experiment)| experiment))
 }
 
-/// What can be varied: each covariate alone, each two against each other, and all.
+/// Possible designs: each covariate alone, each two against each other, and all.
 fn designs(ends: &[Ends]) -> Vec<Vec<&Ends>> {
     let mut designs: Vec<Vec<&Ends>> = ends.iter().map(|end| vec![end]).collect();
     for (k, one) in ends.iter().enumerate() {
@@ -122,8 +125,9 @@ fn designs(ends: &[Ends]) -> Vec<Vec<&Ends>> {
     designs
 }
 
-/// Runs that would show a difference of this many degrees between low and high of what a cause acts through, in four of five cases at 5 %:
-/// `N = (2 (1.96 + 0.84) s / difference)^2` of two groups of N / 2 with SD s.
+/// Runs needed to show a difference of this many degrees between low and high of the covariate a
+/// cause acts through, in four of five cases at 5 %: `N = (2 (1.96 + 0.84) s / difference)^2` for
+/// two groups of N / 2 with SD s.
 pub(super) fn settling(campaign: &Campaign, prepared: &Prepared, cause: &Cause, seed: u64) -> Option<Experiment> {
     let ends: Vec<Ends> = cause
         .covariates()
@@ -160,10 +164,11 @@ fn responding(campaign: &Campaign, posterior: &Posterior<'_>) -> Vec<usize> {
     order
 }
 
-/// Where a cause that takes time has not begun, whatever was seen.
+/// Values at which a time-dependent cause has not begun, regardless of the range seen.
 const BEGINNINGS: [(&str, f64); 2] = [("rest_min", 1.0), ("container_age_d", 0.0)];
 
-/// Low and high: the ends of what was seen, from the beginning where time is what acts; or the first two names.
+/// Low and high: the ends of the range seen, from the beginning if the cause is time; or the first
+/// two names.
 fn settings_of(campaign: &Campaign, covariate: &str) -> Option<[Setting; 2]> {
     match campaign.values(covariate)? {
         Values::Levels { names, .. } => (names.len() > 1).then_some([Setting::Level(0), Setting::Level(1)]),
@@ -177,8 +182,8 @@ fn settings_of(campaign: &Campaign, covariate: &str) -> Option<[Setting; 2]> {
 
 type Planned = (usize, Conditions);
 
-/// Every combination of the design's settings on each powder, as often as `count` allows, in random order; what the design does not vary is held
-/// at its low end.
+/// Every combination of the design's settings on each powder, as often as `count` allows, in random
+/// order; covariates the design does not vary are held at their low end.
 fn runs(
     campaign: &Campaign,
     design: &[&Ends],
@@ -211,20 +216,20 @@ fn runs(
     runs
 }
 
-/// What a candidate is played with.
+/// Inputs for simulating a candidate.
 struct Game<'a> {
     campaign: &'a Campaign,
     responses: &'a Responses,
     prepared: &'a Prepared,
     causes: &'a [&'a Cause],
-    /// How probable each is now.
+    /// Current probability of each.
     now: Vec<f64>,
     session: usize,
 }
 
 impl Game<'_> {
-    /// How often the right cause holds [`ANSWER`] of the candidates' probability, and how much it holds on average. `shifts`: what each cause adds
-    /// to each run.
+    /// How often the right cause holds [`ANSWER`] of the candidates' probability, and its mean
+    /// share. `shifts`: the contribution of each cause to each run.
     fn play(&self, runs: &[Planned], shifts: &[&[f64]], seed: u64) -> Result<[f64; 2], FieldError> {
         let old = &self.prepared.observed;
         let mut rng = Pcg64::seed_from_u64(derive(seed, &[0x504c_4159]));
@@ -265,11 +270,12 @@ impl Game<'_> {
     }
 }
 
-/// Minutes at the bench: the runs, the rests one after another, and half an hour for each humidity that a chamber has to reach.
+/// Minutes at the bench: the runs, the rests one after another, and half an hour for each humidity
+/// that a chamber has to reach.
 fn minutes(runs: &[Planned]) -> f64 {
     let of = |name: &'static str| runs.iter().filter_map(move |(_, conditions)| conditions.get(name));
     let number = |setting: &Setting| if let Setting::Number(value) = setting { *value } else { 0.0 };
-    // Heaps rest side by side: the longest rest counts.
+    // Heaps rest side by side, so the longest rest counts.
     let rest = of("rest_min").map(number).fold(0.0, f64::max);
     let mut humidities: Vec<u64> = of("relative_humidity_pct").map(|it| number(it).to_bits()).collect();
     humidities.sort_unstable();

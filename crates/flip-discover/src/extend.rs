@@ -1,8 +1,10 @@
-//! From what an investigation claims to an extension of the simulator.
+//! Turns what an investigation claims into an extension of the simulator.
 //!
-//! Effects are those of the posterior, between the places of a cause's covariates at which its mechanism is weakest and strongest: the 5th and the 95th
-//! percentile where the catalogue has a form, the extremes of names and of an unknown's course. Angles alone prefer no parameter for a cause without a
-//! mechanism; it acts through `cohesion`, which moves angles most evenly, over the place where they are lowest: a law on a parameter.
+//! Effects come from the posterior, between the covariate values at which a cause's mechanism is
+//! weakest and strongest: the 5th and the 95th percentile where the catalogue has a form, the
+//! extremes of names and of an unknown's course. Angles alone favour no parameter for a cause
+//! without a mechanism; it acts through `cohesion`, which moves angles most evenly, over the value
+//! where they are lowest: a law on a parameter.
 
 use super::campaign::{Campaign, Values};
 use super::catalogue::Mechanism;
@@ -19,22 +21,23 @@ use flip_core::domain::conditions::{Condition, Conditions};
 use flip_core::domain::powder::Flowability;
 use std::collections::BTreeMap;
 
-/// Places of the course of a cause without a form.
+/// Grid points of the course of a cause without a form.
 const PLACES: usize = 21;
-/// Quantiles of a covariate that are kept, less one.
+/// Number of stored quantiles of a covariate, less one.
 const QUANTILES: usize = 20;
-/// Most that a powder's amplitude may be of the average one.
+/// Upper bound on a powder's amplitude relative to the average.
 const FACTOR_MAX: f64 = 4.0;
 
-/// What the causes that a report claims add to the simulator; `None` where it claims none that was recorded.
+/// What the causes claimed in a report add to the simulator; `None` if no claimed cause was
+/// recorded.
 ///
 /// # Errors
-/// A campaign whose runs say nothing of their noise.
+/// A campaign whose runs carry no information about their noise.
 pub fn extend(campaign: &Campaign, responses: &Responses, report: &Report) -> Result<Option<Extended>, FieldError> {
     let (campaign, _) = &follows::without(campaign);
     let claimed = report.causes.iter().filter(|cause| cause.confidence_level > 1);
     let known = claimed.filter_map(|cause| Mechanism::ALL.into_iter().find(|it| it.name().0 == cause.mechanism));
-    // What only flow times or balance readings depend on makes no angle.
+    // A covariate that affects only flow times or balance readings makes no angle.
     let of_angles = |covariate: &&String| {
         let mut found = report.findings.iter().filter(|finding| finding.channel == Channel::Repose);
         found.any(|finding| finding.covariate.as_ref() == Some(*covariate))
@@ -57,7 +60,7 @@ fn session(campaign: &Campaign) -> usize {
     campaign.runs.iter().map(|run| run.session).max().unwrap_or(0)
 }
 
-/// Where a cause is looked at, and how its strength is told.
+/// Where a cause is evaluated, and how its strength is given.
 enum Looks<'a> {
     /// At the 5th and the 95th percentile of each covariate.
     Form,
@@ -83,7 +86,7 @@ fn extension(campaign: &Campaign, responses: &Responses, cause: &Cause) -> Resul
     let course: Vec<f64> = (0..places.len()).map(mean).collect();
     let (mechanism, (hook, up)) = match cause {
         Cause::Known(mechanism) => (*mechanism, hook(*mechanism)),
-        // The table's only mechanism that is a parameter.
+        // The only mechanism in the table that is a parameter.
         _ => (Mechanism::Temperature, hook(Mechanism::Temperature)),
     };
     let by = |a: &usize, b: &usize| (up * course[*a]).total_cmp(&(up * course[*b]));
@@ -181,7 +184,8 @@ fn told(
                     covariates.iter().map(|name| percentile(campaign, name, share)).collect();
                 mechanism.strength(&form, &values?)
             };
-            // The middle for readings; else the end of the range on the side where the mechanism is weakest.
+            // The middle for readings; otherwise the end of the range at which the mechanism is
+            // weakest.
             let end = if reads { 0.5 } else { [0.0, 1.0][weakest] };
             let zero = at(end)?;
             let one = zero + at([0.05, 0.95][strongest])? - at([0.05, 0.95][weakest])?;
@@ -199,7 +203,7 @@ fn shares(campaign: &Campaign, covariate: &str, names: &[String]) -> BTreeMap<St
     names.iter().enumerate().map(|(level, name)| (name.clone(), share(level))).collect()
 }
 
-/// The amplitude that the table of simulated responses has for an effect.
+/// The amplitude for an effect, from the table of simulated responses.
 fn by_table(mechanism: Mechanism, hook: &Hook, effect_deg: f64, ci95: [f64; 2]) -> ParameterReport {
     let Some((name, value, unit)) = amplitude(mechanism, effect_deg) else {
         return ParameterReport { name: "reading".to_owned(), value: effect_deg, ci95, unit: "deg".to_owned() };
@@ -211,8 +215,9 @@ fn by_table(mechanism: Mechanism, hook: &Hook, effect_deg: f64, ci95: [f64; 2]) 
     ParameterReport { name: name.to_owned(), value: value.max(floor), ci95, unit: unit.to_owned() }
 }
 
-/// What the extended model predicts for each measured powder where no mechanism acts. Two causes of one covariate may have that at its two ends; what acts
-/// at the one that is looked at is taken from the angle.
+/// The extended model's prediction for each measured powder where no mechanism acts. Two causes of
+/// one covariate may have that at its two ends; the effect of what acts at the chosen one is
+/// subtracted from the angle.
 fn at_reference(
     campaign: &Campaign,
     responses: &Responses,
@@ -240,7 +245,7 @@ fn at_reference(
         let acting = extensions.iter().filter(|it| it.hook != Hook::Reading);
         let shift_deg: f64 = acting.map(|it| it.shift_deg(Some(powder), &conditions)).sum();
         let n = campaign.runs.iter().filter(|run| run.powder == k && run.repose_deg.is_some()).count() as u32;
-        // A powder without an angle is not predicted.
+        // A powder without an angle has no prediction.
         if let Ok(repose) = Flowability::new(after.mean_deg - shift_deg, after.sd_deg, n.max(1)) {
             powders.push(AtReference { powder: powder.clone(), repose });
         }

@@ -1,14 +1,17 @@
-//! An extended simulator as data: how strong each cause is under given conditions, and what that changes about the simulated powder.
+//! An extended simulator as data: how strong each cause is under given conditions, and how that
+//! changes the simulated powder.
 //!
 //! ```text
 //! u = (s(x) - s_0) / (s_1 - s_0)      amplitude = A f u      shift = e u
 //! ```
 //!
-//! with s the form over the covariates x; s_0 its value at the reference, where u is 0 and the extended simulator is its parent bit for bit; s_1 that
-//! of a change as from the 5th to the 95th percentile that the campaign saw; A the amplitude of the simulator's mechanism there, f a powder's factor
-//! and e its effect in degrees. Amplitudes are never negative, so the reference is the end of the seen range at which the mechanism is
-//! weakest. Corrections of readings (`method`, `operator`, place in the session) change no grain, only which angle is meant: their reference is the
-//! campaign's average.
+//! Here s is the form over the covariates x and s_0 its value at the reference, where u is 0 and
+//! the extended simulator equals its parent bit for bit; s_1 is its value after a change as from
+//! the 5th to the 95th percentile seen in the campaign. A is the amplitude of the simulator's
+//! mechanism there, f a powder's factor and e its effect in degrees. Amplitudes are never negative,
+//! so the reference is the end of the range seen at which the mechanism is weakest. Corrections of
+//! readings (`method`, `operator`, place in the session) change no grain, only which angle is
+//! meant: their reference is the campaign's average.
 
 use super::catalogue::Mechanism;
 use super::report::ParameterReport;
@@ -24,17 +27,18 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
-/// Where the simulator has a mechanism.
+/// Where a cause enters the simulator.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Hook {
-    /// An amplitude that the base simulator has at zero.
+    /// An amplitude that is zero in the base simulator.
     Extension(String),
-    /// Added to one of the nine parameters. Of a cause without a mechanism this is a law on that parameter, not the cause itself.
+    /// Added to one of the nine parameters. For a cause without a mechanism this is a law on that
+    /// parameter, not the cause itself.
     Parameter(String),
-    /// Added to a setting of the heap experiment: it moves angles and no dose.
+    /// Added to a setting of the heap experiment: it moves angles but no dose.
     Heap(String),
-    /// What readings say, and not the grains.
+    /// Affects readings, not the grains.
     Reading,
 }
 
@@ -44,7 +48,7 @@ pub enum Hook {
 pub enum Form {
     /// A form of the catalogue over the covariates, by name.
     Named(String),
-    /// Places and strengths of a course over one covariate, linear between them.
+    /// Points and strengths of a course over one covariate, interpolated linearly.
     Course(Vec<[f64; 2]>),
     /// A strength for each name.
     Levels(BTreeMap<String, f64>),
@@ -53,13 +57,14 @@ pub enum Form {
 /// A covariate that an extension acts through.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Through {
-    /// As the campaign's column is called.
+    /// Name of the campaign's column.
     pub name: String,
     /// Where the mechanism is weakest.
     pub reference: Condition,
-    /// Quantiles of what the campaign saw, evenly spaced from the least to the most, which bound what can be asked for; empty of names.
+    /// Quantiles of the values seen in the campaign, evenly spaced from minimum to maximum, which
+    /// bound valid requests; empty for names.
     pub quantiles: Vec<f64>,
-    /// Share of the campaign's runs with each name; empty of numbers.
+    /// Share of the campaign's runs with each name; empty for numbers.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub shares: BTreeMap<String, f64>,
 }
@@ -71,20 +76,20 @@ pub struct OnPowder {
     pub powder: String,
     /// Change of its angle at strength 1, degrees.
     pub effect_deg: f64,
-    /// Factor on the amplitude: 1 where it follows the effect as simulated powders do.
+    /// Factor on the amplitude: 1 if it follows the effect as simulated powders do.
     pub factor: f64,
 }
 
 /// One cause as a mechanism of the simulator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Extension {
-    /// Cause, as reports name it.
+    /// Cause, as named in reports.
     pub mechanism: String,
-    /// Where the simulator has it.
+    /// Where it enters the simulator.
     pub hook: Hook,
     /// How strong it is.
     pub form: Form,
-    /// What it acts through, in the order of the form's arguments.
+    /// The covariates it acts through, in the order of the form's arguments.
     pub through: Vec<Through>,
     /// The form's value at strength 0 and at strength 1.
     pub strength: [f64; 2],
@@ -92,11 +97,12 @@ pub struct Extension {
     pub effect_deg: f64,
     /// Its 95 % interval.
     pub effect_ci95: [f64; 2],
-    /// Amplitude at strength 1; of readings the effect itself.
+    /// Amplitude at strength 1; for readings, the effect itself.
     pub amplitude: ParameterReport,
-    /// What differs between powders; others have the mean effect and a factor of 1.
+    /// Differences between powders; the others have the mean effect and a factor of 1.
     pub powders: Vec<OnPowder>,
-    /// Simulated heaps that the amplitude comes from; absent where it is read off the table of the simulator's responses.
+    /// Simulated heaps behind the amplitude; absent where it is read off the table of the
+    /// simulator's responses.
     pub fit: Option<Fit>,
 }
 
@@ -105,15 +111,16 @@ pub struct Extension {
 pub struct Fit {
     /// The powders and the sets that stood for them.
     pub sets: Vec<FitSet>,
-    /// Heaps, those of the verification among them.
+    /// Number of heaps, including those of the verification.
     pub runs: u32,
-    /// Each amplitude that was simulated: amplitude, mean shift from the reference and its standard error, degrees.
+    /// Each simulated amplitude, with the mean shift from the reference and its standard error,
+    /// degrees.
     pub shifts: Vec<[f64; 3]>,
-    /// Shift at the amplitude that was found, over fresh seeds, and its standard error, degrees.
+    /// Shift at the fitted amplitude, over fresh seeds, and its standard error, degrees.
     pub verification: [f64; 2],
-    /// The interval that the shift had to be in: the effect's, widened by twice the standard error.
+    /// The interval the shift had to lie in: the effect's, widened by twice the standard error.
     pub accepted: [f64; 2],
-    /// Whether it is.
+    /// Whether it does.
     pub verified: bool,
 }
 
@@ -124,7 +131,7 @@ pub struct FitSet {
     pub powder: String,
     /// Parameter set id.
     pub set: String,
-    /// Where the set is from.
+    /// Where the set comes from.
     pub source: String,
 }
 
@@ -133,7 +140,7 @@ pub struct FitSet {
 pub struct AtReference {
     /// Powder id.
     pub powder: String,
-    /// What the extended simulator predicts there.
+    /// The extended simulator's prediction at the reference.
     pub repose: Flowability,
 }
 
@@ -147,11 +154,13 @@ pub struct Extended {
 }
 
 impl Extended {
-    /// What these conditions change about a powder; without one, or of a powder that the campaign had not, about an average one. What only corrects
-    /// readings may be left out.
+    /// Returns the changes to a powder under these conditions; without a powder, or for one not in
+    /// the campaign, those to an average one. Conditions that only correct readings may be left
+    /// out.
     ///
     /// # Errors
-    /// Every condition that is missing, out of what the campaign saw, or that no cause acts through, as `conditions.<name>`.
+    /// Every condition that is missing, outside the range the campaign saw, or that no cause acts
+    /// through, as `conditions.<name>`.
     pub fn at(&self, powder: Option<&str>, conditions: &Conditions) -> Result<Patch, Vec<FieldError>> {
         self.checked(conditions, |it| it.hook != Hook::Reading)?;
         let mut patch = Patch::default();
@@ -170,7 +179,8 @@ impl Extended {
         Ok(patch)
     }
 
-    /// By how much the angle that is read under these conditions differs from the one at the reference, degrees.
+    /// Difference between the angle read under these conditions and the one at the reference,
+    /// degrees.
     ///
     /// # Errors
     /// As [`Self::at`].
@@ -179,8 +189,8 @@ impl Extended {
         Ok(self.extensions.iter().map(|it| it.shift_deg(powder, conditions)).sum())
     }
 
-    /// Conditions of `count` days, seeded: what is held is as given, the rest as the campaign saw it, evenly over its distribution. Causes of readings
-    /// do not count.
+    /// Conditions of `count` days, seeded: held conditions are as given, the rest follow the
+    /// campaign's distribution evenly. Causes of readings do not count.
     ///
     /// # Errors
     /// As [`Self::at`], but nothing has to be held.
@@ -198,7 +208,7 @@ impl Extended {
         Ok(days)
     }
 
-    /// Everything that the causes act through, each once.
+    /// Every covariate the causes act through, each once.
     pub fn through(&self) -> Vec<&Through> {
         let mut all: Vec<&Through> = Vec::new();
         for through in self.extensions.iter().flat_map(|it| &it.through) {
@@ -235,7 +245,8 @@ impl Extended {
 }
 
 impl Extension {
-    /// What an amplitude changes about a powder. Nothing is not written down: the patch of the reference is empty.
+    /// The changes an amplitude makes to a powder. Zero is not written down: the patch of the
+    /// reference is empty.
     pub(super) fn patch(&self, amplitude: f64) -> Patch {
         let mut patch = Patch::default();
         let (slot, name) = match &self.hook {
@@ -250,7 +261,7 @@ impl Extension {
         patch
     }
 
-    /// What it adds to a powder's angle, degrees; nothing where a condition is missing.
+    /// Its contribution to a powder's angle, degrees; zero where a condition is missing.
     pub(super) fn shift_deg(&self, powder: Option<&str>, conditions: &Conditions) -> f64 {
         self.on(powder).0 * self.strength_at(conditions).unwrap_or(0.0)
     }
@@ -280,7 +291,8 @@ impl Extension {
         };
         let [zero, one] = self.strength;
         let u = (value - zero) / (one - zero);
-        // Forms are monotonic and the reference is an end; only rounding goes below, but of readings there is less than the average.
+        // Forms are monotonic and the reference is an end, so only rounding goes below; for
+        // readings, values below the average exist.
         Some(if self.hook == Hook::Reading { u } else { u.max(0.0) })
     }
 
@@ -290,7 +302,7 @@ impl Extension {
     }
 }
 
-/// A course at a place, its ends beyond them.
+/// A course at a point, constant beyond its ends.
 fn along(course: &[[f64; 2]], at: f64) -> Option<f64> {
     let next = course.iter().position(|it| it[0] >= at).unwrap_or(course.len().checked_sub(1)?);
     let ([low, below], [high, above]) = (course[next.saturating_sub(1)], course[next]);
@@ -299,7 +311,7 @@ fn along(course: &[[f64; 2]], at: f64) -> Option<f64> {
 }
 
 impl Through {
-    /// What may be asked for, in words.
+    /// The valid values, in words.
     fn bounds(&self) -> String {
         match (self.quantiles.first(), self.quantiles.last()) {
             (Some(low), Some(high)) => format!("a number from {low} to {high}, which is what the campaign saw"),
@@ -307,7 +319,7 @@ impl Through {
         }
     }
 
-    /// Why this cannot be asked for.
+    /// Why this condition is refused.
     fn refusal(&self, condition: &Condition) -> Option<String> {
         let is_seen = match (condition, self.quantiles.first(), self.quantiles.last()) {
             (Condition::Number(number), Some(low), Some(high)) => (*low..=*high).contains(number),
@@ -318,7 +330,7 @@ impl Through {
         (!is_seen).then(|| format!("must be {}, got {condition}: {advice}", self.bounds()))
     }
 
-    /// The condition below which this share of what the campaign saw lies.
+    /// The condition below which this share of the campaign's values lies.
     fn drawn(&self, share: f64) -> Condition {
         if let Some(value) = quantile(&self.quantiles, share) {
             return Condition::Number(value);

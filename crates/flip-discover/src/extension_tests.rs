@@ -1,4 +1,4 @@
-//! What an extended simulator is at given conditions, and what it is not asked for.
+//! What an extended simulator is at given conditions, and which conditions it refuses.
 
 use super::super::{Campaign, Covariate, Run, Values, extend, investigate, responses};
 use super::*;
@@ -19,7 +19,8 @@ fn fitted(name: &str, value: f64) -> ParameterReport {
     ParameterReport { name: name.into(), value, ci95: [0.5 * value, 1.5 * value], unit: "1".into() }
 }
 
-/// Bridges that grow with the square of the humidity between 40 and 70 %, and a batch of other sizes.
+/// Bridges that grow with the square of the humidity between 40 and 70 %, and a batch of other
+/// sizes.
 fn extended() -> Extended {
     let humidity = Extension {
         mechanism: "humidity".into(),
@@ -74,7 +75,7 @@ fn the_reference_is_the_base_and_strengths_grow_from_it() {
     assert!((patch.amplitudes["humidity"] - 0.072).abs() < 1e-12 && patch.amplitudes["size_spread"] == 0.05);
     let salt = extended.at(Some("salt"), &day(50.0, "A")).unwrap();
     assert!((salt.amplitudes["humidity"] - 0.144).abs() < 1e-12 && !salt.amplitudes.contains_key("size_spread"));
-    // Beyond the 95th percentile it goes on as far as the campaign saw.
+    // Beyond the 95th percentile it continues as far as the campaign's range.
     assert!(extended.at(None, &day(70.0, "A")).unwrap().amplitudes["humidity"] > 0.2);
 }
 
@@ -89,7 +90,7 @@ fn corrections_of_readings_shift_angles_and_change_no_grain() {
     assert!(extended.at(None, &read_by("B")).unwrap().is_none());
     assert!((extended.shift_deg(None, &read_by("A")).unwrap() - 0.5).abs() < 1e-12);
     assert!((extended.shift_deg(None, &read_by("B")).unwrap() + 1.5).abs() < 1e-12);
-    // Who reads an angle does not matter to a dose, but to a measured angle it does.
+    // The operator who reads an angle does not matter to a dose, but does to a measured angle.
     let missing = extended.shift_deg(None, &day(40.0, "A")).unwrap_err();
     assert_eq!(missing[0].field, "conditions.operator");
 }
@@ -141,7 +142,8 @@ fn a_course_is_linear_between_its_places_and_flat_beyond() {
     }
 }
 
-/// Sixty days, one run of three powders each, whose angles rise by 4 deg from 30 to 70 % of what is called `covariate`.
+/// Sixty days, one run of three powders each, whose angles rise by 4 deg from 30 to 70 % of what is
+/// called `covariate`.
 fn campaign(covariate: &str) -> Campaign {
     let noise = |k: usize| normal::quantile(((k * 7919) % 997) as f64 / 997.0 * 0.98 + 0.01);
     let value = |day: usize| 30.0 + 40.0 * ((day * 37) % 60) as f64 / 59.0;

@@ -1,4 +1,5 @@
-//! How large an extension's amplitude has to be for simulated heaps to move as measured ones did, and whether fresh heaps agree.
+//! Fits an extension's amplitude so that simulated heaps move as the measured ones did, and checks
+//! whether fresh heaps agree.
 //!
 //! ```text
 //! shift(A) = mean over powders of (heaps at A f_p - heaps at the reference)
@@ -6,8 +7,9 @@
 //! verified: the shift over fresh seeds is within the effect's 95 % interval widened by 2 standard errors, and of the effect's sign
 //! ```
 //!
-//! with e the mean effect on the powders that are simulated, up to three that respond most. The line through the origin is what an extension assumes
-//! of its amplitudes; over the few degrees of an effect simulated responses are lines within their noise (`docs/simulated_responses.jsonl`).
+//! Here e is the mean effect on the simulated powders, up to three that respond most. The line
+//! through the origin is what an extension assumes of its amplitudes; over the few degrees of an
+//! effect simulated responses are lines within their noise (`docs/simulated_responses.jsonl`).
 
 use super::extension::{Extension, Fit, FitSet, Hook, OnPowder};
 use super::report::ParameterReport;
@@ -18,24 +20,27 @@ use rayon::prelude::*;
 
 /// Most powders that are simulated.
 const POWDERS: usize = 3;
-/// Heaps of a powder for each repeat: at the reference and at two amplitudes, and to verify at the reference and at the amplitude found.
+/// Heaps of a powder for each repeat: three to fit (at the reference and two amplitudes) and two to
+/// verify (at the reference and the fitted amplitude).
 const STAGES: usize = 5;
-/// SD of a heap's angle where one repeat tells none, degrees.
+/// SD of a heap's angle if one repeat gives no estimate, degrees.
 const HEAP_SD_DEG: f64 = 1.5;
-/// How far the second amplitude may be from the first.
+/// Bounds on the second amplitude relative to the first.
 const STEP: [f64; 2] = [0.25, 4.0];
 /// Normal deviate of a 95 % interval.
 const DEVIATE: f64 = 1.96;
 
-/// Stages, which seeds are derived from. The amplitudes of the search share their seeds with its reference: no noise is gained by others.
+/// Stages that seeds are derived from. The amplitudes of the search share their seeds with its
+/// reference: other seeds would only add noise.
 const SEARCH: u64 = 1;
 const VERIFICATION: u64 = 2;
 
-/// Find an extension's amplitude and verify it, in at most `budget` heaps; `None` where the budget is too small for one heap of each kind, no set stands
-/// for a responding powder, the extension is of readings, or heaps have no angles.
+/// Finds an extension's amplitude and verifies it, in at most `budget` heaps. Returns `None` if the
+/// budget is too small for one heap of each kind, no set stands for a responding powder, the
+/// extension affects readings, or heaps have no angles.
 ///
-/// `pour` takes the place of a set in `sets`, what is changed about it, and a seed, and gives the angle, degrees. It is called from several threads and
-/// must be pure.
+/// `pour` takes the index of a set in `sets`, the changes to it, and a seed, and returns the angle,
+/// degrees. It is called from several threads and must be pure.
 pub fn fit(
     extension: &Extension,
     sets: &[FitSet],
@@ -76,7 +81,8 @@ pub fn fit(
     let at_second = heaps(second, SEARCH)?;
     let shifts = [shift(&at_first, &reference)?, shift(&at_second, &reference)?];
     let slope = (first * shifts[0] + second * shifts[1]) / (first * first + second * second);
-    // Heaps that do not move the way of the effect say nothing of the amplitude; the verification will say so.
+    // Heaps that do not move in the direction of the effect say nothing about the amplitude; the
+    // verification will show it.
     let is_responding = slope * effect * first > 0.0;
     let value = if is_responding { effect / slope } else { first };
     let fresh = heaps(0.0, VERIFICATION)?;
@@ -88,12 +94,12 @@ pub fn fit(
     };
     let errors = [error(&at_first, &reference), error(&at_second, &reference)];
     let (found, error_deg) = (shift(&verifying, &fresh)?, error(&verifying, &fresh));
-    // The interval is told of all powders; it scales with the mean of those that were simulated.
+    // The interval covers all powders; it scales with the mean of the simulated ones.
     let mut interval = extension.effect_ci95.map(|end| end * effect / extension.effect_deg);
     interval.sort_by(f64::total_cmp);
     let accepted = [interval[0] - 2.0 * error_deg, interval[1] + 2.0 * error_deg];
     let verified = (accepted[0]..=accepted[1]).contains(&found) && found * effect > 0.0;
-    // Independent: how well the effect is known, and how well the slope.
+    // Independent errors: that of the effect and that of the slope.
     let of_effect = (interval[1] - interval[0]) / (2.0 * DEVIATE) / effect;
     let of_slope = (first * errors[0]).hypot(second * errors[1]) / (first * first + second * second) / slope;
     let half = DEVIATE * of_effect.hypot(of_slope) * value.abs();
@@ -159,7 +165,7 @@ mod tests {
         ["flour", "salt", "sand"].map(set).to_vec()
     }
 
-    /// 20 deg an amplitude, heaps that scatter by 0.5 deg.
+    /// 20 deg per unit amplitude, heaps that scatter by 0.5 deg.
     fn heap(slope: f64) -> impl Fn(usize, &Patch, u64) -> Option<f64> + Sync {
         move |set, patch, seed| {
             let noise = 0.5 * normal::quantile((seed % 9973) as f64 / 9973.0 * 0.98 + 0.01);
@@ -176,11 +182,11 @@ mod tests {
             heap(20.0)(set, patch, seed)
         };
         let (amplitude, fit) = super::fit(&extension(3.0), &sets(), 55, 1, counted).unwrap();
-        // 3 deg at 20 deg an amplitude, through a first guess of 0.1 that moves by 2 deg.
+        // 3 deg at 20 deg per unit amplitude, via a first guess of 0.1 that moves by 2 deg.
         assert!((amplitude.value - 0.15).abs() < 0.03, "{amplitude:?}");
         assert!(amplitude.ci95[0] < 0.15 && amplitude.ci95[1] > 0.15 && amplitude.ci95[0] > 0.0, "{amplitude:?}");
         assert!(fit.verified && (fit.verification[0] - 3.0).abs() < 1.0, "{fit:?}");
-        // Five heaps of two powders each: 50 of 55, and flour, which does not respond, has none.
+        // Five heaps of two powders each: 50 of 55; flour does not respond and has none.
         assert_eq!((fit.runs, count.into_inner()), (50, 50));
         assert_eq!(fit.sets.iter().map(|it| it.powder.as_str()).collect::<Vec<_>>(), ["salt", "sand"]);
     }

@@ -3,10 +3,10 @@
 use super::campaign::{Campaign, Quantity, Run, percent};
 use flip_core::domain::FieldError;
 
-/// The campaign of the flow times, if any were measured: the runs that have none are there without a value.
+/// The campaign of the flow times, if any were measured; runs without one are kept without a value.
 ///
 /// # Errors
-/// Too few of them, or all the same: [`Campaign::checked`], said of `flow_time_s`.
+/// Too few of them, or all the same: [`Campaign::checked`], reported for `flow_time_s`.
 pub(super) fn flow_times(campaign: &Campaign) -> Option<Result<Campaign, FieldError>> {
     campaign.flow_time_s.iter().any(Option::is_some).then(|| {
         let runs = campaign.runs.iter().zip(&campaign.flow_time_s);
@@ -29,7 +29,8 @@ mod tests {
 
     const SETTINGS: Settings = Settings { seed: 1, simulations: 99 };
 
-    /// Twenty days, two runs of three powders each, whose angles know nothing of the day's humidity; flow takes longer by `slower` of it.
+    /// Twenty days, two runs of three powders each, whose angles do not depend on the day's
+    /// humidity; flow is slowed by `slower` of it.
     fn campaign(seed: u64, slower: impl Fn(f64) -> f64) -> Campaign {
         let mut rng = Pcg64::seed_from_u64(seed);
         let mut normal = move || normal::quantile(rng.random::<f64>().clamp(1e-12, 1.0 - 1e-12));
@@ -56,7 +57,8 @@ mod tests {
         let document = document.unwrap().unwrap();
         let [finding] = &document.findings[..] else { panic!("{document:?}") };
         assert_eq!((finding.channel, finding.unit.as_str()), (Channel::FlowTime, "%"), "{}", document.sentence);
-        // From the 5th to the 95th percentile, 27 to 67 %, flow takes exp(0.2 * 40 / 45) = 1.19 as long.
+        // From the 5th to the 95th percentile, 27 to 67 %, flow takes exp(0.2 * 40 / 45) = 1.19
+        // times as long.
         assert!(finding.ci95[0] < 19.0 && 19.0 < finding.ci95[1] && finding.ci95[0] > 5.0, "{finding:?}");
         let flow = document.beside.iter().find(|it| it.channel == Channel::FlowTime).unwrap();
         assert_eq!(flow.n, 109, "the runs that have a time");

@@ -1,4 +1,5 @@
-//! What an extension is worth on runs that it was not fitted to, the whole search repeated without them.
+//! What an extension is worth on runs it was not fitted to: the whole search is repeated without
+//! them.
 //!
 //! ```text
 //! by day      sessions in ten folds; a fold's angles are hidden, everything else is screened, and where something is found it predicts them
@@ -28,7 +29,7 @@ const SESSIONS_MIN: usize = 4;
 /// Simulated campaigns in which nothing is wrong, in each fold.
 const SIMULATIONS: u32 = 99;
 const RESAMPLES: usize = 2000;
-/// Normal deviate that 90 % of values are within, on either side.
+/// Normal deviate of a two-sided 90 % interval.
 const BAND: f64 = 1.645;
 
 /// One hidden run.
@@ -39,7 +40,8 @@ struct Hidden {
     sds: [f64; 2],
 }
 
-/// What leaving out says; `None` with too few sessions, or if what is left of a fold says nothing.
+/// The gain on left-out data; `None` with too few sessions, or if the rest of a fold cannot be
+/// judged.
 pub(super) fn gain(
     campaign: &Campaign,
     responses: &Responses,
@@ -62,14 +64,14 @@ pub(super) fn gain(
     let of_range: Vec<Vec<usize>> = ends.map_or(Vec::new(), |(name, low, high)| {
         let values = campaign.numbers(name).unwrap_or_default();
         let ends = [rows(campaign, |i| values[i] < low), rows(campaign, |i| values[i] > high)];
-        // Where a fifth of the runs share the lowest value, nothing is below it.
+        // Where a fifth of the runs share the lowest value, nothing lies below it.
         ends.into_iter().filter(|end| !end.is_empty()).collect()
     });
     let all = folds + campaign.powders.len() + of_range.len();
     let mut done = 0;
     let mut next = |hidden: Vec<usize>, centred: bool, scored: &mut Vec<Hidden>| -> Result<bool, Stopped> {
         let Ok(of_fold) = fold(campaign, responses, &hidden, centred, settings) else { return Ok(false) };
-        // Of a powder that is hidden whole there is no angle, only its course.
+        // A powder that is hidden completely has no angle, only its course.
         scored.extend(of_fold.into_iter().filter(|it| it.errors.iter().all(|error| error.is_finite())));
         done += 1;
         if on_fold(f64::from(done) / all as f64).is_break() { Err(Stopped) } else { Ok(true) }
@@ -93,7 +95,7 @@ pub(super) fn gain(
         inside as f64 / days.len() as f64
     };
     let by_day = held_out(&days);
-    // Winning: errors become smaller, and the better log score is no accident of these days.
+    // A win: errors become smaller, and the better log score is not an accident of these days.
     let accepted = by_day.rmse_after < by_day.rmse_before && log_score.ci95[0] > 0.0;
     Ok(Some(Gain {
         held_out: by_day,
@@ -106,14 +108,15 @@ pub(super) fn gain(
     }))
 }
 
-/// Somebody asked to stop.
+/// A stop was requested.
 pub(super) struct Stopped;
 
 fn rows(campaign: &Campaign, which: impl Fn(usize) -> bool) -> Vec<usize> {
     campaign.measured().into_iter().filter(|&i| which(i)).collect()
 }
 
-/// Hide these runs, search in the rest, and predict them. `centred`: only the course within each powder counts.
+/// Hides these runs, searches in the rest, and predicts them. `centred`: only the course within
+/// each powder counts.
 fn fold(
     campaign: &Campaign,
     responses: &Responses,

@@ -1,4 +1,5 @@
-//! What may explain a campaign: every mechanism of the catalogue, every recorded covariate by a smooth function, and a wander that nobody recorded.
+//! What may explain a campaign: every mechanism of the catalogue, every recorded covariate by a
+//! smooth function, and an unrecorded wander.
 
 use super::campaign::{Campaign, Quantity, Values};
 use super::catalogue::{Family, Mechanism};
@@ -6,28 +7,29 @@ use super::signature::{Course, DEVIATIONS};
 use nalgebra::DMatrix;
 use std::collections::BTreeMap;
 
-/// Length scales of what is smooth in a covariate, shares of its range.
+/// Length scales of smooth functions of a covariate, as shares of its range.
 const SMOOTH_LENGTHS: [f64; 2] = [0.35, 0.9];
-/// Odds before any data of a smooth function of a covariate, where a catalogued mechanism has that covariate and where none has.
+/// Prior odds of a smooth function of a covariate that has a catalogued mechanism, and of one that
+/// has none.
 const UNCATALOGUED_PRIOR: [f64; 2] = [0.05, 0.3];
-/// Odds before any data of a wander over the sessions.
+/// Prior odds of a wander over the sessions.
 const UNRECORDED_PRIOR: f64 = 0.1;
-/// Fewest sessions over which a wander can be told from days.
+/// Fewest sessions for which a wander can be separated from day effects.
 pub(super) const SESSIONS_MIN: usize = 6;
 
-/// What may explain a discrepancy.
+/// A possible explanation of a discrepancy.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Cause {
     /// A mechanism of the catalogue.
     Known(Mechanism),
     /// A smooth function of this covariate.
     Unknown(String),
-    /// Something that nobody recorded and that changes over the sessions.
+    /// Something unrecorded that changes over the sessions.
     Unrecorded,
 }
 
 impl Cause {
-    /// As reports have it, and the family within which causes look alike.
+    /// Name used in reports, and the family within which causes look alike.
     pub fn name(&self) -> (String, Option<Family>) {
         match self {
             Self::Known(mechanism) => (mechanism.name().0.to_owned(), Some(mechanism.name().1)),
@@ -36,7 +38,7 @@ impl Cause {
         }
     }
 
-    /// The covariates that it acts through.
+    /// The covariates it acts through.
     pub fn covariates(&self) -> Vec<&str> {
         match self {
             Self::Known(mechanism) => mechanism.covariates().to_vec(),
@@ -46,10 +48,11 @@ impl Cause {
     }
 }
 
-/// What a simulator says of each powder: how far a mechanism moves its angle, over what it does to powders on average. Empty: all alike.
+/// The simulator's response of each powder: how far a mechanism moves its angle, relative to the
+/// average over powders. Empty: all alike.
 pub type Responses = BTreeMap<Mechanism, Vec<f64>>;
 
-/// A mechanism of which this campaign cannot tell, and why.
+/// A mechanism this campaign cannot judge, and why.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Untestable {
     /// Which.
@@ -58,21 +61,23 @@ pub struct Untestable {
     pub reason: String,
 }
 
-/// A cause to be judged: what it may do, and what is known of it before any data.
+/// A cause to be judged: its possible effects, and what is known of it a priori.
 pub(super) struct Hypothesis {
     pub cause: Cause,
-    /// For each form and each amount of deviation between powders, over all runs: `[runs, k]`, what is common in the first columns.
+    /// For each form and each amount of deviation between powders, over all runs: `[runs, k]`, the
+    /// common part in the first columns.
     pub features: Vec<DMatrix<f64>>,
-    /// What each of the features says the cause grows with.
+    /// What the cause grows with, for each of the features.
     pub laws: Vec<String>,
-    /// Which way it moves the angle, if that is known.
+    /// Direction in which it moves the angle, if known.
     pub sign: Option<f64>,
     pub prior: f64,
 }
 
 impl Hypothesis {
-    /// A cause with these courses, every powder its own deviation. What a simulator says of each powder counts where powders hardly deviate: powders
-    /// of one angle differ by as much as the effect, so where they deviate they do so from one another.
+    /// A cause with these courses, every powder its own deviation. The simulator's responses count
+    /// where powders hardly deviate: powders of one angle differ by as much as the effect, so where
+    /// they deviate they do so from one another.
     pub fn of(cause: Cause, courses: &[(String, Course)], powder: &[usize], response: Option<&[f64]>) -> Self {
         let each = || courses.iter().flat_map(|it| DEVIATIONS.map(|deviation| (it, deviation)));
         let features = each().map(|((_, course), deviation)| match response.filter(|_| deviation < 1.0) {
@@ -84,13 +89,14 @@ impl Hypothesis {
         Self { cause, features, laws, sign: None, prior: 1.0 }
     }
 
-    /// Which coefficients have a known sign, where this hypothesis' features begin at column `first`.
+    /// Which coefficients have a known sign, given that this hypothesis' features begin at column
+    /// `first`.
     pub fn signs(&self, first: usize) -> Vec<(usize, f64)> {
         self.sign.map(|sign| (first, sign)).into_iter().collect()
     }
 }
 
-/// What can be judged, and what cannot.
+/// Which hypotheses can be judged, and which cannot.
 pub(super) fn hypotheses(campaign: &Campaign, responses: &Responses) -> (Vec<Hypothesis>, Vec<Untestable>) {
     let powder = campaign.powder_of();
     let hypothesis = |cause: Cause, courses: Vec<(String, Course)>, prior: f64| Hypothesis {
@@ -114,7 +120,7 @@ pub(super) fn hypotheses(campaign: &Campaign, responses: &Responses) -> (Vec<Hyp
         let name = &covariate.name;
         let courses = match &covariate.values {
             Values::Numbers(_) => campaign.numbers(name).map_or(Vec::new(), |values| smooth(&values, campaign)),
-            // A mechanism on levels is already one free number for each.
+            // A mechanism on levels already has one free coefficient per level.
             Values::Levels { .. } if is_catalogued(name) => Vec::new(),
             Values::Levels { .. } => {
                 let levels = campaign.levels(name).ok();
@@ -130,7 +136,7 @@ pub(super) fn hypotheses(campaign: &Campaign, responses: &Responses) -> (Vec<Hyp
     if campaign.sessions() >= SESSIONS_MIN {
         let session: Vec<f64> = campaign.runs.iter().map(|run| run.session as f64).collect();
         let courses = smooth(&session, campaign);
-        // Where each powder has a day of its own, its mean is the day's.
+        // If each powder has a day of its own, its mean is the day's.
         if !courses.is_empty() {
             judged.push(hypothesis(Cause::Unrecorded, courses, UNRECORDED_PRIOR));
         }

@@ -1,4 +1,4 @@
-//! The whole of an investigation of angles: from a campaign to a report.
+//! A complete investigation of angles: from a campaign to a report.
 
 use super::beside::Beside;
 use super::campaign::{Campaign, Run};
@@ -24,31 +24,31 @@ use flip_core::domain::job::Progress;
 use flip_core::stats::summary::mean;
 use std::ops::ControlFlow;
 
-/// Chance of a false alarm that is accepted.
+/// Accepted false-alarm rate.
 pub(super) const SIGNIFICANCE: f64 = 0.05;
-/// Inclusion probability from which a cause is claimed.
+/// Inclusion probability required to claim a cause.
 pub(super) const CLAIM: f64 = 0.8;
-/// Inclusion probability from which a cause is claimed although the campaign's covariates let another have nearly the same course: that the two
-/// are told apart at all is then a matter of their forms, which nobody knows.
+/// Inclusion probability required to claim a cause when the campaign's covariates give another one
+/// nearly the same course: the two are then distinguished only by their forms, which are not known.
 pub(super) const CERTAIN: f64 = 0.95;
-/// Correlation of courses from which two causes that share no covariate look alike.
+/// Correlation of courses above which two causes that share no covariate look alike.
 const LOOK_ALIKE: f64 = 0.9;
-/// Correlation of covariates that a reader should know of.
+/// Correlation of covariates worth reporting.
 const MOVED_TOGETHER: f64 = 0.8;
-/// Inclusion probability from which one of several possible causes is named.
+/// Inclusion probability above which one of several possible causes is named.
 pub(super) const WORTH_TELLING: f64 = 0.1;
 
-/// Investigate a campaign.
+/// Investigates a campaign.
 ///
 /// | argument | meaning |
 /// |----------|---------|
-/// | `responses` | what a simulator says of how much each mechanism moves each powder |
+/// | `responses` | how much each mechanism moves each powder, according to a simulator |
 /// | `base` | version of the simulator that is judged |
 /// | `corrected` | p-value of these angles, given what else is judged |
-/// | `on_progress` | hears what is being done; `Break` stops, and there is no report |
+/// | `on_progress` | receives progress; `Break` stops, and there is no report |
 ///
 /// # Errors
-/// A setting out of bounds; a campaign whose runs say nothing of their noise.
+/// A setting out of bounds; a campaign whose runs carry no information about their noise.
 pub(super) fn angles(
     campaign: &Campaign,
     responses: &Responses,
@@ -127,7 +127,8 @@ pub(super) fn angles(
     Ok(Some(report))
 }
 
-/// What is proposed is worth this on days left out; nothing where nothing is proposed, or nothing can be left out.
+/// The gain of the proposal on left-out days; nothing if nothing is proposed or nothing can be left
+/// out.
 pub(super) fn worth(
     campaign: &Campaign,
     responses: &Responses,
@@ -143,7 +144,8 @@ pub(super) fn worth(
     gain(campaign, responses, covariate, settings, on_fold)
 }
 
-/// Add whether repeats scatter more in some conditions, or that it cannot be seen. It decides nothing: the simulator says nothing of it.
+/// Reports whether repeats scatter more in some conditions, or that this cannot be seen. It decides
+/// nothing: the simulator makes no prediction of it.
 fn scatter(report: &mut Report, campaign: &Campaign, explained: &[f64], settings: &Settings) -> Result<(), FieldError> {
     let prepared =
         scatters(campaign, explained).ok().and_then(|it| Some((Prepared::new(&it, &Responses::new()).ok()?, it)));
@@ -165,10 +167,11 @@ fn scatter(report: &mut Report, campaign: &Campaign, explained: &[f64], settings
     Ok(())
 }
 
-/// What runs read that were not measured, by the simulator as it was and as a campaign extends it: one row for each run without an angle.
+/// Predicts runs that were not measured, by the simulator as it was and as a campaign extends it:
+/// one row for each run without an angle.
 ///
 /// # Errors
-/// A campaign whose runs say nothing of their noise.
+/// A campaign whose runs carry no information about their noise.
 pub fn predict(campaign: &Campaign, responses: &Responses) -> Result<Vec<Row>, FieldError> {
     let (campaign, _) = follows::without(campaign);
     let prepared = Prepared::new(&campaign, responses)?;
@@ -176,10 +179,10 @@ pub fn predict(campaign: &Campaign, responses: &Responses) -> Result<Vec<Row>, F
     Ok(rows.into_iter().filter(|row| row.measured_deg.is_none()).collect())
 }
 
-/// What the posterior amounts to.
+/// The conclusion from the posterior.
 pub(super) struct Judgement {
     pub(super) proposal: Proposal,
-    /// The causes whose effects are told, most probable first.
+    /// The causes whose effects are reported, most probable first.
     pub(super) told: Vec<Cause>,
     /// All causes, most probable first, with their inclusion probability.
     pub(super) ranked: Vec<(Cause, f64)>,
@@ -236,7 +239,8 @@ impl Judgement {
         }
     }
 
-    /// What an experiment should tell apart: the causes that it may be, or the one that it is and the next, if a setting differs.
+    /// The causes an experiment should distinguish: the candidates, or the identified one and the
+    /// next, if a setting differs.
     pub(super) fn to_tell_apart(&self) -> Option<Vec<&Cause>> {
         let mut causes: Vec<&Cause> = match self.proposal {
             Proposal::Nothing => return None,
@@ -252,7 +256,8 @@ impl Judgement {
     }
 }
 
-/// Another catalogued cause that this design could hardly tell from this one: it acts through other covariates, and their courses go together.
+/// Another catalogued cause that this design can hardly distinguish from this one: it acts through
+/// other covariates, and their courses are correlated.
 fn look_alike(prepared: &Prepared, posterior: &Posterior<'_>, cause: &Cause) -> Option<Cause> {
     let common = |cause: &Cause| {
         let f = posterior.best_feature(cause)?;
@@ -294,7 +299,7 @@ fn correlated(campaign: &Campaign) -> Vec<(String, String, f64)> {
     pairs.filter_map(of).collect()
 }
 
-/// Where nothing is found, the course is that of the simulator as it is.
+/// If nothing is found, the course is that of the simulator as it is.
 fn flat(mut curves: Vec<Curve>) -> Vec<Curve> {
     curves.iter_mut().flat_map(|it| &mut it.course).for_each(|place| place[1] = 0.0);
     curves
@@ -310,7 +315,7 @@ pub(super) fn evidence(prepared: &Prepared, screening: &Screening, posterior: &P
             inclusion_probability: posterior.inclusion_of(&judged.cause),
         }
     };
-    // What powders' means explain has no evidence, for or against.
+    // A cause explained by the powders' means has no evidence, for or against.
     let mut all: Vec<Evidence> = screening.judged.iter().filter(|it| it.log_evidence.is_finite()).map(of).collect();
     debug_assert!(all.len() <= prepared.hypotheses.len());
     all.sort_by(|a, b| b.inclusion_probability.total_cmp(&a.inclusion_probability));
@@ -329,7 +334,8 @@ fn blank(screening: &Screening, base: &str) -> Report {
     }
 }
 
-/// Every row of the file, before and after; repeats of a summary are one row. Where nothing is found, after is before.
+/// Every row of the file, before and after; the repeats of a summary are one row. If nothing is
+/// found, after equals before.
 fn rows(campaign: &Campaign, posterior: &Posterior<'_>, is_found: bool) -> Vec<Row> {
     let predicted = posterior.predict(campaign);
     let known = |mean: f64| mean.is_finite().then_some(mean);
@@ -352,7 +358,7 @@ fn rows(campaign: &Campaign, posterior: &Posterior<'_>, is_found: bool) -> Vec<R
     campaign.runs.chunk_by(same).map(row).collect()
 }
 
-/// The effect, and the amplitude of the simulator's mechanism that has it.
+/// The effect, and the amplitude of the simulator's mechanism that produces it.
 fn parameters(mechanism: super::Mechanism, finding: &Finding) -> Vec<ParameterReport> {
     let effect = ParameterReport {
         name: "effect_5_95".to_owned(),
@@ -369,7 +375,7 @@ fn parameters(mechanism: super::Mechanism, finding: &Finding) -> Vec<ParameterRe
     std::iter::once(effect).chain(amplitude).collect()
 }
 
-/// Every cause of the catalogue; one that the simulator extended by it predicts better with is of level 2.
+/// Every cause of the catalogue; one whose extension predicts better has level 2.
 fn causes(prepared: &Prepared, posterior: &Posterior<'_>, claim: &Claim) -> Vec<CauseReport> {
     let report = |cause: &Cause| {
         let Cause::Known(mechanism) = cause else { return None };

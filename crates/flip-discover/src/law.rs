@@ -1,7 +1,8 @@
 //! The law of a departure that nothing in the catalogue explains.
 //!
-//! Every class of laws is judged by its evidence, averaged over its forms: the covariate u runs from 0 to 1 over its range, and a class is named if it
-//! holds half of the probability, all classes being equally likely before. Otherwise the law is smooth.
+//! Every class of laws is judged by its evidence, averaged over its forms: the covariate u runs
+//! from 0 to 1 over its range, and a class is named if it holds half of the probability, all
+//! classes being equally likely a priori. Otherwise the law is smooth.
 
 use super::campaign::Campaign;
 use super::effects::{quantity, rounded};
@@ -12,11 +13,11 @@ use super::screen::Prepared;
 use super::signature::Course;
 use nalgebra::DMatrix;
 
-/// Share of the probability from which a class is named.
+/// Probability required to name a class.
 const NAMED: f64 = 0.5;
-/// Length scale of what is smooth, share of the range.
+/// Length scale of smooth functions, as a share of the range.
 const SMOOTH_LENGTH: f64 = 0.35;
-/// Width of a step, share of the range.
+/// Width of a step, as a share of the range.
 const STEP: f64 = 0.03;
 
 /// What is known of the departure along a covariate.
@@ -46,7 +47,7 @@ pub(super) fn law(campaign: &Campaign, prepared: &Prepared, covariate: &str) -> 
     if 1.0 / total < NAMED || *form_class == FormClass::Smooth {
         return smooth(format!("a smooth course over {}", quantity(covariate).0));
     }
-    // Among the forms of the class, the best.
+    // The best form within the class.
     let form = courses.iter().map(|course| (odds(std::slice::from_ref(course)), &course.0));
     let form = form.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(String::new(), |best| best.1.clone());
     Unexplained { covariate: Some(covariate.to_owned()), law: form, form_class: *form_class }

@@ -1,4 +1,5 @@
-//! What the simulator gets wrong, by the angles of repose, and the balance readings, that a laboratory measured under recorded conditions.
+//! Finds what the simulator gets wrong, from angles of repose and balance readings measured under
+//! recorded conditions.
 //!
 //! ```text
 //! campaign.rs     what was measured, run by run, and under which conditions
@@ -22,15 +23,18 @@
 //! names.rs        plain names of causes and columns    reading.rs   how files were read
 //! ```
 //!
-//! The calibrated simulator predicts one angle for a powder, whatever the day. Anything that a new calibration would absorb, a powder's own mean,
-//! is therefore not looked at; what is left is judged by the evidence of each cause's signature in noise that has repeats, days, and days
-//! that treat powders differently ([`mixed_model`](flip_core::stats::mixed_model)). The best of all causes is compared with the best that campaigns
-//! of the same design have when nothing is wrong, so that many causes cost nothing in false alarms.
+//! The calibrated simulator predicts one angle per powder, whatever the day. Anything a new
+//! calibration would absorb (a powder's own mean) is therefore not judged. The rest is judged by
+//! the evidence for each cause's signature in noise made of repeats, days, and days that treat
+//! powders differently ([`mixed_model`](flip_core::stats::mixed_model)). The best of all causes is
+//! compared with the best found in campaigns of the same design where nothing is wrong, so many
+//! causes cost nothing in false alarms.
 //!
-//! Whether something is wrong is a matter of that comparison alone. What it is, is a matter of the posterior over models with one cause or two;
-//! what is claimed has 0.8 of it, and no look-alike. What it is worth is a matter of days that were left out of the whole search.
+//! Whether something is wrong depends on that comparison alone. The cause comes from the posterior
+//! over models with one cause or two; a claimed cause holds 0.8 of it and has no look-alike. Its
+//! worth is measured on days left out of the whole search.
 
-/// Grows when an investigation of the same campaign may come to another report.
+/// Bumped when an investigation of the same campaign may produce a different report.
 pub const VERSION: u32 = 5;
 
 mod beside;

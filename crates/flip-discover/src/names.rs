@@ -1,10 +1,11 @@
-//! The plain names of causes, columns and laws: the sentences, the report and the page all use these, and no others.
+//! The plain names of causes, columns and laws, used by the sentences, the report and the page
+//! alike.
 //!
-//! `web/src/names.json` is made from them, and a test compares the two.
+//! `web/src/names.json` is generated from them, and a test compares the two.
 
 use serde_json::{Value, json};
 
-/// Endings of columns, longest first, and their units.
+/// Suffixes of columns, longest first, and their units.
 const UNITS: [(&str, &str); 18] = [
     ("_m_s2", "m/s²"),
     ("_pct", "%"),
@@ -26,7 +27,7 @@ const UNITS: [(&str, &str); 18] = [
     ("_v", "V"),
 ];
 
-/// Columns whose names are not the words that a chemist would use.
+/// Columns whose names differ from the words a chemist would use.
 const COLUMNS: [(&str, &str); 6] = [
     ("rest_min", "Time at rest"),
     ("container_age_d", "Time since opening"),
@@ -36,7 +37,8 @@ const COLUMNS: [(&str, &str); 6] = [
     ("method", "Method of measuring"),
 ];
 
-/// Causes whose names are not the words that a chemist would use. Each can be the subject of a sentence.
+/// Causes whose names differ from the words a chemist would use. Each can be the subject of a
+/// sentence.
 const CAUSES: [(&str, &str); 16] = [
     ("rest_time", "Consolidation at rest"),
     ("densification", "Densification by shaking"),
@@ -66,14 +68,15 @@ const FORMS: [(&str, &str); 6] = [
     ("smooth", "smooth, of no simpler form"),
 ];
 
-/// What a confidence level says, from 1 on.
+/// What each confidence level means, from 1 on.
 const LEVELS: [&str; 3] = [
     "its pattern is in the data",
     "the simulator extended by it predicts better what it was not fitted to",
     "an intervention confirmed it",
 ];
 
-/// Fitted numbers whose names are not words: the effect, and amplitudes of the simulator's mechanisms.
+/// Fitted numbers whose names are not words: the effect, and amplitudes of the simulator's
+/// mechanisms.
 const PARAMETERS: [(&str, &str); 11] = [
     ("effect_5_95", "Change from the 5th to the 95th percentile"),
     ("flow_effect_5_95", "Change of the flow time from the 5th to the 95th percentile"),
@@ -99,7 +102,7 @@ const SYMBOLS: [(&str, &str); 7] = [
     ("order_in_session", "k"),
 ];
 
-/// All of it, as the page has it.
+/// The whole table, as the page uses it.
 pub fn table() -> Value {
     let map = |pairs: &[(&str, &str)]| Value::Object(pairs.iter().map(|&(k, v)| (k.to_owned(), v.into())).collect());
     json!({
@@ -122,13 +125,13 @@ pub fn words(name: &str) -> String {
     }
 }
 
-/// Begins small, for the middle of a sentence.
+/// Lower-cases the first letter, for the middle of a sentence.
 pub fn lower(phrase: &str) -> String {
     let mut letters = phrase.chars();
     letters.next().map_or_else(String::new, |first| first.to_lowercase().chain(letters).collect())
 }
 
-/// What a column holds, and in which unit.
+/// What a column holds, and its unit.
 pub fn column(name: &str) -> (String, &'static str) {
     let unit = UNITS.iter().find(|(ending, _)| name.len() > ending.len() && name.ends_with(ending));
     let stem = unit.map_or(name, |(ending, _)| name.strip_suffix(ending).unwrap_or(name));
@@ -153,7 +156,7 @@ pub fn symbol(column: &str) -> Option<&'static str> {
     SYMBOLS.iter().find(|(name, _)| *name == column).map(|(_, letter)| *letter)
 }
 
-/// What a confidence level says.
+/// What a confidence level means.
 pub fn level(confidence: u8) -> &'static str {
     LEVELS[usize::from(confidence).clamp(1, LEVELS.len()) - 1]
 }
@@ -163,7 +166,7 @@ pub fn parameter(name: &str) -> String {
     named(&PARAMETERS, name).unwrap_or_else(|| words(name))
 }
 
-/// Degrees stand at their number, other units after a space.
+/// A number with its unit: no space before the degree sign, one before other units.
 pub fn with_unit(number: &str, unit: &str) -> String {
     match unit {
         "" | "1" => number.to_owned(),

@@ -1,4 +1,4 @@
-//! What angles do when nothing is wrong: repeats, days, and days that treat powders differently.
+//! How angles vary when nothing is wrong: repeats, days, and days that treat powders differently.
 
 use super::campaign::{Campaign, Run};
 use flip_core::domain::seed::derive;
@@ -9,18 +9,18 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
-/// Variance of what a day does to all powders, over that of a repeat.
+/// Variance of the day effect common to all powders, over that of a repeat.
 const DAY_RATIOS: [f64; 5] = [0.0, 0.05, 0.2, 0.6, 1.5];
-/// Variance of what a day does to one powder, over that of a repeat.
+/// Variance of the day effect on one powder, over that of a repeat.
 const DAY_POWDER_RATIOS: [f64; 3] = [0.0, 0.05, 0.2];
-/// Robust SD from a powder's median beyond which an angle is drawn in to that distance.
+/// Robust SD from a powder's median beyond which an angle is clamped to that distance.
 const OUTLIER_SD: f64 = 3.5;
-/// Degrees of freedom that the pooled SD of repeats has in a powder's own.
+/// Degrees of freedom given to the pooled SD of repeats in estimating a powder's own.
 const POOLED_FREEDOM: f64 = 4.0;
 
 /// A noise model and its ratios.
 pub struct Noise {
-    /// Ready to judge, over the measured runs.
+    /// Whitening over the measured runs.
     pub model: Whitening,
     /// Factor of V over the measured runs.
     pub factor: Cholesky<f64, Dyn>,
@@ -30,8 +30,8 @@ pub struct Noise {
     pub day_powder: f64,
 }
 
-/// SD of each run's own noise over the root mean square of all measured ones: of a powder's repeats within days, drawn towards that of all
-/// powders.
+/// SD of each run's own noise over the root mean square of all measured ones: that of a powder's
+/// repeats within days, shrunk towards that of all powders.
 pub fn weights(campaign: &Campaign) -> Vec<f64> {
     let powders = campaign.powders.len();
     let (mut squares, mut freedom) = (vec![0.0; powders], vec![0.0; powders]);
@@ -56,7 +56,8 @@ pub fn weights(campaign: &Campaign) -> Vec<f64> {
     variances.iter().map(|variance| (variance / mean).sqrt()).collect()
 }
 
-/// Angles of the measured runs less their powder's median, outliers drawn in; and each powder's median.
+/// Angles of the measured runs less their powder's median, outliers clamped; and each powder's
+/// median.
 pub fn drawn_in(campaign: &Campaign) -> (Vec<f64>, Vec<f64>) {
     let middle = |mut values: Vec<f64>| {
         values.sort_by(f64::total_cmp);
@@ -76,7 +77,7 @@ pub fn drawn_in(campaign: &Campaign) -> (Vec<f64>, Vec<f64>) {
     let run = |run: &Run| {
         let (centre, reach) = known[run.powder];
         let angle = run.repose_deg? - centre;
-        // More than half of the angles are the same: there is no telling what is far.
+        // More than half of the angles are equal: outliers cannot be identified.
         Some(if reach == 0.0 { angle } else { angle.clamp(-reach, reach) })
     };
     (campaign.runs.iter().filter_map(run).collect(), known.into_iter().map(|(centre, _)| centre).collect())
@@ -110,7 +111,8 @@ pub fn noises(campaign: &Campaign, weights: &[f64]) -> Result<Vec<Noise>, MixedM
     ratios.into_par_iter().map(noise).collect()
 }
 
-/// The observed campaign in the first column, simulated ones of the same design in the others: `[measured, 1 + simulations]`.
+/// The observed campaign in the first column, simulated ones of the same design in the others:
+/// `[measured, 1 + simulations]`.
 pub fn with_simulated(
     campaign: &Campaign,
     weights: &[f64],
@@ -151,14 +153,16 @@ pub fn with_simulated(
     all
 }
 
-/// Departures of days, of cells (a powder on a day) and of repeats, made as large as the effects behind them: signs are drawn for each level apart, so a
-/// mean that kept the noise of what it is a mean of would have it twice.
+/// Departures of days, of cells (a powder on a day) and of repeats, scaled to the size of the
+/// effects behind them: signs are drawn for each level separately, so a mean that kept the noise of
+/// its members would contain it twice.
 ///
 /// ```text
 /// r = repeat sqrt(n / (n - 1))     c = cell sqrt(m / (m - 1)) sqrt(1 - <sum r^2 / n^2> / <c^2>)     d = day sqrt(1 - <sum c^2 (n / N)^2 + sum r^2 / N^2> / <d^2>)
 /// ```
 ///
-/// with n runs in a cell, m cells and N runs on a day, and means over runs; a root of less than nothing is nothing.
+/// with n runs in a cell, m cells and N runs on a day, and means over runs; the root of a negative
+/// number is taken as zero.
 fn as_components(
     days: &[f64],
     cells: &[f64],
@@ -177,7 +181,8 @@ fn as_components(
     let n = |row: usize| runs_in[&cell(row)];
     let repeats: Vec<f64> = (0..days.len()).map(|row| repeats[row] * unbiased(n(row))).collect();
     let cells: Vec<f64> = (0..days.len()).map(|row| cells[row] * unbiased(cells_on[row])).collect();
-    // A sum over the runs of a cell or a day, averaged over runs, is n or N times its average over them.
+    // A sum over the runs of a cell or a day, averaged over runs, is n or N times its average over
+    // them.
     let noise_of_cells = mean(&|row| repeats[row].powi(2) / n(row));
     let share_of_cells = share(noise_of_cells, mean(&|row| cells[row].powi(2)));
     let cells: Vec<f64> = cells.iter().map(|it| it * share_of_cells).collect();
@@ -186,8 +191,9 @@ fn as_components(
     [days.iter().map(|it| it * share_of_days).collect(), cells, repeats]
 }
 
-/// Campaigns of the same design that are this one with signs drawn anew: of each day, of each day's departure in a powder, and of each repeat in it.
-/// They scatter as these angles do, wherever that is more than elsewhere, and nothing moves them with a covariate: `[measured, simulations]`.
+/// Campaigns of the same design: this one with signs redrawn for each day, for each day's departure
+/// in a powder, and for each repeat in it. They scatter as these angles do, wherever that is more
+/// than elsewhere, and no covariate moves them: `[measured, simulations]`.
 ///
 /// Source: the wild bootstrap with Rademacher weights, here at each level of the noise.
 pub fn with_signs_redrawn(campaign: &Campaign, observed: &[f64], seed: u64, simulations: u32) -> DMatrix<f64> {

@@ -1,4 +1,4 @@
-//! How often as much is found where nothing is wrong.
+//! How often as much is found when nothing is wrong.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -6,18 +6,19 @@ use utoipa::ToSchema;
 /// Campaigns of the same design with nothing wrong.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct NullCheck {
-    /// How many this one was compared with; 0 where there was nothing to judge.
+    /// Number of campaigns this one was compared with; 0 where there was nothing to judge.
     pub campaigns: u32,
-    /// The statistic here; absent where there was nothing to judge.
+    /// The statistic of this campaign; absent where there was nothing to judge.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub statistic: Option<f64>,
-    /// What one of twenty of them exceeds; absent where there was nothing to judge.
+    /// Exceeded by one in twenty of them; absent where there was nothing to judge.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub threshold95: Option<f64>,
 }
 
 impl NullCheck {
-    /// Of these simulated campaigns' statistics, ascending, and this one's. The largest of no evidence is no number.
+    /// Summarises these simulated campaigns' statistics, ascending, and this one's. The largest
+    /// statistic of no evidence is not a number.
     pub(super) fn of(null: &[f64], statistic: f64) -> Self {
         let threshold95 = null.get((0.95 * null.len() as f64) as usize).copied();
         match threshold95.filter(|threshold| (statistic - threshold).is_finite()) {
@@ -43,7 +44,7 @@ mod tests {
         let document = serde_json::to_string(&none).unwrap();
         assert_eq!(document, "{\"campaigns\":0}");
         assert_eq!(serde_json::from_str::<NullCheck>(&document).unwrap(), none);
-        // As documents had it that could not be read.
+        // The form in earlier, unreadable documents.
         let old = "{\"campaigns\":99,\"statistic\":null,\"threshold95\":null}";
         assert_eq!(serde_json::from_str::<NullCheck>(old).unwrap().statistic, None);
         let null: Vec<f64> = (0..100).map(f64::from).collect();

@@ -1,16 +1,20 @@
-//! What is wrong with the simulator without any data: an angle of repose must not depend on how it is computed.
+//! Finds what is wrong with the simulator without any data: an angle of repose must not depend on
+//! how it is computed.
 //!
-//! Heaps are poured with one thing about the computation varied at a time, and the angle is regressed on its logarithm:
+//! Heaps are poured with one computational setting varied at a time, and the angle is regressed on
+//! its logarithm:
 //!
 //! ```text
 //! angle = a + b log10(settling time)   or   a + b log2(substep)   or   a + b log2(grains),      b +- t_0.995 SE(b)
 //! ```
 //!
-//! with a of each powder, and of the settling time of each seed too: a heap that rests is the same one however long it is waited for.
+//! with one a per powder, and for the settling time one per seed too: a heap at rest stays the same
+//! however long the wait.
 //!
-//! Settling time: a heap that goes on creeping grows flatter with it, and calibration would make up for that by friction or cohesion that the
-//! powder does not have. It is a defect from [`CREEP_DEG`] a decade; substep and grains from [`STEP_DEG`] a doubling. A slope counts if its 99 %
-//! interval leaves out zero and its size is past the bound.
+//! Settling time: a heap that keeps creeping grows flatter with it, and calibration would
+//! compensate with friction or cohesion that the powder does not have. It is a defect from
+//! [`CREEP_DEG`] a decade; substep and grains from [`STEP_DEG`] a doubling. A slope counts if its
+//! 99 % interval excludes zero and its size exceeds the bound.
 //!
 //! Source: least squares of a line, textbook.
 
@@ -24,12 +28,12 @@ use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
 
-/// Slope of the angle over a decade of settling time from which heaps are said to creep, degrees.
+/// Slope of the angle over a decade of settling time from which heaps count as creeping, degrees.
 pub const CREEP_DEG: f64 = 0.2;
-/// Slope over a doubling of the substep or of the grains that is a defect, degrees.
+/// Slope over a doubling of the substep or of the grains that counts as a defect, degrees.
 pub const STEP_DEG: f64 = 0.5;
 
-/// What is varied about the computation.
+/// The varied setting of the computation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Varied {
@@ -41,29 +45,30 @@ pub enum Varied {
     Particles,
 }
 
-/// Factors that are tried on each.
+/// Factors tried on each setting.
 const FACTORS: [(Varied, &[f64]); 3] =
     [(Varied::SettlingTime, &[0.3, 1.0, 3.0]), (Varied::Substep, &[0.5, 1.0]), (Varied::Particles, &[0.5, 1.0, 2.0])];
 
-/// How the angle depends on one thing about the computation.
+/// How the angle depends on one setting of the computation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Dependence {
-    /// On what.
+    /// The varied setting.
     pub varied: Varied,
-    /// Degrees a decade of settling time, or a doubling of the others.
+    /// Degrees per decade of settling time, or per doubling of the others.
     pub slope_deg: f64,
     /// 99 % interval.
     pub ci99: [f64; 2],
-    /// Whether it is more than may be: of the settling time, creep.
+    /// Whether it exceeds the bound: for the settling time, creep.
     pub is_defect: bool,
-    /// Heaps that this took.
+    /// Number of heaps simulated.
     pub runs: u32,
 }
 
-/// Pour heaps of `powders` sets with `repeats` seeds for every factor, and say how the angle depends on each.
+/// Pours heaps of `powders` sets with `repeats` seeds for every factor, and returns how the angle
+/// depends on each setting.
 ///
-/// `pour` takes the powder, what is varied and by which factor, and a seed, and gives the angle, degrees; `None` where the heap has none. It is called
-/// from several threads and must be pure.
+/// `pour` takes the powder, the setting varied, the factor, and a seed, and returns the angle,
+/// degrees; `None` where the heap has none. It is called from several threads and must be pure.
 pub fn criticise(
     powders: usize,
     repeats: u32,
@@ -74,11 +79,11 @@ pub fn criticise(
         let heaps: Vec<(usize, f64, u64)> = (0..powders)
             .flat_map(|powder| factors.iter().flat_map(move |&f| (0..repeats).map(move |k| (powder, f, u64::from(k)))))
             .collect();
-        // The same seed at every factor: what differs is the computation.
+        // The same seed at every factor: the computation is the only difference.
         let angle = |&(powder, factor, k): &(usize, f64, u64)| {
             let angle = pour(powder, varied, factor, derive(seed, &[powder as u64, k]))?;
             let base = if varied == Varied::SettlingTime { 10.0 } else { 2.0 };
-            // Another substep or other grains make another heap of the same seed.
+            // With another substep or other grains the same seed makes a different heap.
             let alike = if varied == Varied::SettlingTime { powder * repeats as usize + k as usize } else { powder };
             Some((alike, factor.log(base), angle))
         };
@@ -91,7 +96,8 @@ pub fn criticise(
     FACTORS.iter().map(of).collect()
 }
 
-/// Slope common to all points, each of those alike with their own mean, and its 99 % interval; without freedom all of the line.
+/// Slope common to all points, with one mean per group, and its 99 % interval; without degrees of
+/// freedom, the whole line.
 fn slope(points: &[(usize, f64, f64)]) -> (f64, [f64; 2]) {
     let mut groups: BTreeMap<usize, Vec<(f64, f64)>> = BTreeMap::new();
     points.iter().for_each(|&(alike, x, y)| groups.entry(alike).or_default().push((x, y)));
@@ -113,10 +119,11 @@ fn slope(points: &[(usize, f64, f64)]) -> (f64, [f64; 2]) {
     (slope, [slope - t * error, slope + t * error])
 }
 
-/// Heaps that go on moving, as documents have it.
+/// Heaps that keep moving, as named in documents.
 pub const CREEP: &str = "creep";
 
-/// Say in a document what heaps say of how they are computed. Creep is its first cause: what is blamed on powders may be the simulator's own.
+/// Adds to a document how heaps depend on the computation. Creep becomes its first cause:
+/// discrepancies blamed on powders may be the simulator's own.
 pub fn tell(document: &mut Report, numerics: Numerics) {
     let creep = numerics.dependences.iter().find(|it| it.varied == Varied::SettlingTime && it.is_defect).cloned();
     document.numerics = Some(numerics);
@@ -146,7 +153,7 @@ pub fn tell(document: &mut Report, numerics: Numerics) {
     };
     document.causes.insert(0, creep);
     if matches!(document.verdict, Verdict::NoDiscrepancy | Verdict::Hint) {
-        // Fresh heaps were given the longer time: that is what was left out.
+        // Fresh heaps had the longer time: they are the left-out data.
         document.verdict = claim::verdict(Proposal::Cause, claim::is_told(ci95, "deg"), true);
     }
 }
@@ -191,7 +198,8 @@ mod tests {
 
     #[test]
     fn the_interval_is_that_of_a_line_by_hand() {
-        // y = 1 + 2 x + (0.1, -0.2, 0.1): slope 2, left over 0.06, one degree of freedom, sum of squares 2, t_0.995 = 63.657.
+        // y = 1 + 2 x + (0.1, -0.2, 0.1): slope 2, residual 0.06, one degree of freedom, sum of
+        // squares 2, t_0.995 = 63.657.
         let (slope, ci99) = slope(&[(0, -1.0, -0.9), (0, 0.0, 0.8), (0, 1.0, 3.1)]);
         let half = 63.657 * (0.06f64 / 2.0).sqrt();
         assert!((slope - 2.0).abs() < 1e-12 && (ci99[1] - 2.0 - half).abs() < 1e-3, "{slope} {ci99:?}");

@@ -1,4 +1,4 @@
-//! What is at work, if one or two causes are, and what that says of each run.
+//! Which of the causes are at work, if one or two are, and the resulting prediction for each run.
 //!
 //! ```text
 //! models      none (0.5) | one cause (0.35, by its prior) | two causes (0.15, by the product of theirs)
@@ -9,8 +9,8 @@
 //!     what a row r adds up to, r^T c, is Student's t with n - p degrees of freedom, scale s sqrt(r^T M^-1 r)
 //! ```
 //!
-//! Of two causes not every form is tried with every other: the best of each alone are, and what those leave out is taken to be the share that
-//! they leave out alone.
+//! For two causes not every form is tried with every other: the best of each alone are, and the
+//! omitted ones are assumed to hold the same share as they do alone.
 
 use super::campaign::Campaign;
 use super::hypothesis::{Cause, Hypothesis};
@@ -19,15 +19,15 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// Probability before any data of no, one and two causes.
+/// Prior probability of no, one and two causes.
 const MODELS: [f64; 3] = [0.5, 0.35, 0.15];
-/// Causes that are tried with every other.
+/// Number of causes tried with every other.
 const LEADERS: usize = 3;
-/// Features of a cause that are tried with those of another.
+/// Features of a cause tried with those of another.
 const TRIED: usize = 2;
-/// Noises with which two causes are tried.
+/// Number of noises tried with two causes.
 const NOISES: usize = 6;
-/// Components that predictions are made of, and the least weight of one over that of the heaviest.
+/// Number of components used for predictions, and the least weight of one relative to the heaviest.
 const COMPONENTS: usize = 80;
 const WEIGHT_MIN: f64 = 1e-3;
 
@@ -41,20 +41,20 @@ struct Component {
     log_weight: f64,
 }
 
-/// What is at work.
+/// The posterior over models.
 pub(super) struct Posterior<'a> {
     prepared: &'a Prepared,
     components: Vec<Component>,
-    /// Probability of each hypothesis to be at work, if anything is.
+    /// Probability that each hypothesis is at work, if anything is.
     pub inclusion: Vec<f64>,
 }
 
-/// Mean and SD of what a row reads.
+/// Mean and SD of the predicted reading of a row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Predicted {
     /// Degrees.
     pub mean_deg: f64,
-    /// Degrees, with noise.
+    /// Degrees, including noise.
     pub sd_deg: f64,
 }
 
@@ -71,7 +71,7 @@ struct Student {
 }
 
 impl<'a> Posterior<'a> {
-    /// Weigh every model on the campaign.
+    /// Weighs every model on the campaign.
     pub fn new(prepared: &'a Prepared) -> Self {
         let y = DMatrix::from_column_slice(prepared.observed.len(), 1, &prepared.observed);
         let noises = prepared.noises.len();
@@ -108,7 +108,8 @@ impl<'a> Posterior<'a> {
         Self { prepared, components, inclusion }
     }
 
-    /// What each run reads by the powders' means alone, and by everything that may be at work; NaN for a powder without any angle.
+    /// Prediction for each run from the powders' means alone, and with everything that may be at
+    /// work; NaN for a powder without any angle.
     pub fn predict(&self, campaign: &Campaign) -> Vec<[Predicted; 2]> {
         let rows = campaign.runs.len();
         let before = self.solved(|it| it.parts.is_empty());
@@ -134,7 +135,8 @@ impl<'a> Posterior<'a> {
             .collect()
     }
 
-    /// What causes add to each run, without noise and powders' means, degrees: `[run]`; zero is the mean of a powder's measured runs.
+    /// Contribution of the causes to each run, without noise and powders' means, degrees: `[run]`;
+    /// zero is the mean of a powder's measured runs.
     pub fn shifts(&self) -> Vec<f64> {
         let solved = self.solved(|_| true);
         (0..self.prepared.powder.len())
@@ -142,7 +144,8 @@ impl<'a> Posterior<'a> {
             .collect()
     }
 
-    /// What a cause adds to each run where it is at work, without noise and powders' means, degrees.
+    /// Contribution of a cause to each run where it is at work, without noise and powders' means,
+    /// degrees.
     pub fn shifts_by(&self, cause: &Cause) -> Vec<f64> {
         let h = self.prepared.hypotheses.iter().position(|it| it.cause == *cause);
         let solved = self.solved(|it| it.parts.iter().any(|part| Some(part.0) == h));
@@ -150,19 +153,19 @@ impl<'a> Posterior<'a> {
         (0..self.prepared.powder.len()).map(row).collect()
     }
 
-    /// Probability of a cause to be at work, if anything is.
+    /// Probability that a cause is at work, if anything is.
     pub fn inclusion_of(&self, cause: &Cause) -> f64 {
         let h = self.prepared.hypotheses.iter().position(|it| it.cause == *cause);
         h.map_or(0.0, |h| self.inclusion[h])
     }
 
-    /// What a cause most probably grows with.
+    /// The most probable law of a cause.
     pub fn law(&self, cause: &Cause) -> Option<&'a str> {
         let f = self.best_feature(cause)?;
         self.prepared.hypotheses.iter().find(|it| it.cause == *cause).map(|it| it.laws[f].as_str())
     }
 
-    /// The features of a cause that hold most of its probability.
+    /// The feature of a cause that holds most of its probability.
     pub fn best_feature(&self, cause: &Cause) -> Option<usize> {
         let h = self.prepared.hypotheses.iter().position(|it| it.cause == *cause)?;
         let mut weights = vec![0.0; self.prepared.hypotheses[h].features.len()];
@@ -174,14 +177,15 @@ impl<'a> Posterior<'a> {
         (0..weights.len()).max_by(|&a, &b| weights[a].total_cmp(&weights[b]))
     }
 
-    /// By how much a cause moves the angle from one run to another, as an average over pairs of runs; `None` where no component has it.
+    /// How far a cause moves the angle from one run to another, averaged over pairs of runs; `None`
+    /// where no component has it.
     pub fn effect(&self, cause: &Cause, pairs: &[(usize, usize)]) -> Option<Mixture> {
         let h = self.prepared.hypotheses.iter().position(|it| it.cause == *cause)?;
         let solved = self.solved(|it| it.parts.iter().any(|part| part.0 == h));
         (!solved.is_empty()).then(|| Mixture(solved.iter().map(|it| it.contrast(h, pairs)).collect()))
     }
 
-    /// The heaviest components of those asked for, with their coefficients; weights add up to 1.
+    /// The heaviest of the selected components, with their coefficients; weights sum to 1.
     fn solved(&self, which: impl Fn(&Component) -> bool) -> Vec<Solved<'a>> {
         let mut chosen: Vec<&Component> = self.components.iter().filter(|it| which(it)).collect();
         chosen.sort_by(|a, b| b.log_weight.total_cmp(&a.log_weight));
@@ -236,7 +240,7 @@ fn weight(components: &[Component], heaviest: f64) -> f64 {
     components.iter().map(|it| (it.log_weight - heaviest).exp()).sum()
 }
 
-/// The best causes, each with every other.
+/// The best causes, each paired with every other.
 fn pairs(prepared: &Prepared, y: &DMatrix<f64>, alone: &[Vec<Component>]) -> Vec<Component> {
     let hypotheses = &prepared.hypotheses;
     let heaviest = alone.iter().flatten().map(|it| it.log_weight).fold(f64::NEG_INFINITY, f64::max);
@@ -274,7 +278,7 @@ fn pairs(prepared: &Prepared, y: &DMatrix<f64>, alone: &[Vec<Component>]) -> Vec
         .flat_map(|(k, &a)| order[k + 1..].iter().map(move |&b| (a, b)))
         .filter(|&(a, b)| allowed(a, b))
         .collect();
-    // Noises that are not tried hold the share that they hold for one cause.
+    // Noises that are not tried are assumed to hold the same share as for one cause.
     let noise_share = noises.iter().map(|&noise| of_noise[noise]).sum::<f64>() / of_noise.iter().sum::<f64>();
     tried
         .into_par_iter()
@@ -290,7 +294,8 @@ fn pairs(prepared: &Prepared, y: &DMatrix<f64>, alone: &[Vec<Component>]) -> Vec
         .collect()
 }
 
-/// Two causes of which one does not stand for the other: dry charge and humid bridges share the humidity and not the range.
+/// Whether two causes are not substitutes for each other: dry charge and humid bridges share the
+/// humidity but not the range.
 fn may_go_together(a: &Hypothesis, b: &Hypothesis) -> bool {
     use super::catalogue::Mechanism::{Charge, Deliquescence, Humidity};
     match (&a.cause, &b.cause) {
@@ -348,19 +353,19 @@ impl<'a> Solved<'a> {
         Some(Self { prepared, weight, rows, columns, means, coefficients, precision, variance, freedom, day })
     }
 
-    /// What a run reads.
+    /// The prediction for a run.
     fn row(&self, row: usize) -> Student {
         let at = self.rows.row(row).transpose();
         let spread = at.dot(&self.precision.solve(&at)) + self.prepared.weights[row].powi(2) + self.day;
         self.student(at.dot(&self.coefficients), spread)
     }
 
-    /// What the features add to a run.
+    /// The contribution of the features to a run.
     fn shift(&self, row: usize) -> f64 {
         (self.means..self.rows.ncols()).map(|k| self.rows[(row, k)] * self.coefficients[k]).sum()
     }
 
-    /// What the features of one hypothesis add from one run to another, on average over pairs.
+    /// The contribution of one hypothesis' features from one run to another, averaged over pairs.
     fn contrast(&self, hypothesis: usize, pairs: &[(usize, usize)]) -> Student {
         let mut at = DVector::zeros(self.rows.ncols());
         for (_, columns) in self.columns.iter().filter(|(h, _)| *h == hypothesis) {
@@ -388,7 +393,7 @@ impl Mixture {
         (mean, self.0.iter().map(second).sum::<f64>().sqrt())
     }
 
-    /// Probability of less.
+    /// Probability of a smaller value.
     pub fn below(&self, value: f64) -> f64 {
         let of = |it: &Student| match it.scale > 0.0 {
             true => StudentsT::new(it.location, it.scale, it.freedom).map_or(0.5, |t| t.cdf(value)),
@@ -397,7 +402,7 @@ impl Mixture {
         self.0.iter().map(|it| it.weight * of(it)).sum()
     }
 
-    /// The interval that holds this probability, as much outside on either side.
+    /// The equal-tailed interval that holds this probability.
     pub fn interval(&self, level: f64) -> [f64; 2] {
         let (mean, sd) = self.moments();
         [(1.0 - level) / 2.0, f64::midpoint(1.0, level)].map(|probability| {

@@ -1,66 +1,67 @@
-//! How files were read: what each column was taken as, what was missing, which rows were left out.
+//! How files were read: the role of each column, what was missing, which rows were left out.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// How a file was read. Two files that say the same in other forms (separators, decimal signs, dates) are read the same.
+/// How a file was read. Two files with the same content in different formats (separators, decimal
+/// signs, dates) are read the same.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FileRead {
     /// `measurements` or `traces`.
     pub file: String,
     /// Rows below the header that are not blank.
     pub rows: u32,
-    /// Its columns, in their order; those without a name and without a cell are none.
+    /// Its columns, in order; those with neither a name nor any cell are dropped.
     pub columns: Vec<ColumnRead>,
-    /// Powders that were written by a name, each with the id that it stands under.
+    /// Powders given by name, each with the id it is listed under.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub powders: Vec<NamedPowder>,
-    /// Rows that count for nothing.
+    /// Rows that were left out.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<LeftOut>,
-    /// What else there is to know, sentence by sentence.
+    /// Further remarks, sentence by sentence.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
 }
 
-/// What became of a column.
+/// How a column was read.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ColumnRead {
-    /// As it is called.
+    /// Its name.
     pub column: String,
-    /// What it was taken as.
+    /// The role it was assigned.
     pub taken_as: TakenAs,
-    /// Rows in which it says something.
+    /// Rows with a value.
     pub filled: u32,
-    /// Rows in which it does not: empty cells, `NA` and the like, and limits such as `<5`.
+    /// Rows without one: empty cells, `NA` and the like, and limits such as `<5`.
     pub missing: u32,
-    /// What else there is to know of it: the days from first to last, why it was left out.
+    /// Further remarks: the days from first to last, why it was left out.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub note: String,
 }
 
-/// What a column may be taken as.
+/// The role of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TakenAs {
     /// Names of things: powders, weighings.
     Subject,
-    /// What is judged.
+    /// The judged quantity.
     Measured,
     /// Days, in the order of time.
     Session,
-    /// A condition of numbers.
+    /// A numeric condition.
     Numbers,
-    /// A condition of names.
+    /// A named condition.
     Names,
     /// It was left out.
     Nothing,
 }
 
-/// A powder that was written by a name.
+/// A powder given by name.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct NamedPowder {
-    /// As it is written.
+    /// The name as written.
     pub name: String,
     /// Its id.
     pub id: String,
@@ -69,7 +70,7 @@ pub struct NamedPowder {
 /// Rows that were left out.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct LeftOut {
-    /// Of the file, the header being row 1.
+    /// Rows of the file, the header being row 1.
     pub rows: Vec<u32>,
     /// Why.
     pub reason: String,

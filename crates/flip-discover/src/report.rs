@@ -1,4 +1,4 @@
-//! What an investigation found, as its document has it.
+//! The document of an investigation's results.
 
 use super::extension::FitSet;
 pub use super::null_check::NullCheck;
@@ -7,7 +7,7 @@ use super::reading::FileRead;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Version of the document; a reader refuses one that it does not know.
+/// Version of the document; readers refuse versions they do not know.
 pub const SCHEMA_VERSION: u32 = 1;
 
 /// What an investigation found.
@@ -19,67 +19,68 @@ pub struct Report {
     pub sentence: String,
     /// Whether anything is wrong, and whether it has a name.
     pub verdict: Verdict,
-    /// Chance of evidence as strong for any cause if nothing is wrong; of several channels the smallest, corrected for all (Holm).
+    /// Chance of evidence as strong for any cause if nothing is wrong; for several channels the
+    /// smallest, corrected for all (Holm).
     pub p_value: f64,
     /// Where measured angles and balance readings depart from the simulator.
     pub findings: Vec<Finding>,
     /// Causes of the catalogue, most probable first.
     pub causes: Vec<CauseReport>,
-    /// With verdict `ambiguous`: causes that these data cannot tell apart.
+    /// With verdict `ambiguous`: causes these data cannot distinguish.
     pub ambiguous_between: Vec<String>,
     /// With verdict `unexplained`: what the departure depends on.
     pub unexplained: Option<Unexplained>,
-    /// What would tell most.
+    /// The most informative experiment.
     pub suggested_experiment: Option<Experiment>,
-    /// The simulator that was judged, and the version that the findings make.
+    /// The simulator that was judged, and the version made from the findings.
     pub simulator_version: SimulatorVersions,
-    /// What the extension is worth on data that it was not fitted to; absent where nothing was extended.
+    /// Gain of the extension on data it was not fitted to; absent where nothing was extended.
     pub gain: Option<Gain>,
     /// What this design would have found.
     pub minimum_detectable: Vec<Detectable>,
-    /// What cannot be seen with this data, sentence by sentence.
+    /// Limits of this data, sentence by sentence.
     pub blind_spots: Vec<String>,
     /// Every cause that was judged, most probable first.
     pub evidence: Vec<Evidence>,
-    /// Causes of which this data cannot tell, and why.
+    /// Causes this data cannot judge, and why.
     pub untestable: Vec<UntestableReport>,
-    /// Columns that were not judged because they follow from what was measured, in the order of the file.
+    /// Columns not judged because they are derived from the measurement, in file order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<ColumnLeftOut>,
-    /// Why the angles could not be judged, and what it would take; absent where they were, or where there are none.
+    /// Why angles were not judged, and what it would take; absent where judged or not measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unjudged: Option<String>,
-    /// How often as much is found where nothing is wrong: of angles, and of balance readings where there are no angles.
+    /// How often as much is found by chance: for angles, or for balance readings without angles.
     pub null_check: NullCheck,
-    /// What was measured beside the angle, by itself: flow times where there are any, and how far repeats scatter.
+    /// Other quantities by themselves: flow times, if measured, and scatter of repeats.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub beside: Vec<SideChannel>,
-    /// What balance readings say by themselves; absent where none were given.
+    /// The result of balance readings by themselves; absent where none were given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub traces: Option<TraceChannel>,
     /// Every row of the file, before and after.
     pub rows: Vec<Row>,
-    /// The residuals' course over what was recorded, for the figures.
+    /// Course of the residuals over the recorded covariates, for the figures.
     pub curves: Vec<Curve>,
-    /// Whether angles of simulated heaps depend on how they are computed; absent where nothing was simulated.
+    /// Whether simulated angles depend on how they are computed; absent where none were simulated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub numerics: Option<Numerics>,
-    /// How the files were read: what each column was taken as, and what was left out.
+    /// How the files were read: the role of each column, and what was left out.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub files: Vec<FileRead>,
-    /// Simulations that this took.
+    /// Simulations run.
     pub simulator_runs: u32,
-    /// Time that this took, s; 0 where nobody measured it.
+    /// Wall-clock time, s; 0 where not measured.
     pub wall_s: f64,
 }
 
 impl Report {
-    /// Whether what was found makes a better simulator: days left out are predicted better, and it is more than a hint.
+    /// Whether the findings make a better simulator: more than a hint, and better on left-out days.
     pub fn is_worth_a_version(&self) -> bool {
         self.verdict != Verdict::Hint && self.gain.as_ref().is_some_and(|gain| gain.accepted)
     }
 
-    /// A document that says nothing yet of what was judged with this p-value against this simulator.
+    /// An empty document for a p-value and the simulator judged.
     pub(super) fn blank(base: &str, p_value: f64, null_check: NullCheck) -> Self {
         Self {
             schema_version: SCHEMA_VERSION,
@@ -111,7 +112,7 @@ impl Report {
         }
     }
 
-    /// How the files were read, and of columns that were not judged why.
+    /// Adds how the files were read, and why columns were not judged.
     pub fn read_from(&mut self, files: &[FileRead]) {
         files.clone_into(&mut self.files);
         let columns = self.files.iter_mut().filter(|file| file.file == "measurements").flat_map(|it| &mut it.columns);
@@ -123,12 +124,12 @@ impl Report {
     }
 }
 
-/// What is wrong with the simulator without any data.
+/// Defects of the simulator, found without data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Numerics {
     /// The set whose heaps were poured.
     pub set: FitSet,
-    /// How the angle depends on each thing about the computation.
+    /// How the angle depends on each setting of the computation.
     pub dependences: Vec<Dependence>,
 }
 
@@ -140,11 +141,12 @@ pub enum Verdict {
     NoDiscrepancy,
     /// One or two causes of the catalogue.
     Cause,
-    /// Real, and several causes would do it.
+    /// Real, with several possible causes.
     Ambiguous,
-    /// Real, and nothing in the catalogue does it.
+    /// Real, with no matching cause in the catalogue.
     Unexplained,
-    /// One cause of the catalogue by the evidence, but its effect is not told from zero, or days left out are not predicted better: no cause yet.
+    /// Not yet a cause: the evidence favours one, but its effect is not distinguishable from zero,
+    /// or days left out are not predicted better.
     Hint,
 }
 
@@ -167,23 +169,27 @@ pub enum Channel {
 pub struct Finding {
     /// What departs.
     pub channel: Channel,
-    /// With what it changes; absent if nobody recorded it.
+    /// The covariate it changes with; absent if none was recorded.
     pub covariate: Option<String>,
-    /// Powders whose own 95 % interval leaves out zero, as it is printed; none of balance readings, which are judged over all weighings together.
+    /// Powders whose own 95 % interval, as printed, excludes zero; none for balance readings, which
+    /// are judged over all weighings together.
     pub powders: Vec<String>,
-    /// Change from the 5th to the 95th percentile of the covariate, on average over powders; of names, from the first to the last in the
-    /// alphabet, or between the two that differ most; where that is printed as zero, between the ends of what was seen.
+    /// Change from the 5th to the 95th percentile of the covariate, averaged over powders; for
+    /// names, from the first to the last in the alphabet, or between the two that differ most;
+    /// where that prints as zero, between the ends of the range seen.
     pub effect: f64,
     /// 95 % interval.
     pub ci95: [f64; 2],
-    /// `deg`; of a flow time and of scatter `%`; of balance readings `mg`, or `%` of a shake's mass or of a reading's SD.
+    /// `deg`; for flow times and scatter `%`; for balance readings `mg`, or `%` of a shake's mass
+    /// or of a reading's SD.
     pub unit: String,
-    /// From where to where.
+    /// The range it covers, in words.
     pub span: String,
-    /// The powder whose effect this is, where the average over powders, which may react in opposite ways, is not told from zero; absent: the average.
+    /// The powder with this effect, if the average over powders (which may respond in opposite
+    /// directions) is not distinguishable from zero; absent: the average.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub powder: Option<String>,
-    /// The same of each powder; of names, of those that were measured with both.
+    /// The same for each powder; for names, for those measured with both.
     pub by_powder: Vec<PowderEffect>,
 }
 
@@ -203,13 +209,14 @@ pub struct PowderEffect {
 pub struct CauseReport {
     /// Name.
     pub mechanism: String,
-    /// Causes that look alike.
+    /// Family of causes that look alike.
     pub family: String,
     /// Probability that it is at work, if anything is.
     pub inclusion_probability: f64,
-    /// 1: its pattern is there; 2: the simulator extended by it predicts better what it was not fitted to; 3: an intervention confirmed it.
+    /// 1: its pattern is present; 2: the extended simulator better predicts data it was not fitted
+    /// to; 3: an intervention confirmed it.
     pub confidence_level: u8,
-    /// What was fitted.
+    /// The fitted numbers.
     pub parameters: Vec<ParameterReport>,
     /// Powders on which it shows.
     pub powders: Vec<String>,
@@ -231,7 +238,7 @@ pub struct ParameterReport {
 /// A departure without a cause.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Unexplained {
-    /// What it depends on; absent if nothing that was recorded explains it.
+    /// The covariate it depends on; absent if no recorded one explains it.
     pub covariate: Option<String>,
     /// Its law, in words and numbers.
     pub law: String,
@@ -249,7 +256,7 @@ pub enum FormClass {
     Power,
     /// A step.
     Threshold,
-    /// Towards a limit.
+    /// Approach to a limit.
     Saturating,
     /// A wave.
     Periodic,
@@ -258,7 +265,7 @@ pub enum FormClass {
 }
 
 impl FormClass {
-    /// As the document has it.
+    /// Name used in the document.
     pub fn name(self) -> &'static str {
         match self {
             Self::Linear => "linear",
@@ -276,14 +283,14 @@ impl FormClass {
 pub struct Experiment {
     /// What to do, in plain words.
     pub what: String,
-    /// One entry for each run, in the order in which to do them: powder and settings by column name.
+    /// One entry per run, in the order to do them: powder and settings by column name.
     pub runs: Vec<std::collections::BTreeMap<String, String>>,
-    /// How long it takes.
+    /// Duration, minutes.
     pub minutes: f64,
-    /// Probability that the winner's inclusion probability will pass 0.8; absent where the experiment was not simulated.
+    /// Chance that the winner's inclusion probability exceeds 0.8; absent where not simulated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub chance_of_resolution: Option<f64>,
-    /// Mean inclusion probability of the right cause after it; absent where the experiment was not simulated.
+    /// Mean inclusion probability of the right cause afterwards; absent where not simulated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expected_posterior: Option<f64>,
 }
@@ -291,15 +298,15 @@ pub struct Experiment {
 /// Versions of the simulator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SimulatorVersions {
-    /// That was judged.
+    /// The version that was judged.
     pub base: String,
-    /// That the findings make; absent where nothing was accepted.
+    /// The version made from the findings; absent where nothing was accepted.
     pub extended: Option<String>,
     /// Whether simulations confirmed it.
     pub verified: bool,
 }
 
-/// What an extension is worth.
+/// Gain from an extension.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Gain {
     /// Days left out in turn: the number that decides.
@@ -323,11 +330,11 @@ pub struct Gain {
 pub struct HeldOut {
     /// Root mean square error of the simulator as it was.
     pub rmse_before: f64,
-    /// Of the extended one.
+    /// Root mean square error of the extended simulator.
     pub rmse_after: f64,
     /// 95 % interval of the difference, before less after, over days.
     pub ci95: [f64; 2],
-    /// `deg`; of flow times `%`.
+    /// `deg`; for flow times `%`.
     pub unit: String,
     /// Runs left out.
     pub n: u32,
@@ -347,9 +354,9 @@ pub struct LogScore {
 /// Coverage of 90 % intervals.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Coverage {
-    /// Of the simulator as it was.
+    /// Coverage of the simulator as it was.
     pub before: f64,
-    /// Of the extended one.
+    /// Coverage of the extended simulator.
     pub after: f64,
 }
 
@@ -368,7 +375,7 @@ pub struct WeighingGain {
     pub ci95: [f64; 2],
 }
 
-/// What a design would find in four of five campaigns.
+/// The effect a design would find in four of five campaigns.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Detectable {
     /// Cause.
@@ -382,8 +389,8 @@ pub struct Detectable {
 /// How well a cause explains the data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Evidence {
-    /// `unknown: <covariate>` is a smooth function of a covariate; `unrecorded` a wander over the sessions; `wander` one of balance readings
-    /// within weighings.
+    /// `unknown: <covariate>` is a smooth function of a covariate; `unrecorded` a wander over the
+    /// sessions; `wander` one of balance readings within weighings.
     pub cause: String,
     /// Family, if it is in the catalogue.
     pub family: Option<String>,
@@ -393,7 +400,7 @@ pub struct Evidence {
     pub inclusion_probability: f64,
 }
 
-/// A cause of which the data cannot tell.
+/// A cause the data cannot judge.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct UntestableReport {
     /// Name.
@@ -402,10 +409,10 @@ pub struct UntestableReport {
     pub reason: String,
 }
 
-/// A column that is no condition.
+/// A column that is not a condition.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ColumnLeftOut {
-    /// Which.
+    /// The column's name.
     pub column: String,
     /// Why.
     pub reason: String,
@@ -416,43 +423,43 @@ pub struct ColumnLeftOut {
 pub struct TraceChannel {
     /// Whether anything is wrong with the simulated bench, and whether it has a name.
     pub verdict: Verdict,
-    /// Chance of evidence as strong if nothing is wrong, not corrected for another channel.
+    /// Chance of evidence as strong if nothing is wrong, not corrected for other channels.
     pub p_value: f64,
     /// Doses.
     pub weighings: u32,
     /// Logs of the empty pan or of a standard mass.
     pub controls: u32,
-    /// Readings that were looked at.
+    /// Readings judged.
     pub readings: u32,
-    /// Shakes that were looked at.
+    /// Shakes judged.
     pub shakes: u32,
     /// How often as much is found where nothing is wrong.
     pub null_check: NullCheck,
-    /// What would tell most of the balance readings.
+    /// The most informative experiment for balance readings.
     pub suggested_experiment: Option<Experiment>,
-    /// Why what the spoon lets fall was not judged; absent where it was.
+    /// Why the masses of shakes were not judged; absent where they were.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unjudged: Option<String>,
 }
 
-/// What was measured beside the angle, judged by itself.
+/// A quantity measured alongside the angle, judged by itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SideChannel {
-    /// `flow_time`, or `scatter`, of which the simulator says nothing and which therefore leaves the document's verdict alone.
+    /// `flow_time`, or `scatter`: not predicted by the simulator, so it never affects the verdict.
     pub channel: Channel,
     /// Whether it depends on anything, and whether that has a name.
     pub verdict: Verdict,
     /// Chance of evidence as strong if nothing is wrong, not corrected for other channels.
     pub p_value: f64,
-    /// Flow times, or differences between repeats, that were looked at.
+    /// Flow times, or differences between repeats, judged.
     pub n: u32,
-    /// What it says, in plain words.
+    /// The result, in plain words.
     pub sentence: String,
     /// Every cause that was judged on it, most probable first.
     pub evidence: Vec<Evidence>,
     /// How often as much is found where nothing is wrong.
     pub null_check: NullCheck,
-    /// What its causes are worth on days left out; absent where no cause was proposed.
+    /// Gain from its causes on left-out days; absent where no cause was proposed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gain: Option<Gain>,
 }
@@ -464,7 +471,7 @@ pub struct Row {
     pub row: u32,
     /// Powder id.
     pub powder: String,
-    /// Measured; absent in rows that were only predicted.
+    /// Measured; absent in predicted rows.
     pub measured_deg: Option<f64>,
     /// By the simulator as it was; absent for a powder without any angle.
     pub before_deg: Option<f64>,
@@ -479,12 +486,13 @@ pub struct Row {
 /// Residuals over a covariate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Curve {
-    /// Which.
+    /// The covariate's name.
     pub covariate: String,
-    /// Names, where it is one of names: places are indices into them.
+    /// Its names, if it is named: positions are indices into them.
     pub levels: Vec<String>,
-    /// Where each row was; absent where it was not recorded.
+    /// Value in each row; absent where not recorded.
     pub at: Vec<Option<f64>>,
-    /// The extended simulator's course over a grid: place, mean and half width of the 90 % band of one run, degrees from the powders' means.
+    /// The extended simulator's course over a grid: position, mean and half width of the 90 % band
+    /// of one run, degrees from the powders' means.
     pub course: Vec<[f64; 3]>,
 }

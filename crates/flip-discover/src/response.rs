@@ -1,5 +1,5 @@
-//! What the simulator says of each cause: through which mechanism it acts on grains, how far that moves a heap's angle, and which powders it moves
-//! most.
+//! What the simulator predicts for each cause: the mechanism through which it acts on grains, how
+//! far that moves a heap's angle, and which powders it moves most.
 //!
 //! | cause | mechanism of the simulator | amplitude |
 //! |---|---|---|
@@ -12,11 +12,14 @@
 //! | `funnel_height` | the height of the opening over the apex | grain diameters |
 //! | `base_friction` | Coulomb coefficient of the base | 1 |
 //!
-//! `method_bias`, `operator` and `order` are of the laboratory and not of the grains: they move every powder alike.
+//! `method_bias`, `operator` and `order` belong to the laboratory, not the grains: they move every
+//! powder alike.
 //!
-//! Angles of simulated heaps with and without each, of the same seed: shifts on average over 28 random parameter sets that pile at 22 to 50 deg, as
-//! lines over the angle. Sets of the same angle differ by 2 to 5 deg among themselves (SD, seeds of some 1.5 deg among them), which is why powders
-//! have deviations of their own. Printed by `examples/simulated_responses.rs fit` from `docs/simulated_responses.jsonl`.
+//! The table compares angles of simulated heaps with and without each mechanism, with the same
+//! seed: shifts on average over 28 random parameter sets that pile at 22 to 50 deg, as lines over
+//! the angle. Sets of the same angle differ by 2 to 5 deg among themselves (SD, including some 1.5
+//! deg from seeds), which is why powders have deviations of their own. Printed by
+//! `examples/simulated_responses.rs fit` from `docs/simulated_responses.jsonl`.
 
 use super::campaign::Campaign;
 use super::catalogue::Mechanism;
@@ -24,16 +27,16 @@ use super::extension::Hook;
 use super::hypothesis::Responses;
 use flip_core::stats::summary::mean;
 
-/// Angle at which shifts are told, degrees.
+/// Angle at which shifts are given, degrees.
 const MIDDLE_DEG: f64 = 36.0;
-/// A slope is per so many degrees.
+/// Slopes are per this many degrees.
 const SLOPE_DEG: f64 = 10.0;
-/// A powder that the line says hardly moves may still do so.
+/// A powder that hardly moves by the line may still move this much.
 const SHARE_MIN: f64 = 0.25;
 
 /// Shifts of a mechanism: amplitude, shift at 36 deg, change of the shift per 10 deg.
 struct Table {
-    /// As parameters are called in reports.
+    /// Name of the parameter in reports.
     name: &'static str,
     unit: &'static str,
     shifts: [[f64; 3]; 3],
@@ -82,9 +85,10 @@ fn table(mechanism: Mechanism) -> Option<&'static Table> {
     }
 }
 
-/// How much more or less than on average each mechanism moves each powder of a campaign, by the powders' angles.
+/// How much more or less than average each mechanism moves each powder of a campaign, by the
+/// powders' angles.
 ///
-/// The largest amplitude tells: of the others the noise of heaps leaves less certain lines.
+/// The largest amplitude is used: the noise of heaps makes the lines of the others less certain.
 pub fn responses(campaign: &Campaign) -> Responses {
     let angle = |powder: usize| {
         let of = campaign.runs.iter().filter(|run| run.powder == powder);
@@ -103,7 +107,8 @@ pub fn responses(campaign: &Campaign) -> Responses {
     Mechanism::ALL.into_iter().filter_map(of).collect()
 }
 
-/// Where the simulator has a mechanism, and which way it moves angles, up (1) or down (-1). Causes of the laboratory are of readings.
+/// Where the simulator has a mechanism, and the direction in which it moves angles, up (1) or down
+/// (-1). Causes of the laboratory affect readings.
 pub(super) fn hook(mechanism: Mechanism) -> (Hook, f64) {
     let Some(Table { name, shifts, .. }) = table(mechanism) else { return (Hook::Reading, 1.0) };
     let name = (*name).to_owned();
@@ -115,11 +120,13 @@ pub(super) fn hook(mechanism: Mechanism) -> (Hook, f64) {
     (hook, shifts[2][1].signum())
 }
 
-/// The mechanism's amplitude that moves the angle of an average powder by this much, with its name and unit: linear between the simulated ones, and on
-/// beyond them. `None` for causes that are not of the grains.
+/// The mechanism's amplitude that moves the angle of an average powder by this much, with its name
+/// and unit: linear between the simulated ones, extrapolated beyond them. `None` for causes that do
+/// not act on the grains.
 pub(super) fn amplitude(mechanism: Mechanism, effect_deg: f64) -> Option<(&'static str, f64, &'static str)> {
     let Table { name, unit, shifts } = table(mechanism)?;
-    // The line from nothing through the amplitude that moves as far, or else the farthest.
+    // The line from zero through the first amplitude that moves the angle as far, or else through
+    // the one that moves it farthest.
     let far = shifts.iter().find(|it| it[1].abs() >= effect_deg.abs()).unwrap_or(&shifts[2]);
     Some((name, effect_deg * far[0] / far[1], unit))
 }

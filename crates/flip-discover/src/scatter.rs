@@ -1,14 +1,16 @@
 //! Whether repeats scatter more in some conditions than in others.
 //!
-//! The n runs of a powder on a day, less what causes are thought to add, make n - 1 contrasts (Helmert's):
+//! The n runs of a powder on a day, less the estimated contribution of causes, make n - 1 contrasts
+//! (Helmert's):
 //!
 //! ```text
 //! z_k = sqrt(k / (k + 1)) (x_(k+1) - mean of x_1 .. x_k)        k = 1 .. n - 1
 //! ```
 //!
-//! Of repeats with one SD these are independent, of mean nothing and of that SD, however many repeats a day has. The logarithm of their size, in percent,
-//! is judged as an angle is. Where nothing is wrong it is that of a normal deviate, whose left tail is long; campaigns are therefore simulated from
-//! normal deviates, and what is small is taken for [`LEAST`], here and there.
+//! For repeats with one SD these are independent, with mean zero and that SD, however many repeats
+//! a day has. The logarithm of their size, in percent, is judged as an angle is. Under the null it
+//! is that of a normal deviate, whose left tail is long; campaigns are therefore simulated from
+//! normal deviates, and small values are replaced by [`LEAST`], in both.
 
 use super::campaign::{Campaign, Covariate, Quantity, Run, Values, percent};
 use super::noise;
@@ -21,18 +23,19 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::collections::BTreeMap;
 
-/// Smallest contrast that is told from nothing, over the root mean square of its powder's: angles are read to some tenths of a degree.
+/// Smallest contrast distinguished from zero, over the root mean square of its powder's: angles are
+/// read to some tenths of a degree.
 const LEAST: f64 = 0.05;
 
-/// The campaign of the contrasts, of angles less `explained` (degrees, of each run).
+/// The campaign of the contrasts, of angles less `explained` (degrees, one for each run).
 ///
 /// # Errors
-/// Fewer repeats than say anything: [`Campaign::checked`].
+/// Too few repeats to judge: [`Campaign::checked`].
 pub(super) fn scatters(campaign: &Campaign, explained: &[f64]) -> Result<Campaign, FieldError> {
     let mut cells: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
     let mut runs_of: BTreeMap<u32, usize> = BTreeMap::new();
     campaign.runs.iter().for_each(|run| *runs_of.entry(run.row).or_default() += 1);
-    // The runs behind a summary were made up from it.
+    // The runs behind a summary were generated from it.
     let is_single = |run: &Run| run.repose_deg.is_some() && runs_of[&run.row] == 1;
     for (i, run) in campaign.runs.iter().enumerate().filter(|(_, run)| is_single(run)) {
         cells.entry((run.session, run.powder)).or_default().push(i);
@@ -74,7 +77,7 @@ pub(super) fn scatters(campaign: &Campaign, explained: &[f64]) -> Result<Campaig
     .checked()
 }
 
-/// What was recorded of the runs of each contrast's cell: their mean, or the name that they share.
+/// The recorded value for each contrast's cell of runs: their mean, or the name they share.
 fn of_cells(values: &Values, cells: &[&[usize]]) -> Values {
     match values {
         Values::Numbers(of) => {
@@ -145,7 +148,8 @@ mod tests {
         let explained = vec![0.0; 180];
         let made = scatters(&three, &explained).unwrap();
         assert_eq!(made.runs.len(), 120, "two of three runs of a cell");
-        // z1 = (32 - 31) / sqrt 2, z2 = sqrt(2 / 3) (36 - 31.5): of both the difference of logarithms is known whatever the powder's usual scatter.
+        // z1 = (32 - 31) / sqrt 2, z2 = sqrt(2 / 3) (36 - 31.5): the difference of their logarithms
+        // is known whatever the powder's usual scatter.
         let [a, b] = [0, 1].map(|k| made.runs[k].repose_deg.unwrap());
         let expected = 100.0 * ((2.0f64 / 3.0).sqrt() * 4.5 * 2.0f64.sqrt()).ln();
         assert!((b - a - expected).abs() < 1e-9, "{a} {b} {expected}");

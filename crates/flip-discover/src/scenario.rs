@@ -1,4 +1,4 @@
-//! Runs that nobody made: a campaign and beside it the conditions of which something is asked.
+//! Hypothetical runs: a campaign extended by the conditions to be predicted.
 
 use super::campaign::{Campaign, Covariate, Run, Values};
 use std::collections::BTreeMap;
@@ -12,10 +12,11 @@ pub enum Setting {
     Level(usize),
 }
 
-/// Conditions of a run, by covariate; what is left out is as usual.
+/// Conditions of a run, by covariate; missing ones are as usual.
 pub type Conditions = BTreeMap<String, Setting>;
 
-/// The campaign with further runs, which have no angle unless one is given; and the index of the first of them.
+/// The campaign with further runs, which have no angle unless one is given; and the index of the
+/// first of them.
 pub fn extended(campaign: &Campaign, session: usize, runs: &[(usize, Conditions, Option<f64>)]) -> (Campaign, usize) {
     let first = campaign.runs.len();
     let mut more = Campaign { flow_time_s: Vec::new(), ..campaign.clone() };
@@ -45,14 +46,14 @@ pub fn percentile(campaign: &Campaign, covariate: &str, share: f64) -> Option<f6
     quantile(&known, share)
 }
 
-/// The same of sorted values.
+/// The same for sorted values.
 pub fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
     let place = share * sorted.len().checked_sub(1)? as f64;
     let (below, above) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);
     Some(below + (above - below) * place.fract())
 }
 
-/// Names of a covariate that has names.
+/// Names of a covariate, if it is named.
 pub fn levels<'a>(campaign: &'a Campaign, covariate: &str) -> Option<&'a [String]> {
     match campaign.values(covariate) {
         Some(Values::Levels { names, .. }) => Some(names),

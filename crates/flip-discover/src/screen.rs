@@ -1,16 +1,19 @@
-//! Is anything wrong, and what explains it best.
+//! Decides whether anything is wrong, and what explains it best.
 //!
 //! ```text
 //! log odds of a cause  =  log mean over noises, forms, deviations, amplitudes of p(y | cause)  -  log mean over noises of p(y | none)
 //! T = largest over causes of (log odds + log prior)          p = share of simulated campaigns, this one among them, with T as large
 //! ```
 //!
-//! The simulated campaigns have the design of this one (its powders, days, gaps and all), noise drawn from what the noise is known to be, and
-//! nothing wrong; the whole search is repeated on each. Many causes, and many forms of each, are thereby paid for. As many others are what
-//! this campaign's causes leave of it, with signs drawn anew, for angles may scatter more in some conditions than in others; the larger of both p-values counts.
+//! The simulated campaigns have the design of this one (its powders, days, gaps and all), noise
+//! drawn from what is known of it, and nothing wrong; the whole search is repeated on each, which
+//! accounts for the many causes and their many forms. As many again are the residuals of this
+//! campaign after its causes, with signs redrawn, because angles may scatter more in some
+//! conditions than in others; the larger of the two p-values counts.
 //!
-//! Source: evidences as in [`flip_core::stats::mixed_model`]. The largest of many statistics under its own null is the usual correction for
-//! looking at many; with repeats in days, exchangeable are days, of which there are too few to permute, so the null is simulated.
+//! Source: evidences as in [`flip_core::stats::mixed_model`]. The largest of many statistics under its
+//! own null is the usual correction for multiple comparisons; with repeats in days only days are
+//! exchangeable, and there are too few to permute, so the null is simulated.
 
 use super::campaign::Campaign;
 use super::hypothesis::{Cause, Hypothesis, Responses, Untestable, hypotheses};
@@ -30,14 +33,14 @@ pub(super) const AMPLITUDES: [f64; 4] = [0.15, 0.3, 0.6, 1.2];
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// Of the simulated campaigns.
+    /// Seed of the simulated campaigns.
     pub seed: u64,
     /// Simulated campaigns in which nothing is wrong, 99 to 9999.
     pub simulations: u32,
 }
 
 impl Settings {
-    /// The settings, if they are within bounds.
+    /// Returns the settings if they are within bounds.
     ///
     /// # Errors
     /// Too few or too many simulated campaigns.
@@ -55,11 +58,11 @@ impl Settings {
 /// A cause and how well it explains the campaign.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Judged {
-    /// What.
+    /// The cause.
     pub cause: Cause,
     /// Log of the evidence over that of noise alone.
     pub log_evidence: f64,
-    /// Probability among all causes that were judged, if one of them is at work alone.
+    /// Probability among all judged causes, if one of them is at work alone.
     pub probability: f64,
 }
 
@@ -78,16 +81,16 @@ pub struct Screening {
     pub null: Vec<f64>,
 }
 
-/// A campaign with everything that judges it.
+/// A campaign with everything needed to judge it.
 pub(super) struct Prepared {
     pub powder: Vec<usize>,
     /// Runs that have an angle.
     pub measured: Vec<usize>,
-    /// SD of each run's own noise over the root mean square of those measured.
+    /// SD of each run's own noise over the root mean square of the measured ones.
     pub weights: Vec<f64>,
     /// Median of each powder, degrees.
     pub centres: Vec<f64>,
-    /// Measured angles less their powder's centre, outliers drawn in.
+    /// Measured angles less their powder's centre, outliers clamped.
     pub observed: Vec<f64>,
     /// Columns of the powders' means over all runs.
     pub means: DMatrix<f64>,
@@ -108,7 +111,8 @@ impl Prepared {
         Ok(Self { powder, measured, weights, centres, observed, means, noises, hypotheses, untestable })
     }
 
-    /// SD of a repeat, degrees: root mean square over runs, by the noise that explains these angles best.
+    /// SD of a repeat, degrees: root mean square over runs, with the noise that explains these
+    /// angles best.
     pub fn repeat_sd_deg(&self, angles: &[f64]) -> f64 {
         let y = DMatrix::from_column_slice(angles.len(), 1, angles);
         let of = |noise: &Noise| {
@@ -118,13 +122,13 @@ impl Prepared {
         self.noises.iter().map(of).max_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |best| best.1)
     }
 
-    /// Features of a hypothesis as a noise sees them.
+    /// Features of a hypothesis, whitened by a noise.
     pub fn signatures(&self, noise: &Whitening, hypothesis: &Hypothesis) -> Vec<Option<Signature>> {
         let of = |features: &DMatrix<f64>| noise.signature(&features.select_rows(&self.measured));
         hypothesis.features.iter().map(of).collect()
     }
 
-    /// Campaigns, one a column, as the noises see them.
+    /// Campaigns, one a column, whitened by each noise.
     pub fn seen<'a>(&self, all: &'a DMatrix<f64>) -> Seen<'a> {
         let squares: Vec<Vec<f64>> = self.noises.par_iter().map(|noise| noise.model.squares(all)).collect();
         let log_null = |k: usize| {
@@ -159,7 +163,7 @@ impl Prepared {
     }
 }
 
-/// Campaigns as the noises see them.
+/// Campaigns whitened by each noise.
 pub(super) struct Seen<'a> {
     /// One a column.
     all: &'a DMatrix<f64>,
@@ -169,10 +173,10 @@ pub(super) struct Seen<'a> {
     log_null: Vec<f64>,
 }
 
-/// Judge every cause of the catalogue, and every covariate without a cause, on a campaign.
+/// Judges every cause of the catalogue, and every covariate without a cause, on a campaign.
 ///
 /// # Errors
-/// A setting out of bounds; a campaign whose runs say nothing of their noise.
+/// A setting out of bounds; a campaign whose runs carry no information about their noise.
 pub fn screen(campaign: &Campaign, responses: &Responses, settings: &Settings) -> Result<Screening, FieldError> {
     let settings = settings.checked()?;
     let prepared = Prepared::new(campaign, responses)?;
@@ -182,7 +186,9 @@ pub fn screen(campaign: &Campaign, responses: &Responses, settings: &Settings) -
         .ok_or_else(|| FieldError::new("measurements", "stopped"))
 }
 
-/// `explained`: what causes are thought to add to each run, degrees, of which the scatter is judged that is left; `on_cause` hears which share of the causes was judged; `Break` stops, and there is no screening.
+/// `explained`: the estimated contribution of causes to each run, degrees; the scatter of the rest
+/// is judged. `on_cause` receives the share of causes judged so far; `Break` stops, and there is no
+/// screening.
 pub(super) fn screen_prepared(
     prepared: &Prepared,
     campaign: &Campaign,
@@ -197,7 +203,8 @@ pub(super) fn screen_prepared(
     screen_among(prepared, &[simulated.columns_range(1..).into_owned(), redrawn], on_cause)
 }
 
-/// `nulls`: groups of campaigns of the same design in which nothing is wrong, one a column; the largest p-value counts, and the first group is told of.
+/// `nulls`: groups of campaigns of the same design in which nothing is wrong, one a column; the
+/// largest p-value counts, and the first group is reported.
 pub(super) fn screen_among(
     prepared: &Prepared,
     nulls: &[DMatrix<f64>],

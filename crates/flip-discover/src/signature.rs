@@ -1,26 +1,30 @@
-//! What a cause would do to the runs of a campaign, up to its size: one column common to all powders, and one for each powder's own deviation.
+//! The effect a cause would have on the runs of a campaign, up to its size: one column common to
+//! all powders, and one for each powder's own deviation.
 
 use super::campaign::Campaign;
 use super::scenario::quantile;
 use nalgebra::DMatrix;
 
-/// How much powders may differ in a cause, over what they share. A cause that acts on one powder alone is as likely as one that acts on all where this is 1.
+/// How much powders may differ in a cause, relative to their common part. At 1, a cause that acts
+/// on one powder alone is as likely as one that acts on all.
 pub const DEVIATIONS: [f64; 2] = [0.3, 1.0];
 /// Most smooth functions of an uncatalogued covariate.
 const SMOOTH_MAX: usize = 5;
-/// Places of a covariate at which smooth functions are made.
+/// Grid points of a covariate at which smooth functions are computed.
 const KNOTS: usize = 40;
-/// Variance of a smooth function over that of the first, below which it is left out.
+/// Variance of a smooth function, relative to the first, below which it is left out.
 const SMOOTH_MIN: f64 = 1e-3;
 
-/// Columns of a cause before powders: `[runs, m]`. Over the measured runs they have mean 0 in each powder and, summed over columns, mean square
-/// 1; runs without an angle have values on the same scale.
+/// Columns of a cause before powders: `[runs, m]`. Over the measured runs they have mean 0 in each
+/// powder and, summed over columns, mean square 1; runs without an angle have values on the same
+/// scale.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Course(DMatrix<f64>);
 
 impl Course {
-    /// A cause whose strength is known in each run; `None` if it is the same in all measured runs of each powder. Where nothing was measured it goes
-    /// beyond what was by as much as that ranges over, and no further: of a form that hardly begins there, nobody knows how it goes on.
+    /// A cause whose strength is known in each run; `None` if it is the same in all measured runs
+    /// of each powder. For unmeasured runs it may exceed the measured range by at most the width of
+    /// that range: if a form hardly begins within the range, its continuation is unknown.
     pub fn of_strength(strength: &[f64], campaign: &Campaign) -> Option<Self> {
         let measured = campaign.measured();
         let of = |pick: fn(f64, f64) -> f64, from: f64| measured.iter().map(|&i| strength[i]).fold(from, pick);
@@ -30,7 +34,7 @@ impl Course {
         Self::standardised(within, campaign)
     }
 
-    /// A wave of this period, nobody knows from where.
+    /// A wave of this period, with unknown phase.
     pub fn wave(values: &[f64], period: f64, campaign: &Campaign) -> Option<Self> {
         let columns = DMatrix::from_fn(values.len(), 2, |i, k| {
             let (sin, cos) = (std::f64::consts::TAU * values[i] / period).sin_cos();
@@ -39,15 +43,15 @@ impl Course {
         Self::standardised(columns, campaign)
     }
 
-    /// A cause that differs between levels, nobody knows how.
+    /// A cause that differs between levels in an unknown way.
     pub fn of_levels(level: &[usize], count: usize, campaign: &Campaign) -> Option<Self> {
         let indicator = DMatrix::from_fn(level.len(), count, |i, k| f64::from(u8::from(level[i] == k)));
         Self::standardised(indicator, campaign)
     }
 
-    /// A smooth function of a covariate, nobody knows which: the principal functions of a Gaussian process with a Gaussian kernel whose length
-    /// scale is this share of the covariate's range, at up to [`KNOTS`] quantiles of the measured runs; elsewhere as Nystrom has it, through the
-    /// kernel.
+    /// An unknown smooth function of a covariate: the principal functions of a Gaussian process
+    /// with a Gaussian kernel whose length scale is this share of the covariate's range, at up to
+    /// [`KNOTS`] quantiles of the measured runs; elsewhere extended through the kernel (Nystrom).
     pub fn smooth(values: &[f64], length_share: f64, campaign: &Campaign) -> Option<Self> {
         let mut known: Vec<f64> = campaign.measured().iter().map(|&i| values[i]).collect();
         known.sort_by(f64::total_cmp);
@@ -72,7 +76,8 @@ impl Course {
         Self::standardised(columns, campaign)
     }
 
-    /// The same with each powder's runs scaled by what a simulator says of that powder, of which 1 is the usual.
+    /// The same with each powder's runs scaled by the simulator's response for that powder; 1 is
+    /// the usual response.
     pub fn scaled(&self, response: &[f64], powder: &[usize]) -> Self {
         let mut columns = self.0.clone();
         for (i, mut row) in columns.row_iter_mut().enumerate() {
@@ -88,7 +93,7 @@ impl Course {
             let overall = measured.iter().map(|&i| column[i]).sum::<f64>() / measured.len().max(1) as f64;
             for powder in 0..campaign.powders.len() {
                 let rows: Vec<usize> = measured.iter().copied().filter(|&i| of_all[i] == powder).collect();
-                // A powder of which nothing was measured has no mean of its own.
+                // A powder that was never measured has no mean of its own.
                 let mean = match rows.is_empty() {
                     true => overall,
                     false => rows.iter().map(|&i| column[i]).sum::<f64>() / rows.len() as f64,
@@ -97,12 +102,12 @@ impl Course {
             }
         }
         let norm = measured.iter().map(|&i| columns.row(i).norm_squared()).sum::<f64>().sqrt();
-        // Relative: a course that is constant in each powder leaves rounding behind.
+        // Relative: a course that is constant in each powder leaves only rounding errors.
         (norm > 1e-9 * before).then(|| Self(columns * ((measured.len() as f64).sqrt() / norm)))
     }
 
-    /// The course for all powders alike, and for each powder its own deviation, `deviation` times as large: `[runs, m (1 + powders)]`, the common
-    /// columns first.
+    /// The course for all powders alike, and each powder's own deviation, `deviation` times as
+    /// large: `[runs, m (1 + powders)]`, the common columns first.
     pub fn with_powders(&self, powder: &[usize], deviation: f64) -> DMatrix<f64> {
         let powders = powder.iter().max().map_or(0, |last| last + 1);
         let m = self.0.ncols();

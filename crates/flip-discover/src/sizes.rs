@@ -1,14 +1,15 @@
-//! How far powders are moved, in words: whoever is named has its own effect beside the name.
+//! How far powders are moved, in words: every named powder has its own effect next to its name.
 //!
-//! Up to [`NAMED_MAX`] powders are named, each with its effect. Of more, the average is told and the two that are moved least and most.
+//! Up to [`NAMED_MAX`] powders are named, each with its effect. For more, the average is given
+//! along with the two that are moved least and most.
 
 use super::claim::{decimals, is_shown, is_told};
 use super::report::{Finding, PowderEffect};
 
-/// Most powders that a sentence names one by one.
+/// Most powders a sentence names one by one.
 const NAMED_MAX: usize = 4;
 
-/// How a sentence says that something goes up or down.
+/// The verbs a sentence uses for up and down.
 pub(super) struct Verbs {
     /// `pile steeper`
     pub up: &'static str,
@@ -25,19 +26,20 @@ pub(super) const FLOW: Verbs = Verbs { up: "flow out more slowly", down: "flow o
 /// `+2.4° [1.6, 3.1]`, or `+12 % [8, 16]`.
 pub(super) fn sized(effect: f64, ci95: [f64; 2], unit: &str) -> String {
     let decimals = decimals(unit);
-    // What is printed as zero has no sign.
+    // Values printed as zero have no sign.
     let number = |value: f64| format!("{:.decimals$}", if is_shown(value, decimals) { value } else { 0.0 });
     let sign = if effect > 0.0 && is_shown(effect, decimals) { "+" } else { "" };
     let unit = if unit == "deg" { "°".to_owned() } else { format!(" {unit}") };
     format!("{sign}{}{unit} [{}, {}]", number(effect), number(ci95[0]), number(ci95[1]))
 }
 
-/// How large the effect of a finding is: on average, or of the powder that it is told of; `None` where it is not told from zero.
+/// How large the effect of a finding is: on average, or for the powder it is reported for; `None`
+/// if it is not distinguishable from zero.
 pub(super) fn size(finding: &Finding) -> Option<String> {
     is_told(finding.ci95, &finding.unit).then(|| any_size(finding))
 }
 
-/// The same of any finding.
+/// The same for any finding.
 pub(super) fn any_size(finding: &Finding) -> String {
     let size = sized(finding.effect, finding.ci95, &finding.unit);
     match &finding.powder {
@@ -47,7 +49,8 @@ pub(super) fn any_size(finding: &Finding) -> String {
     }
 }
 
-/// `sugar and salt pile steeper than the simulation predicts: sugar +3.1° [2.2, 4.0], salt +2.2° [1.5, 3.0] from 30 to 70 % relative humidity`
+/// `sugar and salt pile steeper than the simulation predicts: sugar +3.1° [2.2, 4.0], salt +2.2°
+/// [1.5, 3.0] from 30 to 70 % relative humidity`
 pub(super) fn moved(finding: &Finding, verbs: &Verbs) -> String {
     let told = told(finding);
     let of = |sign: f64| -> Vec<&PowderEffect> { told.iter().copied().filter(|it| sign * it.effect > 0.0).collect() };
@@ -62,13 +65,13 @@ pub(super) fn moved(finding: &Finding, verbs: &Verbs) -> String {
     format!("{how} {}: {}", verbs.than, sizes(finding))
 }
 
-/// Who is moved, whichever way.
+/// Which powders are moved, in either direction.
 pub(super) fn whom(finding: &Finding) -> String {
     let told = told(finding);
     who(&told, told.len(), finding.by_powder.len())
 }
 
-/// Each named powder's effect, or the average and the powders that are moved least and most.
+/// Each named powder's effect, or the average and the powders moved least and most.
 pub(super) fn sizes(finding: &Finding) -> String {
     let told = told(finding);
     let of = |it: &PowderEffect| sized(it.effect, it.ci95, &finding.unit);
@@ -89,12 +92,12 @@ pub(super) fn sizes(finding: &Finding) -> String {
     }
 }
 
-/// Powders whose own effect is told from zero.
+/// Powders whose own effect is distinguishable from zero.
 fn told(finding: &Finding) -> Vec<&PowderEffect> {
     finding.by_powder.iter().filter(|it| is_told(it.ci95, &finding.unit)).collect()
 }
 
-/// `told`: how many are told from zero, of how many.
+/// `told`: number of powders with an effect distinguishable from zero, out of `of`.
 fn who(which: &[&PowderEffect], told: usize, of: usize) -> String {
     match which {
         [] => "powders".to_owned(),

@@ -101,10 +101,11 @@ impl Laboratory {
     }
 }
 
-/// What is added to the angle of a run, before it is scaled.
+/// Contribution to the angle of a run, before scaling.
 type Effect = fn(&Laboratory, usize) -> f64;
 
-/// Of `count` campaigns: how many are found to have something wrong, and how often each cause is the most probable of those.
+/// Of `count` campaigns: how many have something found wrong, and how often each cause is the most
+/// probable of those.
 fn verdicts(count: u64, effect_deg: f64, effect: Effect) -> (usize, BTreeMap<String, usize>) {
     let mut named = BTreeMap::new();
     let mut found = 0;
@@ -129,7 +130,8 @@ fn where_nothing_is_wrong_little_is_found() {
     assert!(found <= 6, "{found} false alarms of 40");
 }
 
-/// Mean square of the days' means, of the cells' departures from them and of the repeats' from those.
+/// Mean square of the days' means, of the cells' departures from them, and of the repeats' from the
+/// cells.
 fn squares(campaign: &Campaign, angles: &[f64]) -> [f64; 3] {
     let mean_by = |of: &dyn Fn(&Run) -> (usize, usize), angles: &[f64]| -> Vec<f64> {
         let mut sums: BTreeMap<(usize, usize), (f64, f64)> = BTreeMap::new();
@@ -160,7 +162,8 @@ fn angles_whose_signs_are_drawn_anew_scatter_as_much_at_every_level() {
             (0..3).for_each(|k| means[k] += of[k] / 400.0);
         }
         for (k, (mean, own)) in means.into_iter().zip(squares(&campaign, &angles)).enumerate() {
-            // A twentieth goes with the means of powders and days that each campaign has anew.
+            // A twentieth is due to the means of powders and days that are redrawn in each
+            // campaign.
             assert!((0.85..1.1).contains(&(mean / own)), "level {k}: {mean} drawn anew, {own} as it was");
         }
     }
@@ -174,7 +177,7 @@ fn hidden_effects_are_found_and_named() {
     };
     let rest = |lab: &Laboratory, i: usize| (lab.rest[i] / (lab.rest[i] + 30.0)).sqrt();
     let operator = |lab: &Laboratory, i: usize| lab.operator[i] as f64;
-    // A whole wave over the pressures of twenty days, which is little to see it by.
+    // A full wave over the pressures of twenty days, which are few to see it by.
     let pressure = |lab: &Laboratory, i: usize| ((lab.pressure[i] - 985.0) / 6.0).sin();
     let cases: [(&str, Effect, usize); 4] = [
         ("humidity", humidity, 8),
@@ -185,7 +188,8 @@ fn hidden_effects_are_found_and_named() {
     for (cause, effect, least) in cases {
         let (found, named) = verdicts(10, 1.0, effect);
         let right = named.get(cause).copied().unwrap_or(0);
-        // False alarms find four of ten once in a thousand times; a detector that guesses among twenty causes is right in one of twenty.
+        // False alarms find four of ten once in a thousand times; a detector that guesses among
+        // twenty causes is right in one of twenty.
         assert!(found >= least && right + 1 >= found, "{cause}: {found} of 10 found, {named:?}");
     }
 }
@@ -280,8 +284,9 @@ fn where_nothing_is_wrong_the_report_says_what_it_would_have_found() {
     assert!(report.findings.is_empty() && report.gain.is_none());
     assert!(report.rows.iter().all(|row| row.after_deg == row.before_deg));
     let rest = report.minimum_detectable.iter().find(|it| it.mechanism == "rest_time").unwrap();
-    // A two-sided test of 200 runs with SD 2 at 5 % has power 0.8 at 0.4 deg (SD of the course), which is 1.1 deg between the percentiles of
-    // what is nearly two groups; looking at many causes costs the rest.
+    // A two-sided test of 200 runs with SD 2 at 5 % has power 0.8 at 0.4 deg (SD of the course),
+    // which is 1.1 deg between the percentiles of nearly two groups; multiple comparisons cost the
+    // rest.
     assert!((1.0..2.5).contains(&rest.effect_deg), "{rest:?}");
     assert!(report.suggested_experiment.is_some());
 }
@@ -325,7 +330,7 @@ fn new_days_are_predicted_by_what_the_old_ones_showed() {
     let effect = |lab: &Laboratory, i: usize| ((lab.humidity[i] - 30.0) / 40.0).clamp(0.0, 1.0).powf(1.7);
     let old = Laboratory::new(7).campaign(1.5, effect);
     let mut new = Laboratory::new(8).campaign(1.5, effect);
-    // Another order of powders, and one that nobody has measured.
+    // Powders in another order, and one never measured.
     new.powders = ["sugar", "sand", "salt", "semolina", "lactose"].map(str::to_owned).to_vec();
     let joined = old.joined(&new);
     assert_eq!((joined.runs.len(), joined.powders.len(), joined.measured().len()), (400, 6, 200));
@@ -349,7 +354,8 @@ fn new_days_are_predicted_by_what_the_old_ones_showed() {
 #[test]
 fn covariates_of_two_values_and_powders_of_one_day_leave_nothing_out_that_is_not_there() {
     let mut lab = Laboratory::new(7);
-    // Rest is short or long, so nothing lies below its lowest fifth; salt was measured on one day alone.
+    // Rest is short or long, so nothing lies below its lowest fifth; salt was measured on one day
+    // only.
     lab.rest.iter_mut().for_each(|rest| *rest = if *rest > 10.0 { 120.0 } else { 2.0 });
     let mut campaign = lab.campaign(1.5, |lab, i| lab.rest[i]);
     for run in campaign.runs.iter_mut().filter(|run| run.powder == 2 && run.session > 0) {
@@ -358,12 +364,12 @@ fn covariates_of_two_values_and_powders_of_one_day_leave_nothing_out_that_is_not
     let report = investigated(&campaign);
     assert_eq!(report.causes[0].mechanism, "rest_time", "{}", report.sentence);
     assert!(report.gain.is_some());
-    // A number that is none would become null, and the document be none.
+    // NaN would become null and invalidate the document.
     let document = serde_json::to_string(&report).unwrap();
     assert_eq!(serde_json::from_str::<Report>(&document).unwrap(), report);
 }
 
-/// Runs of two powders, `runs` of each on each of these sessions; nothing was recorded beside them.
+/// Runs of two powders, `runs` of each on each of these sessions, with no covariate recorded.
 fn unrecorded(sessions: usize, runs: usize) -> Campaign {
     let mut lab = Laboratory::new(9);
     let mut all = Vec::new();
@@ -411,7 +417,7 @@ fn powders_that_were_each_measured_on_one_day_cannot_be_judged_and_say_so() {
     let mut campaign = unrecorded(7, 5);
     campaign.powders = (0..7).map(|k| format!("powder_{k}")).collect();
     campaign.runs.iter_mut().for_each(|run| run.powder = run.session);
-    // Of one humidity each: nothing that differs between the runs of a powder.
+    // One humidity per powder: no difference between the runs of a powder.
     let values = Values::Numbers(campaign.runs.iter().map(|run| Some(30.0 + run.session as f64)).collect());
     campaign.covariates = vec![Covariate { name: "relative_humidity_pct".to_owned(), values }];
     campaign.flow_time_s = campaign.runs.iter().map(|run| run.repose_deg).collect();

@@ -8,7 +8,7 @@ use super::names;
 use super::report::{ColumnLeftOut, Experiment, Finding, Gain, Report, Verdict};
 use super::sizes::{ANGLES, FLOW, moved, size, sizes, whom};
 
-/// The one sentence that a reader sees first.
+/// The summary sentence that a reader sees first.
 pub(super) fn sentence(report: &Report, claim: &Claim, law: Option<&str>) -> String {
     let first = match report.verdict {
         Verdict::NoDiscrepancy => nothing(report, claim.passing.as_ref()),
@@ -38,7 +38,7 @@ fn nothing(report: &Report, passing: Option<&Finding>) -> String {
     )
 }
 
-/// What evidence pointed at that is nothing.
+/// A cause that the evidence favoured but that amounts to nothing.
 fn passing_by(finding: &Finding) -> String {
     let with = finding.covariate.as_deref().map_or("something".to_owned(), |name| quantity(name).0);
     format!(
@@ -46,7 +46,8 @@ fn passing_by(finding: &Finding) -> String {
     )
 }
 
-/// Why angles of so many sessions, beside which nothing that varied was recorded, cannot be judged, and what it would take.
+/// Why angles of this many sessions, with no varying covariate recorded, cannot be judged, and what
+/// it would take.
 pub(super) fn unjudged(sessions: usize) -> String {
     let days = match sessions {
         0..SESSIONS_MIN => format!(
@@ -72,7 +73,8 @@ fn cause(report: &Report, claim: &Claim, law: Option<&str>) -> String {
     format!("{told}.{law}")
 }
 
-/// `Humidity makes salt pile steeper than the simulation predicts: salt +2.2° [1.5, 3.0] from 30 to 70 % relative humidity (probability 93 %)`
+/// `Humidity makes salt pile steeper than the simulation predicts: salt +2.2° [1.5, 3.0] from 30 to
+/// 70 % relative humidity (probability 93 %)`
 fn caused(told: &Told, report: &Report, makes: &str, changes: &str) -> Option<String> {
     let finding = told.finding.as_ref()?;
     let Cause::Known(_) = &told.cause else {
@@ -92,7 +94,7 @@ fn caused(told: &Told, report: &Report, makes: &str, changes: &str) -> Option<St
     Some(format!("{body} (probability {:.0} %)", 100.0 * known.inclusion_probability))
 }
 
-/// A cause that is none yet, and what it lacks.
+/// A candidate cause that is not established, and what it lacks.
 fn hint(report: &Report, claim: &Claim) -> String {
     let lacks = match &report.gain {
         _ if claim.told.iter().all(|it| it.finding.as_ref().and_then(size).is_none()) => {
@@ -108,7 +110,7 @@ fn hint(report: &Report, claim: &Claim) -> String {
     )
 }
 
-/// What the letters of a law stand for: `, where h is the relative humidity`.
+/// The legend for the letters of a law: `, where h is the relative humidity`.
 fn letters(report: &Report, law: &str) -> String {
     let covariates = report.findings.first().and_then(|finding| finding.covariate.as_deref()).unwrap_or_default();
     let stands = |name: &str| {
@@ -163,7 +165,8 @@ fn next(experiment: &Experiment, verdict: Verdict) -> String {
     format!("{opening}: {} ({:.0} minutes).", experiment.what, experiment.minutes)
 }
 
-/// What was measured beside the angle says, by itself; nothing of repeats that scatter alike. `probability` is a cause's.
+/// What the quantities measured alongside the angle show by themselves; nothing for repeats that
+/// scatter alike. `probability` is a cause's.
 pub(super) fn beside(
     measured: Quantity,
     claim: &Claim,
@@ -210,7 +213,7 @@ pub(super) fn beside(
     }
 }
 
-/// What a cause does to flow times.
+/// The effect of a cause on flow times.
 fn flows(told: &Told, verdict: Verdict, probability: impl Fn(&Cause) -> f64) -> Option<String> {
     let finding = told.finding.as_ref()?;
     let mechanism = told.cause.name().0;
@@ -223,15 +226,15 @@ fn flows(told: &Told, verdict: Verdict, probability: impl Fn(&Cause) -> f64) -> 
     Some(format!("{body} (probability {:.0} %)", 100.0 * probability(&told.cause)))
 }
 
-/// Of a campaign that has too few repeats.
+/// For a campaign with too few repeats.
 pub(super) const NO_SCATTER: &str = "Whether repeats scatter more in some conditions than in others: too few powders were measured more than once on a day.";
 
-/// Whether a cause is a difference between names, which makes nothing steeper or slower by itself.
+/// Whether a cause is a difference between names, which by itself makes nothing steeper or slower.
 fn is_of_levels(mechanism: &str) -> bool {
     ["method_bias", "operator", "batch", "base_friction"].contains(&mechanism)
 }
 
-/// Which columns were left out; nothing where none was.
+/// Which columns were left out; nothing if none were.
 pub(super) fn left_out(columns: &[ColumnLeftOut]) -> String {
     let names: Vec<String> = columns.iter().map(|it| quantity(&it.column).0).collect();
     match names.as_slice() {

@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 const FORMULA: Formula = Formula { pitch: PitchLimits::WIDE };
 
-/// Three formula powders, given out of order; friction is what makes them differ.
+/// Three formula powders, given out of order; they differ in friction.
 fn levels() -> Vec<Level> {
     let level = |powder: &str, repose_deg, frictions: [f64; 2]| Level {
         powder: powder.into(),
@@ -27,7 +27,7 @@ fn levels() -> Vec<Level> {
     vec![level("salt", 36.0, [0.65, 0.7]), level("sand", 28.6, [0.3, 0.35]), level("sugar", 31.4, [0.45, 0.5])]
 }
 
-/// Small and quick: what is tested does not depend on the size.
+/// Small and quick: the tested properties do not depend on the size.
 fn small(order: Order) -> Settings {
     Settings {
         episodes: 26,
@@ -144,7 +144,7 @@ fn a_training_goes_on_from_a_policy_and_holds_it_while_its_critics_form() {
     for checkpoint in checkpoints {
         assert_eq!(run(&settings, Some(&checkpoint)).0, unbroken);
     }
-    // Stopped before its first episode, it has the policy still.
+    // Stopped before its first episode, it still has the policy.
     let stopped = train_on(&FORMULA, &levels(), &settings, Start::Policy(&begun), &|| ControlFlow::Break(()), |_| {
         panic!("there is nothing to tell")
     });
@@ -160,7 +160,7 @@ fn a_training_goes_on_from_a_policy_and_holds_it_while_its_critics_form() {
 fn the_first_episodes_are_played_on_the_surrogate_and_the_others_are_not() {
     let of = |surrogate_episodes| run(&Settings { surrogate_episodes, ..small(Order::Random) }, None).1;
     let (none, some, all) = (of(0), of(10), of(26));
-    // Rounds of four, but for the third: no round has both.
+    // Rounds of four, except the third: no round has both.
     assert_eq!(some[..8], all[..8]);
     let dispensed = |episodes: &[EpisodeRecord]| episodes.iter().map(|e| e.dispensed_mg).collect::<Vec<_>>();
     assert_eq!(dispensed(&some[8..10]), dispensed(&all[8..10]));
@@ -173,7 +173,7 @@ fn the_first_episodes_are_played_on_the_surrogate_and_the_others_are_not() {
 fn an_interrupted_training_ends_with_the_same_bytes_as_an_unbroken_one() {
     for settings in kinds() {
         let (unbroken, episodes, checkpoints) = run(&settings, None);
-        // Every other round; on the surrogate, where rounds are over in no time, every hundredth.
+        // Every other round; on the surrogate, where rounds take almost no time, every hundredth.
         assert_eq!(checkpoints.len(), if settings.surrogate_episodes > 0 { 2 } else { 3 });
         for checkpoint in &checkpoints {
             let (resumed, again, _) = run(&settings, Some(checkpoint));
@@ -205,7 +205,7 @@ fn a_stop_finishes_its_round_and_hands_over_a_checkpoint() {
 fn a_stop_within_a_round_drops_the_round_and_loses_nothing() {
     let settings = small(Order::Random);
     let (unbroken, episodes, _) = run(&settings, None);
-    // Rounds of four: asked before each episode, the tenth answer falls into the third round.
+    // Rounds of four, polled before each episode: the tenth poll falls into the third round.
     let asked = AtomicU32::new(0);
     let flow = || match asked.fetch_add(1, Ordering::SeqCst) {
         0..9 => ControlFlow::Continue(()),
@@ -270,7 +270,7 @@ fn a_recurrent_policy_learns_and_weighs_by_what_it_remembers() {
     let untrained = (0..5).map(|seed| mean_error_mg(&Controller::untrained(seed), &settings)).sum::<f64>() / 5.0;
     println!("recurrent {ours:.2} mg, untrained {untrained:.2} mg");
     assert!(ours < untrained / 2.0, "recurrent {ours}, untrained {untrained}");
-    // Seen for the second time within a weighing, the same is not answered in the same way.
+    // The same observation seen a second time within a weighing does not get the same action.
     let seen = Observation { reading_mg: 3.0, target_mg: 10.0, pitch_deg: 12.0 };
     let twice = || {
         let mut dosing = policy.controller.begin(&settings.rules, 1.0);
@@ -312,7 +312,8 @@ fn levels_are_met_in_the_order_asked_for() {
     };
     let (trained, powders) = met(Order::Curriculum);
     assert_eq!(powders, ["sand", "sugar", "salt"]);
-    // 26 episodes over three levels are 9 each; a round of four that is under way when the level changes is finished first.
+    // 26 episodes over three levels are 9 each; a round of four in progress when the level changes
+    // is finished first.
     assert_eq!(trained.levels.iter().map(|l| l.episodes).sum::<u32>(), 26);
     assert_eq!(trained.manifest.switches.len(), 2);
     assert_eq!(met(Order::Reverse).1, ["salt", "sugar", "sand"]);

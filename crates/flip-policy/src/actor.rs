@@ -1,4 +1,4 @@
-//! A learned policy, run forward in plain Rust.
+//! Inference of a learned policy in plain Rust.
 
 use super::manifest::Kind;
 use super::observation::{Encoding, Known, Observation};
@@ -8,9 +8,9 @@ use rand::{Rng, RngExt};
 
 /// Outputs of a policy: incline change and shake amplitude, each in -1..=1.
 pub const OUTPUTS: usize = 2;
-/// Lower clamp of the logarithm of the standard deviation (Haarnoja's code, and the prior work's).
+/// Lower clamp of the log standard deviation (Haarnoja's code, and the prior work's).
 pub const LOG_STD_MIN: f32 = -20.0;
-/// Upper clamp of the logarithm of the standard deviation.
+/// Upper clamp of the log standard deviation.
 pub const LOG_STD_MAX: f32 = 2.0;
 
 /// A squashed Gaussian policy.
@@ -20,8 +20,9 @@ pub const LOG_STD_MAX: f32 = 2.0;
 /// a = tanh(mean + exp(log_std) * noise),  noise ~ N(0, 1)
 /// ```
 ///
-/// Its network is a multilayer perceptron with ReLU between its layers, which knows nothing of what came before, or the recurrent
-/// one of [`Recurrent`]. Numerics: f32 weights, f64 sums, so that the result agrees with libtorch's to about 1e-6.
+/// The network is a multilayer perceptron with ReLU between its layers, which ignores earlier
+/// steps, or the recurrent one of [`Recurrent`]. Numerics: f32 weights, f64 sums, so that the
+/// result agrees with libtorch's to about 1e-6.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Actor {
     encoding: Encoding,
@@ -34,21 +35,21 @@ enum Network {
     Recurrent(Box<Recurrent>),
 }
 
-/// What an actor carries from one step of a weighing to the next; a feed-forward one carries nothing that it reads.
+/// State an actor carries from one step of a weighing to the next; a feed-forward actor ignores it.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Carried {
-    /// The LSTM's output and its cell, `hidden` numbers each; zeros before the first step.
+    /// The LSTM's output and cell, `hidden` numbers each; zeros before the first step.
     pub lstm: [Vec<f32>; 2],
-    /// The action of the step before, in -1..=1; zeros before the first step.
+    /// The previous action, in -1..=1; zeros before the first step.
     pub last_action: [f32; OUTPUTS],
-    /// The reading of the step before, mg; 0, the tare, before the first step.
+    /// The previous reading, mg; 0, the tare, before the first step.
     pub last_reading_mg: f64,
-    /// The powder's angle of repose, degrees, where it is measured.
+    /// The powder's angle of repose, degrees, if measured.
     pub repose_deg: Option<f64>,
 }
 
 impl Carried {
-    /// The LSTM's output and then its cell, `[2 * hidden]`; nothing for a feed-forward actor.
+    /// The LSTM's output followed by its cell, `[2 * hidden]`; empty for a feed-forward actor.
     pub fn to_flat(&self) -> Vec<f32> {
         self.lstm.concat()
     }
@@ -64,12 +65,13 @@ pub(super) struct Layer {
 }
 
 impl Layer {
-    /// The next layer of this size in `take`, which hands out the flat block piece by piece.
+    /// Builds the next layer of this size from `take`, which hands out the flat block piece by
+    /// piece.
     pub fn taken(inputs: usize, outputs: usize, take: &mut impl FnMut(usize) -> Vec<f32>) -> Self {
         Self { inputs, outputs, weight: take(inputs * outputs), bias: take(outputs) }
     }
 
-    /// `y` for these `inputs` numbers.
+    /// Computes `y` for these `inputs` numbers.
     pub fn sums(&self, x: &[f32]) -> Vec<f64> {
         let mut y: Vec<f64> = self.bias.iter().map(|&b| f64::from(b)).collect();
         for (&xj, row) in x.iter().zip(self.weight.chunks_exact(self.outputs)) {
@@ -80,13 +82,13 @@ impl Layer {
         y
     }
 
-    /// `max(y, 0)`.
+    /// Computes `max(y, 0)`.
     pub fn relu(&self, x: &[f32]) -> Vec<f32> {
         self.sums(x).into_iter().map(|v| v.max(0.0) as f32).collect()
     }
 }
 
-/// Layers one after another, with ReLU between them.
+/// Applies the layers in sequence, with ReLU between them.
 pub(super) fn perceptron(layers: &[Layer], inputs: &[f32]) -> Vec<f32> {
     let mut x = inputs.to_vec();
     for (depth, layer) in layers.iter().enumerate() {
@@ -96,28 +98,30 @@ pub(super) fn perceptron(layers: &[Layer], inputs: &[f32]) -> Vec<f32> {
     x
 }
 
-/// The Gaussian before squashing.
+/// The Gaussian over actions before squashing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Head {
     /// Means.
     pub mean: [f32; OUTPUTS],
-    /// Logarithms of the standard deviations, clamped.
+    /// Log standard deviations, clamped.
     pub log_std: [f32; OUTPUTS],
 }
 
-/// Weights that are no actor.
+/// The weights do not form an actor.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("these weights are no actor: {0}")]
 pub struct Malformed(pub String);
 
 impl Actor {
-    /// An actor from one flat block of weights: for each layer its weight `[inputs, outputs]` by rows, then its bias.
+    /// Builds an actor from one flat block of weights: for each layer its weight
+    /// `[inputs, outputs]` by rows, then its bias.
     ///
-    /// `widths` are the sizes from the inputs to the outputs, e.g. `[4, 128, 128, 4]`; the last is [`OUTPUTS`] means and
-    /// as many log standard deviations.
+    /// `widths` are the layer sizes from the inputs to the outputs, e.g. `[4, 128, 128, 4]`; the
+    /// last is [`OUTPUTS`] means and as many log standard deviations.
     ///
     /// # Errors
-    /// [`Malformed`] when the widths do not fit the encoding, the block has another length, or a weight is not finite.
+    /// [`Malformed`] when the widths do not fit the encoding, the block has another length, or a
+    /// weight is not finite.
     pub fn from_flat(encoding: Encoding, widths: &[usize], flat: &[f32]) -> Result<Self, Malformed> {
         let refuse = |text: String| Err(Malformed(text));
         if widths.len() < 2 || widths.len() > 9 || widths.iter().any(|&w| w == 0 || w > 4096) {
@@ -143,10 +147,12 @@ impl Actor {
         Ok(Self { encoding, network: Network::FeedForward(layers) })
     }
 
-    /// The recurrent actor of width `hidden` from one flat block: the tensors of its kind ([`Kind::tensors`]), one after another.
+    /// Builds the recurrent actor of width `hidden` from one flat block: the tensors of its kind
+    /// ([`Kind::tensors`]), one after another.
     ///
     /// # Errors
-    /// [`Malformed`] when the block has another length, a weight is not finite, or `hidden` is not from 1 to 4096.
+    /// [`Malformed`] when the block has another length, a weight is not finite, or `hidden` is not
+    /// from 1 to 4096.
     pub fn recurrent(encoding: Encoding, hidden: usize, flat: &[f32]) -> Result<Self, Malformed> {
         if !(1..=4096).contains(&hidden) {
             return Err(Malformed(format!("`hidden` must be from 1 to 4096, is {hidden}")));
@@ -163,9 +169,10 @@ impl Actor {
         widths.windows(2).map(|w| (w[0] + 1) * w[1]).sum()
     }
 
-    /// A randomly initialised actor: what a policy is before any training.
+    /// A randomly initialised actor: a policy before any training.
     ///
-    /// Weights and biases are uniform in +-1 / sqrt(inputs), as libtorch initialises its linear layers.
+    /// Weights and biases are uniform in +-1 / sqrt(inputs), as libtorch initialises its linear
+    /// layers.
     pub fn untrained(encoding: Encoding, hidden: &[usize], rng: &mut impl Rng) -> Self {
         let widths: Vec<usize> = [&[encoding.width()], hidden, &[2 * OUTPUTS]].concat();
         let mut flat = Vec::with_capacity(Self::flat_len(&widths));
@@ -176,7 +183,7 @@ impl Actor {
         Self::from_flat(encoding, &widths, &flat).expect("widths and weights are made to fit")
     }
 
-    /// What a manifest says of it.
+    /// The actor's kind, as recorded in a manifest.
     pub fn kind(&self) -> Kind {
         let encoding = self.encoding;
         match &self.network {
@@ -196,7 +203,7 @@ impl Actor {
         }
     }
 
-    /// What it carries before the first step of a weighing.
+    /// The carried state before the first step of a weighing.
     pub fn begin(&self) -> Carried {
         match &self.network {
             Network::FeedForward(_) => Carried::default(),
@@ -207,15 +214,17 @@ impl Actor {
         }
     }
 
-    /// What it does follows from the observation alone.
+    /// Whether its actions depend on the current observation alone.
     pub fn is_memoryless(&self) -> bool {
         matches!(self.network, Network::FeedForward(_)) && self.encoding.is_memoryless()
     }
 
-    /// The Gaussian over unsquashed actions for these inputs; what is carried advances by one step, but for its last action.
+    /// Computes the Gaussian over unsquashed actions for these inputs; advances the carried state
+    /// by one step, except for its last action.
     ///
     /// # Panics
-    /// When `inputs` is not as long as the first layer is wide, or `carried` is another actor's.
+    /// If `inputs` does not match the width of the first layer, or `carried` belongs to another
+    /// actor.
     pub fn forward(&self, inputs: &[f32], carried: &mut Carried) -> Head {
         assert_eq!(inputs.len(), self.encoding.width());
         let x = match &self.network {
@@ -228,21 +237,24 @@ impl Actor {
         }
     }
 
-    /// The Gaussian for what is seen now; what is carried advances, but for its last action.
+    /// Computes the Gaussian for the current observation; advances the carried state, except for
+    /// its last action.
     fn look(&self, observation: &Observation, carried: &mut Carried) -> Head {
         let known = Known { fell_mg: observation.reading_mg - carried.last_reading_mg, repose_deg: carried.repose_deg };
         carried.last_reading_mg = observation.reading_mg;
         self.forward(&observation.encode(self.encoding, &known), carried)
     }
 
-    /// The action at the centre of the policy, for weighing: `tanh(mean)`. Called once for each step.
+    /// Returns the action at the centre of the policy, for weighing: `tanh(mean)`. Call once per
+    /// step.
     pub fn act(&self, observation: &Observation, carried: &mut Carried) -> Action {
         let head = self.look(observation, carried);
         carried.last_action = head.mean.map(f32::tanh);
         Action::from_unit(carried.last_action.map(f64::from))
     }
 
-    /// A drawn action in -1..=1, for exploring: `tanh(mean + std * noise)`. Two normal numbers are consumed.
+    /// Draws an action in -1..=1, for exploration: `tanh(mean + std * noise)`. Consumes two normal
+    /// numbers.
     pub fn sample(&self, observation: &Observation, carried: &mut Carried, rng: &mut impl Rng) -> [f32; OUTPUTS] {
         let head = self.look(observation, carried);
         carried.last_action = std::array::from_fn(|k| (head.mean[k] + head.log_std[k].exp() * normal(rng)).tanh());
@@ -275,7 +287,7 @@ fn check_flat(flat: &[f32], needed: usize, of: &str) -> Result<(), Malformed> {
     }
 }
 
-/// A standard normal number (Box and Muller 1958); two uniform numbers are consumed.
+/// A standard normal number (Box and Muller 1958); consumes two uniform numbers.
 pub fn normal(rng: &mut impl Rng) -> f32 {
     let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
     (radius * (std::f64::consts::TAU * rng.random::<f64>()).cos()) as f32
@@ -289,7 +301,8 @@ mod tests {
 
     #[test]
     fn a_network_small_enough_to_do_by_hand() {
-        // Four inputs straight to four outputs: mean0 = 2 x0 + 1, mean1 = -x3, log_std0 = 5 (clamped to 2), log_std1 = -3.
+        // Four inputs straight to four outputs: mean0 = 2 x0 + 1, mean1 = -x3, log_std0 = 5
+        // (clamped to 2), log_std1 = -3.
         let mut flat = vec![0.0; Actor::flat_len(&[4, 4])];
         flat[0] = 2.0;
         flat[3 * 4 + 1] = -1.0;

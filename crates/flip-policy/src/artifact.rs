@@ -1,4 +1,4 @@
-//! A policy as a file: safetensors with the manifest in its metadata.
+//! The policy file format: safetensors with the manifest in its metadata.
 
 use super::actor::{Actor, Malformed, OUTPUTS};
 use super::controller::{Controller, ScheduledStep};
@@ -9,33 +9,34 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 
-/// Largest policy file that is read, bytes.
+/// Largest policy file accepted, bytes.
 pub const SIZE_MAX: usize = 16 << 20;
-/// Key of the manifest in the file's metadata. The only key: the format keeps no order among several, and the bytes are hashed.
+/// Metadata key of the manifest. It is the only key: the format does not preserve the order of
+/// several, and the bytes are hashed.
 const MANIFEST_KEY: &str = "flip.policy";
 
-/// A controller and where it came from.
+/// A controller and its origin.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Policy {
-    /// Where it came from.
+    /// Its origin.
     pub manifest: Manifest,
-    /// What it does.
+    /// The controller.
     pub controller: Controller,
 }
 
-/// Why bytes are not a policy.
+/// Why bytes are not a valid policy.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ArtifactError {
     /// More bytes than a policy may have.
     #[error("a policy has at most {SIZE_MAX} bytes, this file has {0}")]
     TooLarge(usize),
-    /// Not the file format.
+    /// Not a safetensors file.
     #[error("this is not a safetensors file: {0}")]
     NotSafetensors(String),
-    /// No manifest, or one that cannot be read.
+    /// The manifest is missing or cannot be read.
     #[error("the manifest cannot be read: {0}")]
     Manifest(String),
-    /// The tensors do not make the controller that the manifest names.
+    /// The tensors do not match the controller named in the manifest.
     #[error("the tensors do not fit the manifest: {0}")]
     Tensors(String),
 }
@@ -45,7 +46,7 @@ pub fn id(bytes: &[u8]) -> String {
     format!("p-{}", &hex::encode(Sha256::digest(bytes))[..16])
 }
 
-/// A policy's bytes. The same policy gives the same bytes.
+/// Serialises a policy. The same policy always produces the same bytes.
 ///
 /// A learned policy has the tensors of its kind ([`Kind::tensors`]), f32.
 pub fn encode(policy: &Policy) -> Vec<u8> {
@@ -67,7 +68,7 @@ pub fn encode(policy: &Policy) -> Vec<u8> {
         .expect("names differ and the header is small")
 }
 
-/// The policy in these bytes.
+/// Parses a policy.
 ///
 /// # Errors
 /// [`ArtifactError`]: bytes from outside are never trusted.
@@ -116,7 +117,7 @@ fn learned(actor: Result<Actor, Malformed>) -> Result<Controller, ArtifactError>
     actor.map(Controller::Learned).map_err(|e| ArtifactError::Tensors(e.to_string()))
 }
 
-/// The tensors of a network, one after another.
+/// Concatenates the tensors of a network.
 fn flatten(tensors: &SafeTensors, kind: &Kind) -> Result<Vec<f32>, ArtifactError> {
     let expected = kind.tensors();
     if tensors.len() != expected.len() {
@@ -181,7 +182,7 @@ mod tests {
         Policy { manifest: Manifest::of_untrained(actor.kind(), Rules::FLIP, 5), controller }
     }
 
-    /// Four hidden units with weights of every size.
+    /// Four hidden units with weights of various sizes.
     fn recurrent() -> Policy {
         let kind = Kind::Recurrent { encoding: Encoding::Paper, hidden: 4 };
         let count = kind.tensors().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();

@@ -1,4 +1,4 @@
-//! The controllers FLIP can weigh with.
+//! The available controllers.
 
 use super::actor::{Actor, Carried};
 use super::dispenser::Dispenser;
@@ -12,59 +12,62 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
 
-/// What proposes an action for each step. A closed set: the weighing loop asks, the guard decides.
+/// A controller proposes an action for each step. A closed set: the controller proposes, the guard
+/// decides.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Controller {
     /// A trained network, at the centre of its distribution.
     Learned(Actor),
-    /// One pitch and one shake, whatever happens.
+    /// One pitch and one shake, regardless of the readings.
     Fixed(ScheduledStep),
-    /// A list of pitches and shakes, whatever happens.
+    /// A list of pitches and shakes, regardless of the readings.
     Schedule(Schedule),
-    /// A model of what a shake lets fall, identified while it doses.
+    /// A model of the mass a shake releases, identified while dosing.
     Dispenser(Dispenser),
     /// The prior work's PID rule.
     Pid(Pid),
-    /// Fuzzy rules on what is missing and what fell.
+    /// Fuzzy rules on the missing mass and the last fall.
     Fuzzy(Fuzzy),
-    /// Fuzzy rules that suit the steps and the target.
+    /// Fuzzy rules adapted to the number of steps and the target.
     Paced(Paced),
 }
 
-/// A pitch to be at and a shake to make there.
+/// A pitch and the shake to make there.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScheduledStep {
-    /// Pitch, degrees; approached by at most 8 deg per step, and no shake is made before it is reached.
+    /// Pitch, degrees; approached by at most 8 deg per step, and no shake is made before it is
+    /// reached.
     pub pitch_deg: f64,
     /// Amplitude of the shake, mm.
     pub shake_mm: f64,
 }
 
-/// Steps to be carried out one after another; the last one repeats. A step lasts until its pitch is reached.
+/// Steps to carry out in order; the last one repeats. A step lasts until its pitch is reached.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Schedule {
-    /// Incline before the first shake and after each one, with the shake made at that pitch.
+    /// The pitch before the first shake and after each one, with the shake made at that pitch.
     pub steps: Vec<ScheduledStep>,
 }
 
 impl ScheduledStep {
-    /// The fixed action that policies are compared with: 8 mm shakes at 20 deg.
+    /// The fixed action used as the baseline for policies: 8 mm shakes at 20 deg.
     pub const FIXED: Self = Self { pitch_deg: 20.0, shake_mm: 8.0 };
 
-    /// One step from the present pitch towards this one, with a shake if it arrives.
+    /// One step from the current pitch towards this one, with a shake on arrival.
     fn approach(&self, pitch_deg: f64) -> Action {
         let missing = self.pitch_deg - pitch_deg;
         let change = missing.clamp(-INCLINE_CHANGE_DEG_MAX, INCLINE_CHANGE_DEG_MAX);
-        // A servo may stop a little short: half a degree is there.
+        // A servo may stop a little short: within half a degree counts as arrived.
         let arrives = (missing - change).abs() < 0.5;
         Action { incline_change_deg: change, shake_mm: if arrives { self.shake_mm } else { 0.0 } }
     }
 }
 
 impl Schedule {
-    /// The step to carry out after `steps` steps from a level spoon: inclines that take several steps are counted.
+    /// The step to carry out after `steps` steps from a level spoon, counting inclines that take
+    /// several steps.
     fn step(&self, steps: u32) -> ScheduledStep {
         let mut pitch = 0.0f64;
         let mut done = 0;
@@ -81,7 +84,8 @@ impl Schedule {
 }
 
 impl Controller {
-    /// What it proposes follows from the observation alone, so that it can take up a weighing of which it knows nothing else.
+    /// Whether its proposals depend on the current observation alone, so that it can take over a
+    /// weighing with no history.
     pub fn is_memoryless(&self) -> bool {
         match self {
             Self::Learned(actor) => actor.is_memoryless(),
@@ -90,12 +94,13 @@ impl Controller {
         }
     }
 
-    /// A network that never trained, by seed: what learning is compared with.
+    /// An untrained network, by seed: the baseline for learning.
     pub fn untrained(seed: u64) -> Self {
         Self::Learned(Actor::untrained(Encoding::Missing, &[128, 128], &mut Pcg64Mcg::seed_from_u64(seed)))
     }
 
-    /// The controller at the beginning of a weighing within this frame, with a balance that shows steps of `readability_mg`.
+    /// Starts the controller for a weighing within these rules, on a balance with a display step of
+    /// `readability_mg`.
     pub fn begin(&self, rules: &Rules, readability_mg: f64) -> Dosing<'_> {
         let carried = match self {
             Self::Learned(actor) => actor.begin(),
@@ -114,15 +119,15 @@ impl Controller {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Done {
-    /// What was seen before it.
+    /// Observation before it.
     pub before: Observation,
-    /// What was proposed; the guard may have cut it.
+    /// Proposed action; the guard may have reduced it.
     pub action: Action,
-    /// What was seen after it.
+    /// Observation after it.
     pub after: Observation,
 }
 
-/// A controller at work: what it knows of the weighing is what it has seen and proposed.
+/// A running controller; its knowledge of the weighing is its observations and proposals so far.
 #[derive(Debug, Clone)]
 pub struct Dosing<'a> {
     controller: &'a Controller,
@@ -134,20 +139,20 @@ pub struct Dosing<'a> {
 }
 
 impl Dosing<'_> {
-    /// The same for a powder of this angle of repose, degrees, where it is measured.
+    /// Sets the powder's angle of repose, degrees, if measured.
     pub fn knowing(mut self, repose_deg: Option<f64>) -> Self {
         self.carried.repose_deg = repose_deg;
         self
     }
 
-    /// Take up a weighing in its middle: a step that was carried out, with the action that was.
+    /// Resumes a weighing midway: records a step that was carried out, with its actual action.
     pub fn resume(&mut self, step: Done) {
         self.propose(&step.before);
         self.proposed = None;
         self.done.push(step);
     }
 
-    /// The action for the next step, after those proposed before. Deterministic.
+    /// Returns the action for the next step, given the earlier proposals. Deterministic.
     pub fn propose(&mut self, seen: &Observation) -> Action {
         if let Some((before, action)) = self.proposed {
             self.done.push(Done { before, action, after: *seen });
@@ -171,7 +176,8 @@ impl Dosing<'_> {
 mod tests {
     use super::*;
 
-    /// Pitches and shakes of the first steps of a controller on a spoon that does as told.
+    /// Pitches and shakes of a controller's first steps on a spoon that follows its commands
+    /// exactly.
     fn carry_out(controller: &Controller, steps: u32) -> Vec<(f64, f64)> {
         let mut pitch_deg = 0.0;
         let mut dosing = controller.begin(&Rules::FLIP, 1.0);

@@ -1,7 +1,9 @@
-//! A dispenser without a network: a model of what a shake lets fall, identified while it doses, and a look ahead.
+//! A dispenser without a network: a model of the mass a shake releases, identified while dosing,
+//! plus look-ahead.
 //!
-//! *Model* ([`Spoonful`]). A spoon at pitch p lets go of what stands above its slope of rest. Shaken with amplitude A it could let go of G in all, and has
-//! let go of M; of the rest one shake takes a share:
+//! *Model* ([`Spoonful`]). A spoon at pitch p releases the powder above its slope of rest. Shaken
+//! with amplitude A it could release G in total, and has already released M; one shake takes a
+//! share of the rest:
 //!
 //! ```text
 //! G = slope width softplus((p + reach ln(A / 1 mm) - onset) / width)
@@ -9,18 +11,20 @@
 //! sqrt(mass of a shake) ~ N(sqrt(mean), floor^2 + scatter^2 mean)
 //! ```
 //!
-//! *Identification.* The onset, the slope and the stroke are another powder's, or another spoonful's, each time. [`GUESSES`] of them are drawn
-//! from what many simulated spoons had ([`Response`]) and weighted with what the balance has shown since (a particle filter whose particles
-//! do not move). The balance's own rounding counts in the likelihood, and its tails are those of Student's t with four degrees of freedom, as
-//! avalanches happen.
+//! *Identification.* The onset, slope and stroke differ between powders and between spoonfuls.
+//! [`GUESSES`] of them are drawn from the distribution over many simulated spoons ([`Response`])
+//! and weighted by the balance readings so far (a particle filter with static particles). The
+//! likelihood accounts for the balance's rounding, and its tails are those of Student's t with four
+//! degrees of freedom, since avalanches happen.
 //!
-//! *Decision.* Each possible action is played to the end of the weighing with [`ROLLOUTS`] of the guesses, the later steps by a rule that aims
-//! at the share of the missing mass which is best for masses scattered like that (`Aims`, by dynamic programming). The action whose
-//! expected loss is least is taken: a rollout algorithm (Bertsekas, Tesauro and Wu 1997). Too much costs [`Response::overdose_factor`] times
-//! as much as too little, for it cannot be taken back.
+//! *Decision.* Each possible action is simulated to the end of the weighing with [`ROLLOUTS`] of
+//! the guesses; the later steps follow a rule that aims at the share of the missing mass which is
+//! best for masses scattered like that (`Aims`, by dynamic programming). The action with the least
+//! expected loss is taken: a rollout algorithm (Bertsekas, Tesauro and Wu 1997). An overdose costs
+//! [`Response::overdose_factor`] times as much as an equal shortfall, because it cannot be undone.
 //!
-//! Log-linear models of mg per tap against tilt, the usual ones, do not describe these spoons: what falls depends on what has fallen
-//! (`docs/dispenser.md`).
+//! The usual log-linear models of mg per tap against tilt do not describe these spoons: the mass
+//! released depends on how much has already fallen (`docs/dispenser.md`).
 
 use super::controller::Done;
 use super::episode::{Ending, Rules, on_target_mg};
@@ -29,15 +33,16 @@ use super::response::{Response, Spoonful, radical_inverse};
 use flip_core::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MAX};
 use flip_core::stats::normal::quantile;
 
-/// Guesses of the spoon at hand.
+/// Number of guesses of the current spoonful.
 const GUESSES: usize = 384;
-/// Guesses with which each action is played to the end.
+/// Number of guesses with which each action is simulated to the end.
 const ROLLOUTS: usize = 96;
-/// Changes of the pitch among which it chooses, degrees.
+/// Candidate changes of the pitch, degrees.
 const CHANGES_DEG: [f64; 9] = [-8.0, -5.0, -3.0, -1.5, 0.0, 2.0, 4.0, 6.0, 8.0];
-/// Amplitudes among which it chooses, mm.
+/// Candidate amplitudes, mm.
 const SHAKES_MM: [f64; 7] = [0.0, 1.0, 2.0, 4.0, 7.0, 11.0, SHAKE_MM_MAX];
-/// The rule of the later steps shakes with this amplitude, mm, and where the pitch cannot follow with the largest or the smallest.
+/// Amplitude used by the rule of the later steps, mm; where the pitch cannot follow, it uses the
+/// largest or the smallest.
 const USUAL_MM: f64 = 4.0;
 
 /// The dispenser: [`Response`] and the tables made from it.
@@ -54,14 +59,14 @@ impl PartialEq for Dispenser {
     }
 }
 
-/// A moment of a weighing, as it is played in thought.
+/// A moment of a simulated weighing.
 #[derive(Debug, Clone, Copy)]
 struct Moment {
     pitch_deg: f64,
     poured_mg: f64,
     missing_mg: f64,
     left: u32,
-    /// The weighing ends when less is missing.
+    /// The weighing ends when less than this is missing.
     ends_mg: f64,
 }
 
@@ -76,7 +81,7 @@ impl Dispenser {
         &self.response
     }
 
-    /// The action after these steps.
+    /// Returns the action after these steps.
     pub(super) fn propose(&self, done: &[Done], seen: &Observation, rules: &Rules, readability_mg: f64) -> Action {
         let guesses = self.resampled(&self.weights(done, readability_mg));
         let moment = Moment {
@@ -84,7 +89,8 @@ impl Dispenser {
             poured_mg: seen.reading_mg.max(0.0),
             missing_mg: seen.missing_mg(),
             left: rules.steps_max.saturating_sub(done.len() as u32).max(1),
-            // A reading is rounded: half of the time it shows the missing step before it has fallen.
+            // A reading is rounded: half of the time it shows the missing step before it has
+            // fallen.
             ends_mg: match rules.ending {
                 Ending::OnTarget => on_target_mg(readability_mg) / 2.0,
                 Ending::Never => f64::NEG_INFINITY,
@@ -101,7 +107,7 @@ impl Dispenser {
         rated.min_by(|a, b| a.0.total_cmp(&b.0)).map_or_else(Action::default, |(_, action)| action)
     }
 
-    /// Weight of each guess after what the balance has shown.
+    /// Weights of the guesses given the readings so far.
     fn weights(&self, done: &[Done], readability_mg: f64) -> Vec<f64> {
         let r = &self.response;
         let log = |guess: &Spoonful| -> f64 {
@@ -111,7 +117,7 @@ impl Dispenser {
                     guess.mean_mg(r, step.after.pitch_deg, step.action.shake_mm, step.before.reading_mg.max(0.0));
                 let gained = step.after.reading_mg - step.before.reading_mg;
                 let [more, variance] = r.moments(mean);
-                // Of the difference of two rounded readings.
+                // Rounding variance of the difference of two readings.
                 let variance = variance + readability_mg.powi(2) / 6.0;
                 let z2 = (gained - mean - more).powi(2) / variance;
                 -2.5 * libm::log1p(z2 / 4.0) - 0.5 * libm::log(variance)
@@ -123,7 +129,7 @@ impl Dispenser {
         logs.iter().map(|log| libm::exp(log - largest)).collect()
     }
 
-    /// [`ROLLOUTS`] guesses by their weights, at even distances.
+    /// Draws [`ROLLOUTS`] guesses by weight, systematically at equal distances.
     fn resampled(&self, weights: &[f64]) -> Vec<Spoonful> {
         let sum: f64 = weights.iter().sum();
         let (mut k, mut reached) = (0, weights[0]);
@@ -138,7 +144,7 @@ impl Dispenser {
         (0..ROLLOUTS).map(|j| take(at(j))).collect()
     }
 
-    /// Mean loss of an action over the guesses, each played to the end.
+    /// Mean loss of an action over the guesses, each simulated to the end.
     fn expected_loss(&self, guesses: &[Spoonful], now: Moment, action: Action, rules: &Rules) -> f64 {
         let play = |(j, guess): (usize, &Spoonful)| {
             let mut moment = self.after(guess, now, now.pitch_deg + action.incline_change_deg, action.shake_mm, j);
@@ -151,7 +157,7 @@ impl Dispenser {
         guesses.iter().enumerate().map(play).sum::<f64>() / guesses.len() as f64
     }
 
-    /// A step in thought; the `j`-th rollout draws the same numbers whatever it does.
+    /// One simulated step; the `j`-th rollout draws the same numbers whatever its actions.
     fn after(&self, guess: &Spoonful, now: Moment, pitch_deg: f64, shake_mm: f64, j: usize) -> Moment {
         let mean = guess.mean_mg(&self.response, pitch_deg, shake_mm, now.poured_mg);
         let z = quantile(radical_inverse(j + 1, PRIMES[now.left as usize % PRIMES.len()]));
@@ -160,7 +166,8 @@ impl Dispenser {
         Moment { pitch_deg, poured_mg, missing_mg, left: now.left - 1, ..now }
     }
 
-    /// The rule of the later steps: the pitch at which a usual shake has the mean that is aimed at, as near as the spoon can come.
+    /// The rule of the later steps: the pitch at which a usual shake has the aimed-for mean, as
+    /// near as the spoon can get.
     fn usual(&self, guess: &Spoonful, now: &Moment, rules: &Rules) -> (f64, f64) {
         let r = &self.response;
         let aim = self.aims.of(now.left, now.missing_mg);
@@ -180,29 +187,30 @@ impl Dispenser {
     }
 }
 
-/// Bases of the numbers that rollouts draw, a base for each step left.
+/// Bases of the low-discrepancy numbers drawn by rollouts, one base for each step left.
 const PRIMES: [usize; 12] = [7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47];
 
-/// The mean to aim at, by steps left and missing mass, if any mean could be had: for masses scattered as [`Response`] says
+/// The best mean to aim at, by steps left and missing mass, if any mean were attainable, for masses
+/// scattered as in [`Response`]:
 ///
 /// ```text
 /// V_0(m) = loss(m)     V_k(m) = min(loss(m), min over mu of E V_(k-1)(m - mass(mu)))
 /// ```
 #[derive(Debug, Clone)]
 struct Aims {
-    /// By steps left, from 1, then by missing mass in steps of [`GRID_MG`].
+    /// Indexed by steps left, from 1, then by missing mass in steps of [`GRID_MG`].
     table: Vec<Vec<f64>>,
 }
 
-/// Step of the table, mg.
+/// Grid step of the table, mg.
 const GRID_MG: f64 = 0.25;
-/// Missing masses of the table: 0 to 30 mg.
+/// Number of grid points: missing masses of 0 to 30 mg.
 const CELLS: usize = 121;
-/// Most steps left that the table tells apart.
+/// Largest number of steps left that the table distinguishes.
 const LEFT_MAX: usize = 30;
-/// Means that are tried, mg: 0.1 to 25.
+/// Number of means tried: 0.1 to 25 mg.
 const MEANS: usize = 28;
-/// Nodes of an expectation.
+/// Number of quadrature nodes of an expectation.
 const NODES: usize = 16;
 
 impl Aims {
@@ -238,7 +246,7 @@ impl Aims {
     }
 }
 
-/// A value between two cells; beyond the last the last.
+/// Interpolates between two cells; beyond the last cell, returns the last value.
 fn between(values: &[f64], missing_mg: f64) -> f64 {
     let at = (missing_mg / GRID_MG).min((values.len() - 1) as f64);
     let below = (at as usize).min(values.len() - 2);

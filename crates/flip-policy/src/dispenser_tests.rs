@@ -3,14 +3,14 @@ use crate::{Controller, Episode};
 
 const FITTED: Response = Response::FITTED;
 
-/// What became of a dose.
+/// The result of a dose.
 struct Dosed {
     error_mg: f64,
     pitches_deg: Vec<f64>,
     masses_mg: Vec<f64>,
 }
 
-/// Dose from a spoon that obeys the model, and a balance that shows whole milligrams.
+/// Doses from a spoon that obeys the model, with a balance that shows whole milligrams.
 fn dose(controller: &Controller, spoon: &Spoonful, target_mg: f64, steps_max: u32, seed: usize) -> Dosed {
     let rules = Rules { steps_max, ..Rules::FLIP };
     let mut dosing = controller.begin(&rules, 1.0);
@@ -38,13 +38,14 @@ fn dispenser() -> Controller {
     Controller::Dispenser(Dispenser::new(FITTED))
 }
 
-/// A spoon that lets go of most at 15 deg, and one that keeps everything below 25.
+/// A spoon that releases most of its powder at 15 deg, and one that retains everything below 25.
 const EASY: Spoonful = Spoonful { onset_deg: -10.0, slope_mg_deg: 0.7, stroke_mm: 100.0 };
 const HARD: Spoonful = Spoonful { onset_deg: 25.0, slope_mg_deg: 1.5, stroke_mm: 150.0 };
 
 #[test]
 fn what_is_let_go_of_is_the_formula() {
-    // Far above the onset softplus is its argument: 0.7 (20 + reach ln 4 + 10) mg, of which a shake takes 1 - exp(-(4 / 100)^bend).
+    // Far above the onset, softplus equals its argument: 0.7 (20 + reach ln 4 + 10) mg, of which a
+    // shake takes 1 - exp(-(4 / 100)^bend).
     let loose = 0.7 * (30.0 + FITTED.reach_deg * 4.0f64.ln());
     assert!((EASY.loose_mg(&FITTED, 20.0, 4.0) - loose).abs() < 1e-9);
     let share = 1.0 - (-(0.04f64.powf(FITTED.bend))).exp();
@@ -52,7 +53,7 @@ fn what_is_let_go_of_is_the_formula() {
     assert_eq!(EASY.mean_mg(&FITTED, 20.0, 4.0, loose + 1.0), 0.0, "nothing is loose any more");
     assert_eq!(EASY.mean_mg(&FITTED, 20.0, 0.0, 0.0), 0.0, "without a shake nothing falls");
     assert!(HARD.loose_mg(&FITTED, 5.0, 16.0) < 1e-9 && HARD.loose_mg(&FITTED, 60.0, 16.0) == FITTED.held_mg);
-    // The pitch for a mean is the inverse.
+    // The pitch for a given mean is the inverse.
     for (guess, mean, poured) in [(EASY, 2.0, 3.0), (HARD, 0.4, 9.0)] {
         let pitch = guess.pitch_for(&FITTED, USUAL_MM, mean, poured);
         assert!((guess.mean_mg(&FITTED, pitch, USUAL_MM, poured) - mean).abs() < 1e-6);
@@ -110,10 +111,10 @@ fn what_the_balance_shows_tells_one_spoon_from_another() {
     };
     let [nothing, little, much] = [0.0, 1.0, 6.0].map(|mg| expected(&[shaken(0.0, mg)]));
     assert!(nothing < little && little < much, "{nothing} {little} {much}");
-    // Without a shake nothing was learnt.
+    // Without a shake nothing is learned.
     let still = Done { action: Action { incline_change_deg: 8.0, shake_mm: 0.0 }, ..shaken(0.0, 0.0) };
     assert!(dispenser.weights(&[still], 1.0).iter().all(|w| *w == 1.0));
-    // However unlikely, a reading leaves weights that are numbers.
+    // However unlikely the reading, the weights remain finite.
     assert!(dispenser.weights(&[shaken(0.0, 1e6), shaken(1e6, 0.0)], 1.0).iter().all(|w| w.is_finite()));
 }
 
@@ -146,7 +147,8 @@ fn spoons_that_obey_the_model_are_dosed_to_a_milligram_or_so_and_the_same_dose_a
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
     println!("{} doses: {mean:.2} mg", errors.len());
     assert!(mean < 1.5, "{mean}");
-    // The largest first step of an easy spoon would be 15 mg: it is not taken when 5 are wanted.
+    // The largest first step of an easy spoon would be 15 mg; it is not taken when the target is 5
+    // mg.
     assert!(dose(&dispenser, &EASY, 5.0, 10, 3).masses_mg[0] < 5.0);
 }
 

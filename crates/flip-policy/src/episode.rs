@@ -1,40 +1,43 @@
-//! When an episode, or a weighing, is over.
+//! When an episode or a weighing is over.
 
 use super::observation::Observation;
 use flip_core::domain::bench::PitchLimits;
 use serde::{Deserialize, Serialize};
 
-/// What ends an episode before its steps are spent.
+/// Condition that ends an episode before its steps are used up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Ending {
-    /// Nothing: every step is carried out, as the paper describes its episodes.
+    /// None: every step is carried out, as the paper describes its episodes.
     Never,
-    /// Less than one step of the balance's display is missing, and less than 1 mg, or the target is passed.
+    /// Ends when less than one display step and less than 1 mg is missing, or the target is passed.
     OnTarget,
 }
 
-/// Error below which the reward gets its bonus, mg; also the most that may be missing for [`Ending::OnTarget`].
+/// Error below which the reward gets its bonus, mg; also the largest shortfall for
+/// [`Ending::OnTarget`].
 pub const ON_TARGET_MG: f64 = 1.0;
 
-/// The frame that a controller was made for.
+/// The limits a controller was made for.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Rules {
     /// Most steps in one episode.
     pub steps_max: u32,
-    /// What ends it earlier.
+    /// Condition that ends it earlier.
     pub ending: Ending,
     /// Range of the spoon's pitch.
     pub pitch: PitchLimits,
 }
 
 impl Rules {
-    /// The published robot's: exactly 10 steps, pitch from -10 to 36 deg.
+    /// The published robot's rules: exactly 10 steps, pitch from -10 to 36 deg.
     pub const PAPER: Self = Self { steps_max: 10, ending: Ending::Never, pitch: PitchLimits::PAPER };
-    /// FLIP's: at most 10 steps, stops on target, and a pitch at which cohesive powders still leave the spoon.
+    /// FLIP's rules: at most 10 steps, stops on target, and a pitch range in which cohesive powders
+    /// still leave the spoon.
     pub const FLIP: Self = Self { steps_max: 10, ending: Ending::OnTarget, pitch: PitchLimits::WIDE };
 
-    /// Where a weighing stands that has carried out `steps` steps and now sees `observation` on a balance of this readability.
+    /// The state of a weighing after `steps` steps with this observation, on a balance of this
+    /// readability.
     pub fn after(&self, steps: u32, observation: &Observation, readability_mg: f64) -> Episode {
         if self.ending == Ending::OnTarget && is_on_target(observation.missing_mg(), readability_mg) {
             return Episode::Terminated;
@@ -43,26 +46,28 @@ impl Rules {
     }
 }
 
-/// Where an episode stands. A learner must tell the last two apart: only termination makes the future worth nothing.
+/// State of an episode. A learner must distinguish the last two: only after termination is the
+/// future worth nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Episode {
     /// Another step follows.
     Running,
-    /// It ended by its own rule: on target, or past it.
+    /// Ended by its own rule: on target, or past it.
     Terminated,
-    /// The steps were spent; had there been more, it would have gone on.
+    /// Ran out of steps; with more, it would have continued.
     TimedOut,
 }
 
-/// Shortfall below which a weighing is on target, mg: one step of the balance's display, at most 1 mg.
+/// Shortfall below which a weighing is on target, mg: one display step, at most 1 mg.
 pub fn on_target_mg(readability_mg: f64) -> f64 {
     readability_mg.min(ON_TARGET_MG)
 }
 
-/// Less than [`on_target_mg`] is missing, or the target is passed.
+/// Whether less than [`on_target_mg`] is missing, or the target is passed.
 pub fn is_on_target(missing_mg: f64, readability_mg: f64) -> bool {
-    // 15 - 14.9 is less than 0.1: a billionth makes one step missing one step.
+    // 15 - 14.9 is less than 0.1 in floating point: the tolerance of 1e-9 treats a shortfall of
+    // exactly one step as one step.
     missing_mg < on_target_mg(readability_mg) - 1e-9
 }
 

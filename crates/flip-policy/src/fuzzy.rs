@@ -1,4 +1,4 @@
-//! A fuzzy rule controller in Mamdani's manner: the rival of the dual-arm dispensing system.
+//! A Mamdani-style fuzzy controller: the rival from the dual-arm dispensing system.
 //!
 //! ```text
 //! inputs      missing mass: small, medium, large          fall, the mass of the last shake: none, some, much
@@ -11,15 +11,19 @@
 //!             large            far    far    on
 //! ```
 //!
-//! Memberships are triangles over three peaks, flat beyond the outer two, and sum to one; so do the strengths, and the sum above is the
-//! centroid of the sum of the scaled output sets. With the product, and the table as it is, more missing mass never tilts or shakes less.
+//! Memberships are triangles over three peaks, flat beyond the outer two, and sum to one. So do the
+//! strengths, and the sum above is the centroid of the sum of the scaled output sets. With the
+//! product, and with this table, more missing mass never tilts or shakes less.
 //!
-//! Source: Jiang et al., "Autonomous biomimetic solid dispensing using a dual-arm robotic manipulator", Digital Discovery 2023
-//! (d3dd00075c), as far as `Code/FLCBalance_client.py` of github.com/fourteenjiang/Solid-dispensing says: missing mass and density in,
-//! number of shakes out, nine rules in which the missing mass alone decides, strength-weighted centroids. Differs: the amplitude in place
-//! of the number, for a step has one shake; nobody tells this one the density, so it looks at what fell; and there are rules for the tilt,
-//! of which that program has the range alone. It joins memberships by their minimum, and its masses are up to 2 g, so the breakpoints are
-//! others ([`Fuzzy::CHOSEN`]).
+//! Source: Jiang et al., "Autonomous biomimetic solid dispensing using a dual-arm robotic
+//! manipulator", Digital Discovery 2023 (d3dd00075c), as far as it can be read from
+//! `Code/FLCBalance_client.py` of github.com/fourteenjiang/Solid-dispensing: missing mass and
+//! density in, number of shakes out, nine rules in which the missing mass alone decides,
+//! strength-weighted centroids. Differences: the output is the amplitude instead of the number,
+//! since a step has one shake; the density is not an input here, so the last fall is used instead;
+//! and there are rules for the tilt, for which that program only has the range. That program
+//! combines memberships by their minimum, and its masses are up to 2 g, so the breakpoints differ
+//! ([`Fuzzy::CHOSEN`]).
 
 use super::controller::Done;
 use super::observation::Observation;
@@ -35,7 +39,7 @@ pub struct Fuzzy {
     pub missing_mg: [f64; 3],
     /// Peaks of no, some and much fall, mg; rising, 0 to 1000.
     pub fall_mg: [f64; 3],
-    /// Change of the pitch for back, hold, on and far, degrees; rising, -8 to 8.
+    /// Change of the pitch for *back*, *hold*, *on* and *far*, degrees; rising, -8 to 8.
     pub tilt_deg: [f64; 4],
     /// Amplitude of a gentle, usual and strong shake, mm; rising, 0 to 16.
     pub shake_mm: [f64; 3],
@@ -46,11 +50,12 @@ const HOLD: usize = 1;
 const ON: usize = 2;
 const FAR: usize = 3;
 
-/// The rules of the tilt: by missing mass, then by fall.
+/// Rules for the tilt: by missing mass, then by fall.
 const TILT: [[usize; 3]; 3] = [[ON, HOLD, BACK], [FAR, ON, HOLD], [FAR, FAR, ON]];
 
 impl Fuzzy {
-    /// Set by hand for doses of some 20 mg. `cargo experiment tune_schedule -- sets.json 12 1 fuzzy` searches them.
+    /// Set by hand for doses of about 20 mg. `cargo experiment tune_schedule --
+    /// sets.json 12 1 fuzzy` searches for them.
     pub const CHOSEN: Self = Self {
         missing_mg: [1.0, 5.0, 15.0],
         fall_mg: [0.0, 2.0, 6.0],
@@ -58,7 +63,7 @@ impl Fuzzy {
         shake_mm: [2.0, 6.0, 14.0],
     };
 
-    /// The same controller if its numbers rise within their bounds.
+    /// Validates the controller: its numbers must rise within their bounds.
     ///
     /// # Errors
     /// The first field that does not.
@@ -77,14 +82,14 @@ impl Fuzzy {
         Ok(self)
     }
 
-    /// The action after these steps. Before the first shake nothing has fallen.
+    /// Returns the action after these steps. Before the first shake nothing has fallen.
     pub(super) fn propose(&self, done: &[Done], seen: &Observation) -> Action {
         let shaken = done.iter().rfind(|step| step.action.executed_shake_mm() > 0.0);
         let fall_mg = shaken.map_or(0.0, |step| step.after.reading_mg - step.before.reading_mg);
         let missing = memberships(&self.missing_mg, seen.missing_mg());
         let fall = memberships(&self.fall_mg, fall_mg);
         let rules = (0..3).flat_map(|m| (0..3).map(move |f| (m, f)));
-        // Sums of strengths may be a bit more than one.
+        // Sums of strengths may slightly exceed one.
         Action {
             incline_change_deg: rules
                 .map(|(m, f)| missing[m] * fall[f] * self.tilt_deg[TILT[m][f]])
@@ -95,7 +100,8 @@ impl Fuzzy {
     }
 }
 
-/// Memberships of a number in three sets: triangles over rising peaks, the outer two flat beyond theirs.
+/// Memberships of a number in three sets: triangles over rising peaks, the outer two flat beyond
+/// theirs.
 fn memberships(peaks: &[f64; 3], x: f64) -> [f64; 3] {
     let share = |from: f64, to: f64| ((x - from) / (to - from)).clamp(0.0, 1.0);
     let (first, second) = (share(peaks[0], peaks[1]), share(peaks[1], peaks[2]));
@@ -119,7 +125,7 @@ mod tests {
         Observation { reading_mg: 20.0 - missing_mg, target_mg: 20.0, pitch_deg: 25.0 }
     }
 
-    /// The answer where so much is missing and so much fell with the last shake.
+    /// The controller's answer for this missing mass and this fall in the last shake.
     fn answer(fuzzy: &Fuzzy, missing_mg: f64, fall_mg: f64) -> Action {
         let action = Action { incline_change_deg: 0.0, shake_mm: 5.0 };
         fuzzy
@@ -139,7 +145,8 @@ mod tests {
 
     #[test]
     fn between_the_peaks_the_rules_are_weighed() {
-        // Half small, half medium; three quarters none, one quarter some: 0.375 on, 0.125 hold, 0.375 far, 0.125 on.
+        // Half small, half medium; three quarters none, one quarter some: 0.375 on, 0.125 hold,
+        // 0.375 far, 0.125 on.
         let action = answer(&PLAIN, 3.0, 0.5);
         assert!((action.incline_change_deg - (0.375 * 4.0 + 0.375 * 8.0 + 0.125 * 4.0)).abs() < 1e-12);
         assert!((action.shake_mm - 4.0).abs() < 1e-12);

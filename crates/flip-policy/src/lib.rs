@@ -1,7 +1,8 @@
-//! What decides the next action: observations in, actions out, in plain Rust.
+//! Choosing the next action: observations in, actions out, in plain Rust.
 //!
-//! A [`Policy`] is a file that any robot can carry: a [`Controller`] and the [`Manifest`] that says where it came from.
-//! Nothing here needs libtorch; `train` makes the weights, [`Actor`] runs them.
+//! A [`Policy`] is a file that any robot can load: a [`Controller`] and the [`Manifest`] that
+//! records its origin. Nothing here needs libtorch; `train` produces the weights, [`Actor`] runs
+//! them.
 
 mod actor;
 mod artifact;

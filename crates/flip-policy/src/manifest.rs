@@ -1,4 +1,4 @@
-//! Where a policy came from: everything needed to make it again.
+//! A policy's origin: everything needed to reproduce it.
 
 use super::controller::{Schedule, ScheduledStep};
 use super::episode::Rules;
@@ -11,7 +11,7 @@ use super::response::Response;
 use flip_core::domain::parameters::ParameterSet;
 use serde::{Deserialize, Serialize};
 
-/// What kind of controller a policy holds, and what it needs besides weights.
+/// Kind of controller in a policy, with its configuration besides weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[schema(as = PolicyKind)]
@@ -40,9 +40,9 @@ pub enum Kind {
         /// The list.
         schedule: Schedule,
     },
-    /// A model of what a shake lets fall, identified while it doses.
+    /// A model of the mass a shake releases, identified while dosing.
     Dispenser {
-        /// What it expects before it has seen anything.
+        /// Its prior, before any reading.
         response: Response,
     },
     /// The prior work's PID rule.
@@ -50,20 +50,21 @@ pub enum Kind {
         /// Its gains.
         gains: Pid,
     },
-    /// Fuzzy rules on what is missing and what fell.
+    /// Fuzzy rules on the missing mass and the last fall.
     Fuzzy {
         /// Their breakpoints and centroids.
         fuzzy: Fuzzy,
     },
-    /// Fuzzy rules that suit the steps and the target.
+    /// Fuzzy rules adapted to the number of steps and the target.
     Paced {
-        /// The rules of a weighing that has time, and how others differ.
+        /// The rules of an unhurried weighing, and their adaptation.
         paced: Paced,
     },
 }
 
 impl Kind {
-    /// The kind's name in JSON: `learned`, `recurrent`, `fixed`, `schedule`, `dispenser`, `pid`, `fuzzy` or `paced`.
+    /// The kind's name in JSON: `learned`, `recurrent`, `fixed`, `schedule`, `dispenser`, `pid`,
+    /// `fuzzy` or `paced`.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Learned { .. } => "learned",
@@ -77,10 +78,11 @@ impl Kind {
         }
     }
 
-    /// Names and shapes of the tensors that a policy of this kind has in its file, in the order of its flat weights.
+    /// Names and shapes of the tensors in the file of a policy of this kind, in the order of its
+    /// flat weights.
     ///
-    /// `layer<k>.weight` `[inputs, outputs]` and `layer<k>.bias` for a perceptron; a recurrent network has its branches and its LSTM
-    /// before them.
+    /// `layer<k>.weight` `[inputs, outputs]` and `layer<k>.bias` for a perceptron; a recurrent
+    /// network has its branches and its LSTM before them.
     pub fn tensors(&self) -> Vec<(String, Vec<usize>)> {
         match self {
             Self::Learned { widths, .. } => recurrent::layers(widths),
@@ -109,7 +111,7 @@ pub struct SetManifest {
 pub struct LevelManifest {
     /// Powder id.
     pub powder: String,
-    /// Angle of repose, degrees: what the levels are ordered by.
+    /// Angle of repose, degrees; determines the order of the levels.
     pub repose_deg: f64,
     /// Parameter sets that episodes on this level draw from.
     pub sets: Vec<SetManifest>,
@@ -117,7 +119,7 @@ pub struct LevelManifest {
     pub episodes: u32,
 }
 
-/// Why a curriculum moved on.
+/// Why a curriculum moved to another level.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SwitchReason {
@@ -125,9 +127,9 @@ pub enum SwitchReason {
     Mean,
     /// Every queued error was small enough.
     Maximum,
-    /// The level's episodes were spent.
+    /// The level's episodes were used up.
     TimeOut,
-    /// The training went over from the surrogate to the simulator, and begins with the first level again.
+    /// The training moved from the surrogate to the simulator and restarted at the first level.
     Simulator,
 }
 
@@ -144,18 +146,18 @@ pub struct Switch {
     pub reason: SwitchReason,
 }
 
-/// Where a policy came from. Stored inside the policy's file and beside it.
+/// A policy's origin. Stored inside the policy's file and alongside it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[schema(as = PolicyManifest)]
 pub struct Manifest {
-    /// What it is.
+    /// Kind of controller.
     #[serde(flatten)]
     pub kind: Kind,
-    /// Steps, ending and pitch range that it was made for.
+    /// Steps, ending and pitch range that the policy was made for.
     pub rules: Rules,
-    /// Name of the settings it started from: `flip` or `paper`; empty for one that did not train.
+    /// Name of the preset the training started from: `flip` or `paper`; empty if untrained.
     pub preset: String,
-    /// Every setting of the training, as stored with its job; null for one that did not train.
+    /// Every setting of the training, as stored with its job; null if untrained.
     pub settings: serde_json::Value,
     /// Seed of the training.
     pub seed: u64,
@@ -163,18 +165,18 @@ pub struct Manifest {
     pub code_version: String,
     /// Version of the simulator.
     pub simulator_version: String,
-    /// What it trained on.
+    /// The levels it was trained on.
     pub levels: Vec<LevelManifest>,
     /// When the curriculum moved on.
     pub switches: Vec<Switch>,
     /// Episodes in the training.
     pub episodes: u32,
-    /// Mean error of the last 20 episodes, mg; absent for one that did not train.
+    /// Mean error of the last 20 episodes, mg; absent if untrained.
     pub final_error_mg: Option<f64>,
 }
 
 impl Manifest {
-    /// The manifest of a controller that did not train.
+    /// The manifest of an untrained controller.
     pub fn of_untrained(kind: Kind, rules: Rules, seed: u64) -> Self {
         Self {
             kind,

@@ -1,62 +1,71 @@
-//! What a controller sees before each step.
+//! A controller's observation before each step.
 
 use serde::{Deserialize, Serialize};
 
-/// The state of a weighing as far as a controller may know it: the same in simulation and on a bench.
+/// The observable state of a weighing: the same in simulation and on a bench.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Observation {
-    /// What the balance shows, mg; not the true mass.
+    /// Balance reading, mg; not the true mass.
     pub reading_mg: f64,
-    /// Mass that was asked for, mg.
+    /// Requested mass, mg.
     pub target_mg: f64,
-    /// Pitch of the spoon, degrees, positive is tip down.
+    /// Pitch of the spoon, degrees; positive is tip down.
     pub pitch_deg: f64,
 }
 
-/// What a policy knows beside its observation: what the weighing has shown so far, and the powder.
+/// A policy's knowledge in addition to its observation: the course of the weighing so far, and the
+/// powder.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Known {
-    /// What the last step let fall by the balance's account, mg; before the first step, what the tared balance shows.
+    /// Mass that fell in the last step according to the balance, mg; before the first step, the
+    /// reading of the tared balance.
     pub fell_mg: f64,
-    /// The powder's angle of repose, degrees, where it is measured.
+    /// The powder's angle of repose, degrees, if measured.
     pub repose_deg: Option<f64>,
 }
 
-/// How an [`Observation`] becomes the inputs of a network. Part of a policy: weights mean nothing without it.
+/// How an [`Observation`] becomes network inputs. Part of a policy: its weights are meaningless
+/// without it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Encoding {
-    /// The published robot's: `[reading / 2, -5 pitch, target / 2]` with masses in mg and the pitch in radians.
+    /// The published robot's encoding: `[reading / 2, -5 pitch, target / 2]` with masses in mg and
+    /// the pitch in radians.
     Paper,
-    /// FLIP's: what is missing, on a linear and on a logarithmic scale, the pitch, and what is in the vial.
+    /// FLIP's encoding: the missing mass, on a linear and on a logarithmic scale, the pitch, and
+    /// the mass in the vial.
     ///
     /// ```text
     /// d = clamp(target - reading, 0, 15 mg)
     /// [d / 10 mg, ln(1 + d / 1 mg) - 1.5, pitch / 25 deg - 1, min(reading, 15 mg) / 10 mg]
     /// ```
     ///
-    /// What is missing decides the next shake, so it is given directly, and the logarithm separates 1 mg from 2 mg as
-    /// well as 7 mg from 14 mg. Both masses are clamped to what training visits: a larger target then looks like the
-    /// largest trained one until it comes within reach, instead of like nothing ever seen.
+    /// The missing mass decides the next shake, so it is a direct input, and the logarithm
+    /// separates 1 mg from 2 mg as well as 7 mg from 14 mg. Both masses are clamped to the training
+    /// range: a larger target then looks like the largest trained one until it comes within reach,
+    /// instead of like something never seen.
     Missing,
-    /// [`Encoding::Missing`], the logarithm of a tenth of a milligram, and a running estimate of what a step gives: the last fall.
+    /// [`Encoding::Missing`], the same logarithm on a scale of a tenth of a milligram, and a
+    /// running estimate of the yield of a step: the last fall.
     ///
     /// ```text
     /// [..., ln(1 + d / 0.1 mg) / 2 - 1, ln(1 + max(fell, 0) / 0.1 mg) / 2 - 1]
     /// ```
     Fall,
-    /// [`Encoding::Fall`] and the powder's flowability: `(angle of repose - 35 deg) / 10 deg`, or 0 where it is not measured.
+    /// [`Encoding::Fall`] and the powder's flowability: `(angle of repose - 35 deg) / 10 deg`, or 0
+    /// if not measured.
     FallAndRepose,
 }
 
-/// Mass from which the finer logarithm of [`Encoding::Fall`] rises, mg: one step of a fine balance.
+/// Scale of the finer logarithm of [`Encoding::Fall`], mg: one step of a fine balance.
 const FINE_MG: f64 = 0.1;
 
-/// Largest mass that [`Encoding::Missing`] tells apart, mg: the upper end of the training targets.
+/// Largest mass that [`Encoding::Missing`] distinguishes, mg: the upper end of the training
+/// targets.
 const MISSING_MG_MAX: f64 = 15.0;
 
 impl Encoding {
-    /// The inputs are those of the observation alone: nothing of the weighing has to be remembered.
+    /// Whether the inputs depend on the observation alone, with no history of the weighing.
     pub fn is_memoryless(self) -> bool {
         matches!(self, Self::Paper | Self::Missing)
     }
@@ -73,12 +82,12 @@ impl Encoding {
 }
 
 impl Observation {
-    /// Mass that is missing by the balance's account, mg; negative once the target is passed.
+    /// Missing mass according to the balance, mg; negative once the target is passed.
     pub fn missing_mg(&self) -> f64 {
         self.target_mg - self.reading_mg
     }
 
-    /// The inputs of a network, appended to `inputs`: [`Encoding::width`] numbers of order one.
+    /// Appends the network's inputs to `inputs`: [`Encoding::width`] numbers of order one.
     pub fn encode_into(&self, encoding: Encoding, known: &Known, inputs: &mut Vec<f32>) {
         match encoding {
             Encoding::Paper => inputs.extend([
@@ -105,7 +114,7 @@ impl Observation {
         }
     }
 
-    /// [`Observation::encode_into`] a new vector.
+    /// Like [`Observation::encode_into`], into a new vector.
     pub fn encode(&self, encoding: Encoding, known: &Known) -> Vec<f32> {
         let mut inputs = Vec::with_capacity(encoding.width());
         self.encode_into(encoding, known, &mut inputs);
@@ -122,7 +131,7 @@ mod tests {
         let seen = Observation { reading_mg: 4.0, target_mg: 12.0, pitch_deg: 36.0 };
         let inputs = seen.encode(Encoding::Paper, &Known::default());
         assert_eq!((inputs[0], inputs[2]), (2.0, 6.0));
-        // 36 deg are a fifth of pi, times five.
+        // 36 deg is a fifth of pi; times five.
         assert!((inputs[1] + std::f32::consts::PI).abs() < 1e-3);
     }
 

@@ -1,8 +1,9 @@
-//! Fuzzy rules that suit the number of steps and the target: gentle where there is time.
+//! Fuzzy rules adapted to the number of steps and the target: gentle when there is time.
 //!
-//! What falls follows the pitch: a spoon lets go of what stands above its slope of rest, and the harder it is shaken, the larger is the piece that
-//! comes first (`docs/dispenser.md`). So the gentlest shake that serves is the best one, and the steps that a weighing has say which one that is.
-//! With n steps for a target m:
+//! The mass released depends on the pitch: a spoon releases the powder above its slope of rest, and
+//! the harder it is shaken, the larger the first piece (`docs/dispenser.md`). The gentlest shake
+//! that suffices is therefore the best, and the number of steps available determines which one that
+//! is. With n steps for a target m:
 //!
 //! ```text
 //! s      = max(1, m / n / pace)                     how much faster than gently
@@ -12,9 +13,10 @@
 //! far    = max(climb / n, gentle far / gentle on * on), at most 8 deg
 //! ```
 //!
-//! and the rules are those of [`Fuzzy`] with these numbers. Until the first piece has fallen no shake is larger than s times `first_mm`. Where the spoon cannot be raised any more and the last shake gave less than each of the
-//! steps that are left has to give, the next one is harder, but not harder than the missing mass allows; where it gave up to three times as much, the
-//! next one is the same.
+//! The rules are those of [`Fuzzy`] with these numbers. Until the first piece has fallen, no shake
+//! is larger than s times `first_mm`. If the spoon cannot be raised further and the last shake
+//! released less than each remaining step has to, the next shake is harder, up to the limit set by
+//! the missing mass; if it released up to three times as much, the next shake is the same.
 
 use super::controller::Done;
 use super::episode::Rules;
@@ -27,35 +29,37 @@ use serde::{Deserialize, Serialize};
 /// Largest change of the pitch once powder falls, degrees.
 const ON_DEG_MAX: f64 = 6.0;
 
-/// So near to its upper limit the pitch is at its end, degrees.
+/// Within this distance of its upper limit the pitch counts as being there, degrees.
 const AT_THE_END_DEG: f64 = 0.5;
 
-/// Less than this is dust, not a piece, mg.
+/// A smaller fall is dust, not a piece, mg.
 const PIECE_MG: f64 = 0.5;
 
-/// What falls is enough up to this multiple of what each step has to give.
+/// A fall is sufficient up to this multiple of the mass each step has to release.
 const ENOUGH: f64 = 3.0;
 
-/// The rules of a weighing that has time, and how others differ.
+/// The rules of an unhurried weighing, and their adaptation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Paced {
-    /// The rules where the pace is no larger than `pace_mg`.
+    /// The rules for a pace of at most `pace_mg`.
     pub gentle: Fuzzy,
-    /// Target over steps up to which there is time, mg; 0.01 to 1000.
+    /// Largest target per step that counts as unhurried, mg; 0.01 to 1000.
     pub pace_mg: f64,
-    /// Pitch that is gone through over all steps if nothing falls, degrees; 1 to 1000.
+    /// Pitch covered over all steps if nothing falls, degrees; 1 to 1000.
     pub climb_deg: f64,
     /// Largest shake before the first piece has fallen, mm; 1 to 16.
     pub first_mm: f64,
-    /// How much harder than the last shake the next one is where too little falls at the end of the pitch; 1 to 10.
+    /// Factor on the last shake for the next one if too little falls at the upper pitch limit; 1
+    /// to 10.
     pub harder: f64,
-    /// Amplitude of such a shake at most, mm for each missing mg, beside the rules' own; 0 to 100.
+    /// Amplitude limit of such a shake, mm per missing mg, in addition to the rules' own; 0 to 100.
     pub stuck_mm_per_mg: f64,
 }
 
 impl Paced {
-    /// What ships: what `examples/tune_schedule.rs` finds for `paced`, searched on sand, sugar and salt (`docs/dispenser.md`).
+    /// The shipped values: found by `examples/tune_schedule.rs` for `paced` on sand, sugar and salt
+    /// (`docs/dispenser.md`).
     pub const CHOSEN: Self = Self {
         gentle: Fuzzy {
             missing_mg: [0.5, 4.5, 27.0],
@@ -70,10 +74,10 @@ impl Paced {
         stuck_mm_per_mg: 5.0,
     };
 
-    /// The same controller if its numbers are within their bounds.
+    /// Validates the controller: its numbers must be within their bounds.
     ///
     /// # Errors
-    /// The first field that is not.
+    /// The first field that is out of bounds.
     pub fn checked(self) -> Result<Self, FieldError> {
         self.gentle.checked().map_err(|e| FieldError::new(format!("gentle.{}", e.field), e.message))?;
         bounded("gentle.tilt_deg", self.gentle.tilt_deg[2], 0.1, ON_DEG_MAX, "deg")?;
@@ -85,7 +89,7 @@ impl Paced {
         Ok(self)
     }
 
-    /// The action after these steps.
+    /// Returns the action after these steps.
     pub(super) fn propose(&self, done: &[Done], seen: &Observation, frame: &Rules) -> Action {
         let rules = self.rules(seen.target_mg, frame.steps_max);
         let mut action = rules.propose(done, seen);
@@ -107,12 +111,12 @@ impl Paced {
         Action { shake_mm: action.shake_mm.max(shake_mm), ..action }
     }
 
-    /// How much faster than gently a weighing has to go.
+    /// Speed-up factor relative to the gentle rules.
     fn faster(&self, target_mg: f64, steps_max: u32) -> f64 {
         (target_mg / f64::from(steps_max.max(1)) / self.pace_mg).max(1.0)
     }
 
-    /// The rules of a weighing of this target in so many steps.
+    /// The rules for a weighing of this target in this many steps.
     fn rules(&self, target_mg: f64, steps_max: u32) -> Fuzzy {
         let (n, gentle) = (f64::from(steps_max.max(1)), &self.gentle);
         let faster = self.faster(target_mg, steps_max);
@@ -122,7 +126,7 @@ impl Paced {
         let quick_on = (on * faster).min(ON_DEG_MAX);
         let quick_far = (self.climb_deg / n).max(far / on * quick_on).min(INCLINE_CHANGE_DEG_MAX);
         Fuzzy {
-            // The peaks have to rise, however fast it must go.
+            // The peaks must rise, whatever the speed-up.
             missing_mg: [small, medium, (large / faster).max(1.01 * medium)],
             fall_mg: [none, some * faster, much * faster],
             tilt_deg: [back, hold, quick_on, quick_far.max(quick_on)],
@@ -131,7 +135,7 @@ impl Paced {
     }
 }
 
-/// The spoon cannot be raised any more.
+/// Whether the spoon cannot be raised further.
 fn is_at_the_end(seen: &Observation, frame: &Rules) -> bool {
     seen.pitch_deg > frame.pitch.upper_deg - AT_THE_END_DEG
 }
@@ -156,7 +160,7 @@ mod tests {
         assert_eq!(rules.fall_mg, [0.0, 0.3, 4.0]);
         assert_eq!(rules.tilt_deg, [-7.8, 0.0, 4.8, 8.0]);
         assert_eq!(rules.shake_mm, Paced::CHOSEN.gentle.shake_mm);
-        // A small dose in few steps has to climb too.
+        // A small dose in few steps still has to climb.
         assert_eq!(Paced::CHOSEN.rules(5.0, 20).tilt_deg, [-7.8, 0.0, 2.4, 6.0]);
     }
 
@@ -189,7 +193,7 @@ mod tests {
         // 3 mg in 29 steps: 0.1 mg each.
         assert_eq!(next(2.0, 16.8, 17.0, 50.0), 2.0, "enough fell");
         assert_eq!(next(2.0, 16.0, 17.0, 50.0), usual, "more fell");
-        // 0.2 mg are missing: 1 mm and 5 mm for each mg.
+        // 0.2 mg is missing: 1 mm, plus 5 mm per mg.
         assert!((next(8.0, 19.8, 19.8, 50.0) - 2.0).abs() < 1e-9);
     }
 
@@ -209,7 +213,7 @@ mod tests {
         ) {
             let slow = Paced::CHOSEN.rules(target_mg, steps);
             let fast = Paced::CHOSEN.rules(target_mg * more, steps);
-            // Far and on may meet where nothing faster is allowed.
+            // *Far* and *on* may coincide where nothing faster is allowed.
             let rising = |f: Fuzzy| f.tilt_deg[2] <= f.tilt_deg[3] && f.tilt_deg[3] <= INCLINE_CHANGE_DEG_MAX
                 && f.missing_mg.windows(2).all(|w| w[0] < w[1]) && f.fall_mg.windows(2).all(|w| w[0] < w[1]);
             prop_assert!(rising(slow) && rising(fast));

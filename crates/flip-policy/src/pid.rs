@@ -5,12 +5,15 @@
 //! share = P e_k + I s_k + D d_k   once for the incline, cut to -1..1 of 8 deg a step, once for the shake, cut to 0..1 of 16 mm
 //! ```
 //!
-//! Below e = 0 it does nothing. There is no guard against wind-up, and the first difference is the whole error, as in the original.
+//! Below e = 0 it does nothing. There is no anti-windup, and the first difference is the whole
+//! error, as in the original.
 //!
-//! Source: `simulation/test_pid.py` of github.com/omron-sinicx/robotic-powder-weighing, the program beside Kadokawa et al., "Learning
-//! robotic powder weighing from simulation for laboratory automation", IROS 2023. Its two outputs are shares of that robot's largest
-//! incline change and shake; here they are shares of this one's. There the mass is that on the spoon, which has too much by what the
-//! vial lacks here: the errors are the same. Its gains lie in a file that was not published, so these are others ([`Pid::CHOSEN`]).
+//! Source: `simulation/test_pid.py` of github.com/omron-sinicx/robotic-powder-weighing, the program
+//! published with Kadokawa et al., "Learning robotic powder weighing from simulation for laboratory
+//! automation", IROS 2023. Its two outputs are shares of that robot's largest incline change and
+//! shake; here they are shares of this robot's. There the mass is the one on the spoon, whose
+//! excess equals the vial's shortfall here, so the errors are the same. Its gains are in a file
+//! that was not published, so these differ ([`Pid::CHOSEN`]).
 
 use super::controller::Done;
 use super::observation::Observation;
@@ -18,15 +21,15 @@ use flip_core::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MAX};
 use flip_core::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
-/// Shares of the largest action for each mg of error.
+/// Gains: shares of the largest action per mg of error.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Gains {
-    /// Of the error, 1/mg; -10 to 10.
+    /// Gain on the error, 1/mg; -10 to 10.
     pub p: f64,
-    /// Of the sum of the errors so far, 1/mg; -10 to 10.
+    /// Gain on the sum of the errors so far, 1/mg; -10 to 10.
     pub i: f64,
-    /// Of the change of the error since the last step, 1/mg; -10 to 10.
+    /// Gain on the change of the error since the last step, 1/mg; -10 to 10.
     pub d: f64,
 }
 
@@ -34,22 +37,23 @@ pub struct Gains {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Pid {
-    /// For the change of the pitch.
+    /// Gains for the change of the pitch.
     pub incline: Gains,
-    /// For the shake.
+    /// Gains for the shake.
     pub shake: Gains,
 }
 
 impl Pid {
-    /// Set by hand: 15 mg missing tilts by 5 deg and shakes by 7 mm, and what fell last holds the next tilt back.
-    /// `cargo experiment tune_schedule -- sets.json 12 1 pid` searches them.
+    /// Set by hand: 15 mg missing tilts by 5 deg and shakes by 7 mm, and the last fall holds the
+    /// next tilt back. `cargo experiment tune_schedule -- sets.json 12 1 pid` searches
+    /// for them.
     pub const CHOSEN: Self =
         Self { incline: Gains { p: 0.04, i: 0.0, d: 0.05 }, shake: Gains { p: 0.03, i: 0.0, d: 0.0 } };
 
-    /// The same rule if its gains are within their bounds.
+    /// Validates the rule: its gains must be within their bounds.
     ///
     /// # Errors
-    /// The first gain that is not, by its path.
+    /// The first gain that is out of bounds, by its path.
     pub fn checked(self) -> Result<Self, FieldError> {
         for (output, gains) in [("incline", self.incline), ("shake", self.shake)] {
             for (name, gain) in [("p", gains.p), ("i", gains.i), ("d", gains.d)] {
@@ -59,7 +63,7 @@ impl Pid {
         Ok(self)
     }
 
-    /// The action after these steps.
+    /// Returns the action after these steps.
     pub(super) fn propose(&self, done: &[Done], seen: &Observation) -> Action {
         let error = seen.missing_mg();
         if error < 0.0 {
@@ -90,7 +94,8 @@ mod tests {
 
     #[test]
     fn proportional_action_on_a_linear_plant_closes_the_same_share_of_the_error_with_every_shake() {
-        // A plant that lets 0.25 mg fall for each mm, and a shake of 16 mm * 0.05 / mg * e = 0.8 mm / mg * e: e shrinks by 0.8.
+        // A plant that releases 0.25 mg per mm, and a shake of 16 mm * 0.05 / mg * e = 0.8 mm /
+        // mg * e: e shrinks by a factor of 0.8.
         let pid = Pid { incline: NONE, shake: Gains { p: 0.05, ..NONE } };
         let controller = Controller::Pid(pid);
         let mut dosing = controller.begin(&Rules::FLIP, 1.0);

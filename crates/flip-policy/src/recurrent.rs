@@ -1,8 +1,8 @@
-//! The recurrent network of the prior work, run forward in plain Rust.
+//! Inference of the prior work's recurrent network in plain Rust.
 
 use super::actor::{Carried, Layer, OUTPUTS, flatten, perceptron, taker};
 
-/// Two branches that meet: one sees the observation alone, the other remembers.
+/// Two branches that merge: one sees only the observation, the other has memory.
 ///
 /// ```text
 /// x = encode(observation),  a' = the action of the step before
@@ -12,11 +12,13 @@ use super::actor::{Carried, Layer, OUTPUTS, flatten, perceptron, taker};
 /// outputs = perceptron(y, h)
 /// ```
 ///
-/// The perceptron has widths `[2 hidden, hidden, hidden, 4]`, ReLU between its layers. Gates are in libtorch's order, `W` and `U`
-/// are `[4 hidden, hidden]` by rows as libtorch keeps them, and h' = c' = a' = 0 before the first step.
+/// The perceptron has widths `[2 hidden, hidden, hidden, 4]`, with ReLU between its layers. Gates
+/// are in libtorch's order, `W` and `U` are `[4 hidden, hidden]` by rows as in libtorch, and h' =
+/// c' = a' = 0 before the first step.
 ///
-/// Source: the public code of Kadokawa et al., IROS 2023 (github.com/omron-sinicx/robotic-powder-weighing). There a' is drawn at
-/// random before the first step; zeros are its mean, and leave a weighing deterministic.
+/// Source: the public code of Kadokawa et al., IROS 2023
+/// (github.com/omron-sinicx/robotic-powder-weighing). There a' is random before the first step;
+/// zeros are its mean, and keep a weighing deterministic.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Recurrent {
     seen: Layer,
@@ -25,7 +27,8 @@ pub(super) struct Recurrent {
     trunk: Vec<Layer>,
 }
 
-/// Names and shapes of its tensors in the order of the flat block, for observations of `inputs` numbers.
+/// Names and shapes of its tensors in the order of the flat block, for observations of `inputs`
+/// numbers.
 pub(super) fn tensors(inputs: usize, hidden: usize) -> Vec<(String, Vec<usize>)> {
     let gates = 4 * hidden;
     let named = |name: &str, shape: &[usize]| (name.to_owned(), shape.to_vec());
@@ -43,20 +46,21 @@ pub(super) fn tensors(inputs: usize, hidden: usize) -> Vec<(String, Vec<usize>)>
     tensors
 }
 
-/// Names and shapes of a perceptron's tensors: `layer<k>.weight` `[inputs, outputs]` and `layer<k>.bias`.
+/// Names and shapes of a perceptron's tensors: `layer<k>.weight` `[inputs, outputs]` and
+/// `layer<k>.bias`.
 pub(super) fn layers(widths: &[usize]) -> Vec<(String, Vec<usize>)> {
     let of =
         |(k, w): (usize, &[usize])| [(format!("layer{k}.weight"), w.to_vec()), (format!("layer{k}.bias"), vec![w[1]])];
     widths.windows(2).enumerate().flat_map(of).collect()
 }
 
-/// Widths where the branches have met.
+/// Layer widths after the branches merge.
 fn trunk(hidden: usize) -> [usize; 4] {
     [2 * hidden, hidden, hidden, 2 * OUTPUTS]
 }
 
 impl Recurrent {
-    /// From a block of the length that [`tensors`] asks for.
+    /// Builds the network from a block of the length required by [`tensors`].
     pub fn from_flat(inputs: usize, hidden: usize, flat: &[f32]) -> Self {
         let mut take = taker(flat);
         let gates = 4 * hidden;
@@ -68,7 +72,7 @@ impl Recurrent {
         }
     }
 
-    /// The block again.
+    /// Returns the weights as one flat block.
     pub fn to_flat(&self) -> Vec<f32> {
         let branches = flatten(&[self.seen.clone(), self.recalled.clone()]);
         [branches, self.lstm.concat(), flatten(&self.trunk)].concat()
@@ -79,7 +83,7 @@ impl Recurrent {
         self.seen.outputs
     }
 
-    /// The outputs of one step, `[4]`; the LSTM's state in `carried` advances.
+    /// Computes the outputs of one step, `[4]`; advances the LSTM state in `carried`.
     pub fn forward(&self, x: &[f32], carried: &mut Carried) -> Vec<f32> {
         let mut y = self.seen.relu(x);
         let recalled = self.recalled.relu(&[x, &carried.last_action].concat());
@@ -88,7 +92,7 @@ impl Recurrent {
         perceptron(&self.trunk, &y)
     }
 
-    /// One step of the LSTM on its input `x`.
+    /// Advances the LSTM by one step on its input `x`.
     fn advance(&self, x: &[f32], [h, c]: &mut [Vec<f32>; 2]) {
         let hidden = self.hidden();
         let dot = |row: &[f32], x: &[f32]| row.iter().zip(x).map(|(&w, &x)| f64::from(w) * f64::from(x)).sum::<f64>();

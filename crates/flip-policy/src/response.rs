@@ -1,52 +1,56 @@
-//! What a shaken spoon lets fall, as a model of a few numbers: the prior of a dispenser.
+//! A model with few parameters of the mass released by a shaken spoon: the prior of a dispenser.
 
 use flip_core::domain::{FieldError, bounded};
 use flip_core::stats::normal::quantile;
 use serde::{Deserialize, Serialize};
 
-/// What simulated spoons do, over powders and spoonfuls: the prior of a dispenser, and what it holds to be a loss.
+/// Distribution of simulated spoons over powders and spoonfuls: the prior of a dispenser, and its
+/// loss.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Response {
-    /// Pitch at which a spoon begins to let go, degrees: mean and standard deviation.
+    /// Pitch at which a spoon begins to release powder, degrees: mean and standard deviation.
     pub onset_deg: [f64; 2],
-    /// ln of the mass let go by each further degree, mg: mean and standard deviation.
+    /// ln of the mass released per further degree, mg: mean and standard deviation.
     pub ln_slope_mg_deg: [f64; 2],
-    /// ln of the amplitude that takes most of what is loose, mm: mean and standard deviation.
+    /// ln of the amplitude that releases most of the loose powder, mm: mean and standard deviation.
     pub ln_stroke_mm: [f64; 2],
-    /// Correlations of onset and slope, of onset and stroke, of slope and stroke: a spoon that begins late lets go of more by each degree.
+    /// Correlations of onset and slope, of onset and stroke, of slope and stroke: a spoon that
+    /// begins late releases more per degree.
     pub correlations: [f64; 3],
     /// Exponent of the amplitude over the stroke.
     pub bend: f64,
-    /// Degrees that a shake of e mm is worth more than one of 1 mm.
+    /// Pitch equivalent of a shake of e mm over one of 1 mm, degrees.
     pub reach_deg: f64,
-    /// Degrees over which the beginning is spread.
+    /// Width over which the onset is spread, degrees.
     pub width_deg: f64,
-    /// Scatter of the root of a small mass, mg^(1/2).
+    /// Scatter of the square root of a small mass, mg^(1/2).
     pub floor: f64,
-    /// Scatter of the root of a mass in shares of the root of its mean; twice this is the coefficient of variation.
+    /// Scatter of the square root of a mass as a share of the square root of its mean; twice this
+    /// is the coefficient of variation.
     pub scatter: f64,
-    /// Factor on the scatter: the spoon is not the model.
+    /// Factor on the scatter, since the model is not exact.
     pub caution: f64,
-    /// Mass that a spoon holds, mg: nothing lets go of more.
+    /// Mass held by a spoon, mg; an upper limit on what it can release.
     pub held_mg: f64,
-    /// How much worse than too little too much is.
+    /// Cost of an overdose relative to an equal shortfall.
     pub overdose_factor: f64,
 }
 
-/// What one filled spoon does.
+/// Parameters of one filled spoon.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spoonful {
-    /// Pitch at which it begins to let go, degrees.
+    /// Pitch at which it begins to release powder, degrees.
     pub onset_deg: f64,
-    /// Mass let go by each further degree, mg.
+    /// Mass released per further degree, mg.
     pub slope_mg_deg: f64,
-    /// Amplitude that takes most of what is loose, mm.
+    /// Amplitude that releases most of the loose powder, mm.
     pub stroke_mm: f64,
 }
 
 impl Response {
-    /// What `benches/dispenser/fit.py` found for 250 courses of fifty calibrated sets (`examples/shake_response.rs`).
+    /// Fitted by `benches/dispenser/fit.py` to 250 courses of fifty calibrated sets
+    /// (`examples/shake_response.rs`).
     pub const FITTED: Self = Self {
         onset_deg: [-3.42, 36.06],
         ln_slope_mg_deg: [-0.39, 0.71],
@@ -62,10 +66,10 @@ impl Response {
         overdose_factor: 2.0,
     };
 
-    /// The response if each number is within its bounds.
+    /// Validates the response: each number must be within its bounds.
     ///
     /// # Errors
-    /// The first that is not, by name.
+    /// The first number that is out of bounds, by name.
     pub fn checked(self) -> Result<Self, FieldError> {
         bounded("onset_deg", self.onset_deg[0], -90.0, 90.0, "deg")?;
         bounded("onset_deg", self.onset_deg[1], 0.0, 45.0, "deg")?;
@@ -88,7 +92,8 @@ impl Response {
         Ok(self)
     }
 
-    /// The lower triangle whose product with its transpose has these correlations; not a number if there is none.
+    /// The lower triangle whose product with its transpose has these correlations (Cholesky
+    /// factor); NaN if there is none.
     fn roots(&self) -> [[f64; 3]; 3] {
         let [ab, ac, bc] = self.correlations;
         let b = (1.0 - ab * ab).sqrt();
@@ -96,12 +101,13 @@ impl Response {
         [[1.0, 0.0, 0.0], [ab, b, 0.0], [ac, cb, (1.0 - ac * ac - cb * cb).sqrt()]]
     }
 
-    /// Loss of an ending with so much missing, mg; negative is too much.
+    /// Loss of ending with this much missing, mg; negative is an overdose.
     pub(super) fn loss(&self, missing_mg: f64) -> f64 {
         if missing_mg < 0.0 { -self.overdose_factor * missing_mg } else { missing_mg }
     }
 
-    /// By how much a mass is larger in the mean than the square of the middle of its root, mg, and its variance, mg^2.
+    /// Excess of the mean mass over the square of the median of its root, mg, and variance of the
+    /// mass, mg^2.
     ///
     /// ```text
     /// E m - mean = sd^2          Var m = 4 mean sd^2 + 2 sd^4          of the square of a normal number
@@ -111,23 +117,24 @@ impl Response {
         [sd * sd, 4.0 * mean_mg * sd * sd + 2.0 * sd.powi(4)]
     }
 
-    /// Scatter of the root of a mass of this mean.
+    /// Scatter of the square root of a mass with this mean.
     pub(super) fn sd(&self, mean_mg: f64) -> f64 {
         (self.floor.powi(2) + (self.caution * self.scatter).powi(2) * mean_mg).sqrt()
     }
 
-    /// A mass of this mean, `z` standard deviations from the middle of its root.
+    /// Returns a mass with this mean, `z` standard deviations from the middle of its root.
     pub fn draw(&self, mean_mg: f64, z: f64) -> f64 {
         (mean_mg.sqrt() + z * self.sd(mean_mg)).max(0.0).powi(2)
     }
 
-    /// So many spoonfuls spread evenly over what is believed: Halton's points, each coordinate a quantile.
+    /// Returns `count` spoonfuls spread evenly over the prior: Halton's points, each coordinate a
+    /// quantile.
     pub fn guesses(&self, count: usize) -> Vec<Spoonful> {
         let guess = |k: usize| self.spoonful([2, 3, 5].map(|base| quantile(radical_inverse(k + 1, base))));
         (0..count).map(guess).collect()
     }
 
-    /// The spoonful that is `z` standard deviations from the means of onset, ln slope and ln stroke.
+    /// The spoonful `z` standard deviations from the means of onset, ln slope and ln stroke.
     pub fn spoonful(&self, z: [f64; 3]) -> Spoonful {
         let [onset, slope, stroke] = self.roots().map(|row| (0..3).map(|j| row[j] * z[j]).sum::<f64>());
         let of = |[mean, sd]: [f64; 2], by: f64| mean + sd * by;
@@ -139,7 +146,7 @@ impl Response {
     }
 }
 
-/// The `index`-th number of van der Corput's sequence of a base, within 0..1.
+/// The `index`-th number of the van der Corput sequence in this base, within 0..1.
 pub(super) fn radical_inverse(index: usize, base: usize) -> f64 {
     let (mut rest, mut digit, mut value) = (index, 1.0 / base as f64, 0.0);
     while rest > 0 {
@@ -151,19 +158,19 @@ pub(super) fn radical_inverse(index: usize, base: usize) -> f64 {
 }
 
 impl Spoonful {
-    /// What a shake there could let go of in all, mg.
+    /// Total mass that such shakes could release at this pitch, mg.
     pub(super) fn loose_mg(&self, r: &Response, pitch_deg: f64, shake_mm: f64) -> f64 {
         let x = (pitch_deg + r.reach_deg * libm::log(shake_mm) - self.onset_deg) / r.width_deg;
         let softplus = if x > 30.0 { x } else { libm::log1p(libm::exp(x)) };
         (self.slope_mg_deg * r.width_deg * softplus).min(r.held_mg)
     }
 
-    /// Share of it that one shake takes.
+    /// Share of it released by one shake.
     fn share(&self, r: &Response, shake_mm: f64) -> f64 {
         -libm::expm1(-libm::pow(shake_mm / self.stroke_mm, r.bend))
     }
 
-    /// Mean of a shake at this pitch after so much has fallen, mg.
+    /// Mean mass of a shake at this pitch after `poured_mg` has fallen, mg.
     pub fn mean_mg(&self, r: &Response, pitch_deg: f64, shake_mm: f64, poured_mg: f64) -> f64 {
         if shake_mm <= 0.0 {
             return 0.0;

@@ -1,4 +1,4 @@
-//! The policy that comes with FLIP.
+//! The policy shipped with FLIP.
 
 use super::artifact::{Policy, encode, id};
 use super::controller::Controller;
@@ -7,7 +7,7 @@ use super::manifest::{Kind, Manifest};
 use super::paced::Paced;
 use std::sync::LazyLock;
 
-/// A policy in the forms that it is kept in.
+/// A policy in its various forms.
 #[derive(Debug, Clone)]
 pub struct Shipped {
     /// Its content address.
@@ -18,8 +18,8 @@ pub struct Shipped {
     pub bytes: Vec<u8>,
 }
 
-/// The rules of [`Paced::CHOSEN`], in at most 30 steps: what a weighing takes as long as no other policy has shown to be better. Every data folder has
-/// it.
+/// The rules of [`Paced::CHOSEN`], in at most 30 steps: the default for a weighing until another
+/// policy has proved better. Present in every data folder.
 pub fn shipped() -> &'static Shipped {
     static SHIPPED: LazyLock<Shipped> = LazyLock::new(|| {
         let rules = Rules { steps_max: 30, ..Rules::FLIP };

@@ -9,13 +9,15 @@ use serde::{Deserialize, Serialize};
 #[schema(as = BalanceSettings)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// Smallest step of the display, mg. Default 1 (the published bench's balance).
+    /// Display step, mg. Default 1 (the published bench's balance).
     pub readability_mg: f64,
-    /// Time constant of the first-order response, s. Default 0.16 (measured on an A&D analytical balance, 28 steps).
+    /// Time constant of the first-order response, s. Default 0.16 (measured on an A&D analytical
+    /// balance, 28 steps).
     pub settling_tau_s: f64,
     /// SD of one reading's noise before rounding, mg. Default 0.1 (same rig, enclosed: 0.08-0.15).
     pub noise_mg: f64,
-    /// Wait after each motion before a reading is taken, s. Default 1.5: the response is within 0.01 % of its step.
+    /// Wait after each motion before reading, s. Default 1.5: the response is then within 0.01 % of
+    /// its final value.
     pub wait_s: f64,
 }
 
@@ -26,7 +28,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// The reading `wait_s` after the load went from `before_mg` to `after_mg`.
+    /// Returns the reading `wait_s` after the load changed from `before_mg` to `after_mg`.
     ///
     /// ```text
     /// m(t) = after + (before - after) exp(-t / tau) + noise, shown as the nearest multiple of the readability
@@ -35,7 +37,8 @@ impl Settings {
         let decay = libm::exp(-self.wait_s / self.settling_tau_s);
         let mass = after_mg + (before_mg - after_mg) * decay + self.noise_mg * normal(seed, index);
         let shown = (mass / self.readability_mg).round() * self.readability_mg;
-        // Rounding in decimal keeps 0.3 from being shown as 0.30000000000000004, and adding zero -0 from being shown at all.
+        // Rounding in decimal prevents 0.3 from becoming 0.30000000000000004, and adding zero
+        // prevents -0.
         Reading {
             mass_mg: (shown * 1e6).round() / 1e6 + 0.0,
             stable: (before_mg - after_mg).abs() * decay < self.readability_mg / 2.0,
@@ -67,7 +70,8 @@ mod tests {
                 assert!(empty != 0.0 || empty.is_sign_positive(), "an empty vial shows -0");
                 sum += shown - true_mg;
             }
-            // SD of one error is at most 0.31 mg, so 4 standard errors over 4000 readings are 0.02 mg.
+            // SD of one error is at most 0.31 mg, so 4 standard errors over 4000 readings are 0.02
+            // mg.
             assert!((sum / 4000.0).abs() < 0.02, "bias {}", sum / 4000.0);
         }
     }

@@ -1,7 +1,7 @@
-//! The scene of the speed comparison: a settled column of equal spheres, released on a plane.
+//! Scene for the speed comparison: a settled column of equal spheres, released on a plane.
 //!
-//! Other simulators run the same scene (`benches/peers`), so its powder is plain: friction 0.5 between grains and against the plane, no
-//! attraction, no drag. Time is advanced here and measured by the caller.
+//! Other simulators run the same scene (`benches/peers`), so its powder is simple: friction 0.5
+//! between grains and against the plane, no attraction, no drag. The caller does the timing.
 
 use super::constraints::{Vector, vector};
 use super::grains::Grains;
@@ -22,19 +22,20 @@ pub const FRICTION: f64 = 0.5;
 const FLOOR: Shape = Shape::FLAT;
 /// Height of a bed over its radius.
 const SLENDERNESS: f64 = 2.0;
-/// Share of a bed's volume that grains fill, for choosing its radius.
+/// Assumed packing fraction of a bed, used to choose its radius.
 const PACKING: f64 = 0.6;
-/// A bed rests at this root-mean-square speed, m/s.
+/// A bed counts as resting below this root-mean-square speed, m/s.
 const REST_RMS_M_S: f64 = 0.001;
-/// Longest wait for that, s.
+/// Longest wait for rest, s.
 const SETTLE_MAX_S: f64 = 0.6;
-/// Mean overlap down to which a bed is left without weight, diameters: a simulator with stiffer grains would burst from more.
+/// Mean overlap at which unloading without gravity ends, diameters: a simulator with stiffer grains
+/// would burst from more.
 const UNLOADED: f64 = 0.000_1;
-/// Most substeps for that, and the drag meanwhile.
+/// Maximum number of substeps for unloading, and the drag meanwhile.
 const UNLOAD_MAX: u32 = 6000;
 const UNLOAD_DRAG: f32 = 0.97;
 
-/// Grains on a plane. Clone it to run the same stretch again.
+/// Grains on a plane. Clone it to repeat the same run.
 #[derive(Debug, Clone)]
 pub struct Column {
     law: Law,
@@ -43,7 +44,7 @@ pub struct Column {
 }
 
 impl Column {
-    /// Grains at rest, centred at these places, m; z is the height over the plane.
+    /// Grains at rest, centred at these positions, m; z is the height above the plane.
     pub fn new(centres_m: &[[f64; 3]]) -> Self {
         let centres = centres_m.iter().map(|x| {
             let [x, y, z] = x.map(|m| (m / DIAMETER_M) as f32);
@@ -60,7 +61,7 @@ impl Column {
         Self { law, grains, substeps: 0 }
     }
 
-    /// Advance by this many substeps of [`SUBSTEP_S`].
+    /// Advances by this many substeps of [`SUBSTEP_S`].
     pub fn advance(&mut self, substeps: u32) {
         self.advance_within(substeps, &FLOOR);
     }
@@ -73,14 +74,14 @@ impl Column {
         self.substeps += u64::from(substeps);
     }
 
-    /// Advance likewise and count what that takes; slow.
+    /// Advances likewise and counts the work done; slow.
     pub fn count(&mut self, substeps: u32) -> Work {
         let down = vector(0.0, 0.0, -self.law.gravity);
         self.substeps += u64::from(substeps);
         counted(|| (0..substeps).for_each(|_| self.grains.substep_counted(&self.law, down, &FLOOR)))
     }
 
-    /// Have the next substep build the neighbour list again.
+    /// Makes the next substep rebuild the neighbour list.
     pub fn outdate(&mut self) {
         self.grains.outdate();
     }
@@ -90,12 +91,12 @@ impl Column {
         self.substeps as f64 * self.law.substep_s
     }
 
-    /// Grains.
+    /// Number of grains.
     pub fn particles(&self) -> usize {
         self.grains.centres().len()
     }
 
-    /// Centres, m, in no lasting order.
+    /// Centres, m, in no stable order.
     pub fn centres_m(&self) -> Vec<[f64; 3]> {
         let metres = |x: f32| f64::from(x) * DIAMETER_M;
         self.grains.centres().iter().map(|x| [metres(x[0]), metres(x[1]), metres(x[2])]).collect()
@@ -112,27 +113,28 @@ impl Column {
         (self.law.speed_m_s(largest), self.law.speed_m_s(rms))
     }
 
-    /// How often the neighbour list was built.
+    /// Number of neighbour-list builds so far.
     pub fn rebuilds(&self) -> u64 {
         self.grains.rebuilds()
     }
 
-    /// Memory of the grains and their neighbour list, bytes, with what is kept for growing.
+    /// Memory of the grains and their neighbour list, bytes, including spare capacity.
     pub fn bytes(&self) -> usize {
         self.grains.bytes()
     }
 
-    /// Why the simulation means nothing any more, if it does.
+    /// The reason why the simulation is no longer meaningful, if any.
     pub fn fault(&self) -> Option<String> {
         self.grains.fault()
     }
 }
 
-/// A bed of `particles` grains twice as high as its radius: rained from a loose lattice into an upright beaker and left until it rests,
-/// without friction, which would let the lattice stand as it is, then unloaded; centres, m. The same number gives the same bed.
+/// Creates a bed of `particles` grains twice as high as its radius: rained from a loose lattice
+/// into an upright beaker and left to rest, without friction, which would let the lattice stand as
+/// it is, then unloaded; centres, m. The same number gives the same bed.
 ///
 /// # Errors
-/// What made the simulation meaningless.
+/// The reason why the simulation became meaningless.
 pub fn bed(particles: u32) -> Result<Vec<[f64; 3]>, String> {
     // n (pi/6) d^3 = PACKING pi R^2 (SLENDERNESS R)
     let radius = libm::cbrt(f64::from(particles) / (6.0 * PACKING * SLENDERNESS));
@@ -140,7 +142,7 @@ pub fn bed(particles: u32) -> Result<Vec<[f64; 3]>, String> {
     let mut column = Column::of(lattice(particles, radius as f32).into_iter());
     (column.law.grain.friction, column.law.wall.friction) = (0.0, 0.0);
     let limit = column.law.substeps(SETTLE_MAX_S);
-    // The rain must have begun to fall before it can have come to rest.
+    // The rain must have started to fall before rest is checked.
     let slice = column.law.substeps(0.02);
     column.advance_within(slice, &beaker);
     while column.speeds_m_s().1 > REST_RMS_M_S && column.substeps < u64::from(limit) {
@@ -154,7 +156,7 @@ pub fn bed(particles: u32) -> Result<Vec<[f64; 3]>, String> {
     column.fault().map_or_else(|| Ok(column.centres_m()), Err)
 }
 
-/// A loose cubic lattice within a cylinder of this radius, shaken a little.
+/// A loose cubic lattice within a cylinder of this radius, slightly perturbed.
 fn lattice(particles: u32, radius: f32) -> Vec<Vector> {
     const SPACING: f32 = 1.15;
     const SHAKE: f32 = 0.07;
@@ -176,17 +178,18 @@ fn lattice(particles: u32, radius: f32) -> Vec<Vector> {
     centres
 }
 
-/// What the kernel runs on here: `portable`, `avx2` or `avx512`.
+/// The kernel's code path on this machine: `portable`, `avx2` or `avx512`.
 pub fn path() -> &'static str {
     Path::best().name()
 }
 
-/// Multiply and add in registers, in the kernel's lanes and as unfused as there; returns the operations done.
+/// Multiplies and adds in registers, in the kernel's lanes and, like the kernel, without fusing;
+/// returns the number of operations.
 pub fn multiply_add(rounds: u32) -> u64 {
     peak::multiply_add(Path::best(), rounds)
 }
 
-/// Read numbers in order, `passes` times, in the kernel's lanes; returns the bytes read.
+/// Reads numbers in order, `passes` times, in the kernel's lanes; returns the number of bytes read.
 pub fn read(numbers: &[[f32; 16]], passes: u32) -> u64 {
     peak::read(Path::best(), numbers, passes)
 }
@@ -203,7 +206,7 @@ mod tests {
         let column = Column::new(&centres);
         let (mean, largest) = column.overlaps();
         assert!(mean < 0.000_2 && largest < 0.002, "overlaps {mean} {largest}");
-        // The grains of the middle of the bed, over the volume there.
+        // The grains in the middle of the bed, over the volume there.
         let radius = (500.0f64 / (6.0 * PACKING * SLENDERNESS)).cbrt();
         let (r, low, high) = (radius - 1.0, 1.5, 1.5 * radius);
         let within = |x: &&[f64; 3]| {

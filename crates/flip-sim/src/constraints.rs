@@ -1,11 +1,11 @@
-//! One pure function per constraint, for sixteen contacts at once. Lengths in grain diameters, time in substeps, so a velocity is a
-//! displacement.
+//! One pure function per constraint, for sixteen contacts at once. Lengths in grain diameters, time
+//! in substeps, so a velocity is a displacement.
 
 use super::lanes::{Lanes, Mask};
 
-/// A vector in memory; what the fourth number means is said where it is kept.
+/// A vector in memory; the meaning of the fourth number is documented where it is stored.
 pub(super) type Vector = [f32; 4];
-/// Sixteen vectors by their components.
+/// Sixteen vectors by component.
 pub(super) type V3<L> = [L; 3];
 
 /// A vector from its three components.
@@ -56,8 +56,8 @@ pub(super) fn choose<L: Lanes>(mask: Mask, yes: V3<L>, no: V3<L>) -> V3<L> {
     [L::select(mask, yes[0], no[0]), L::select(mask, yes[1], no[1]), L::select(mask, yes[2], no[2])]
 }
 
-/// Strengths of one kind of contact (grain-grain or grain-wall), in the kernel's units. A share is what one substep takes from one
-/// side.
+/// Strengths of one kind of contact (grain-grain or grain-wall), in the kernel's units. A share is
+/// the fraction that one substep removes from one side.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Contact {
     /// Share of an overlap.
@@ -72,28 +72,29 @@ pub(super) struct Contact {
     pub friction: f32,
     /// Attraction of touching bodies, diameters per substep squared.
     pub attraction: f32,
-    /// Gap at which bodies begin to touch, diameters: above zero by what the attraction pulls them together, so that a pair at rest
-    /// has no overlap.
+    /// Gap at which bodies begin to touch, diameters: above zero by the distance over which the
+    /// attraction pulls them together, so that a pair at rest has no overlap.
     pub onset: f32,
     /// Gap at which the attraction has fallen to zero, diameters.
     pub reach: f32,
 }
 
 impl Contact {
-    /// A contact whose attraction rises linearly from zero at `reach` and rests at gap zero.
+    /// A contact whose attraction rises linearly from zero at `reach` and which rests at gap zero.
     ///
     /// ```text
     /// onset = b / (k + b / reach)      attraction = k onset        b: the attraction that the ramp has at gap zero
     /// ```
     ///
-    /// so that the ramp `b (1 - gap / reach)` meets the tension `k gap` of a stretched contact at `onset`.
+    /// so that the ramp `b (1 - gap / reach)` meets the tension `k gap` of a stretched contact at
+    /// `onset`.
     pub(super) fn attracted(self, b: f32) -> Self {
         let onset = b / (self.normal + b / self.reach);
         Self { attraction: self.normal * onset, onset, ..self }
     }
 }
 
-/// Push along the normal of bodies that touch: an overlap is undone and an approach is slowed down.
+/// Push along the normal between touching bodies: reverses an overlap and slows an approach.
 ///
 /// ```text
 /// C = gap - onset >= 0          push = max(0, -k C - c u)   if C < 0, else 0
@@ -106,8 +107,8 @@ impl Contact {
 /// | k | `stiffness` | 1 | share of the overlap per substep and side |
 /// | c | `damping` | 1 | share of the speed per substep and side |
 ///
-/// One relaxed Jacobi iteration per substep ("small steps", Macklin et al. 2019). A push never becomes a pull: what damping would
-/// take beyond that is left.
+/// One relaxed Jacobi iteration per substep ("small steps", Macklin et al. 2019). A push never
+/// becomes a pull: any excess damping is dropped.
 #[inline(always)]
 pub(super) fn separate<L: Lanes>(gap: L, opening: L, stiffness: L, damping: L) -> L {
     let zero = L::splat(0.0);
@@ -122,20 +123,20 @@ pub(super) fn separate<L: Lanes>(gap: L, opening: L, stiffness: L, damping: L) -
 ///      = 0                                   gap >= reach
 /// ```
 ///
-/// A bounded force, the same in loading and unloading: the simplest law with a pull-off force and a rupture distance. `inverse_ramp` is
-/// 1 / (reach - onset), `gap` is the gap beyond the onset.
+/// A bounded force, the same in loading and unloading: the simplest law with a pull-off force and a
+/// rupture distance. `inverse_ramp` is 1 / (reach - onset), `gap` is the gap beyond the onset.
 #[inline(always)]
 pub(super) fn attract<L: Lanes>(gap: L, attraction: L, inverse_ramp: L) -> L {
     let zero = L::splat(0.0);
     attraction * zero.max(L::splat(1.0) - zero.max(gap) * inverse_ramp)
 }
 
-/// What friction does to a contact.
+/// The effect of friction on a contact.
 #[derive(Clone, Copy)]
 pub(super) struct Held<L> {
-    /// Correction of the first body, tangential.
+    /// Tangential correction of the first body.
     pub correction: V3<L>,
-    /// Where the contact is anchored afterwards.
+    /// New anchor of the contact.
     pub anchor: V3<L>,
 }
 
@@ -144,7 +145,7 @@ pub(super) struct Held<L> {
 pub(super) struct Grip<L> {
     /// Share of the stretch per substep and side.
     pub stiffness: L,
-    /// Its inverse.
+    /// Inverse of `stiffness`.
     pub looseness: L,
     /// Share of the slip velocity per substep and side.
     pub damping: L,
@@ -152,7 +153,7 @@ pub(super) struct Grip<L> {
     pub limit: L,
 }
 
-/// Tangential correction from the stretch of a contact since it stuck.
+/// Tangential correction from the stretch of a contact since it last stuck.
 ///
 /// ```text
 /// s = (I - n n^T) (r - a)              stretch
@@ -170,8 +171,8 @@ pub(super) struct Grip<L> {
 /// | n | `normal` | 1 | unit normal |
 /// | mu push | `grip.limit` | diameters | push from [`separate`], without the attraction: the cone rests on load plus attraction |
 ///
-/// The memory of the anchor is what holds a heap at rest (Cundall and Strack 1979, in position form): friction on the displacement of
-/// one substep alone lets a heap creep.
+/// The anchor's memory is what keeps a heap at rest (Cundall and Strack 1979, in position form):
+/// with friction on the displacement of one substep alone, a heap creeps.
 #[inline(always)]
 pub(super) fn stick<L: Lanes>(
     offset: V3<L>,

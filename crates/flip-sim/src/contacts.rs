@@ -1,4 +1,4 @@
-//! Every contact, sixteen at once: what the constraints and the mechanisms add up to.
+//! All contacts, sixteen at a time: the sum of the constraints and the mechanisms.
 #![allow(clippy::inline_always)] // See `lanes`.
 
 use super::constraints::{Grip, V3, Vector, add, attract, choose, cross, inner, scale, separate, stick, sub};
@@ -8,47 +8,50 @@ use super::mechanisms::{AtWall, Pair};
 use super::pairs::Pairs;
 use super::walls::{Shape, Wall};
 
-/// Where everything would be without contacts: centre and radius, velocity and share of damping, spin (radians per substep).
+/// Predicted state without contacts: centre and radius, velocity and share of damping, spin
+/// (radians per substep).
 #[derive(Clone, Copy)]
 pub(super) struct Predicted<'a> {
     pub p: &'a [Vector],
     pub u: &'a [Vector],
-    /// As long as the others, or empty where grains do not rotate.
+    /// As long as the others, or empty if grains do not rotate.
     pub spin: &'a [Vector],
 }
 
-/// The grains of a block, and what their contacts add up to.
+/// The grains of a block and the sums over their contacts.
 pub(super) struct Turn<L> {
     pub p: V3<L>,
     pub u: V3<L>,
     pub radius: L,
-    /// `1 / sqrt(contacts)`: a grain's contacts share its damping, so that the sum stays stable however many there are.
+    /// `1 / sqrt(contacts)`: a grain's contacts share its damping, so that the sum stays stable for
+    /// any number of them.
     pub share: L,
     pub spin: V3<L>,
     /// Change of velocity.
     pub correction: V3<L>,
     /// Torque over mass.
     pub torque: V3<L>,
-    /// Their number.
+    /// Number of contacts.
     pub contacts: L,
 }
 
-/// Where the pairs' impulses are summed up by grain: change of velocity times mass, with the number of contacts in the fourth place; and
-/// torque, empty where grains do not rotate.
+/// Sums of the pairs' impulses by grain: change of velocity times mass, with the number of contacts
+/// in the fourth place; and torque, empty if grains do not rotate.
 pub(super) struct Sums<'a> {
     pub impulse: &'a mut [Vector],
     pub torque: &'a mut [Vector],
 }
 
-/// Mass over that of a grain of the mean size.
+/// Mass relative to a grain of the mean size.
 #[inline(always)]
 pub(super) fn mass<L: Lanes>(radius: L) -> L {
     let diameter = radius + radius;
     diameter * diameter * diameter
 }
 
-/// Surfaces that turn with `spins` (spin times radius, summed over both) carry their contact along: the slip velocity and the anchor
-/// then. Each difference leaves every bit alone where nothing spins; a sum would turn minus zero into zero.
+/// Slip velocity and anchor of a contact carried along by surfaces that turn with `spins` (spin
+/// times radius, summed over both). Differences preserve every bit where nothing spins; a sum would
+/// turn minus zero into zero.
 #[inline(always)]
 fn carry<L: Lanes>(velocity: V3<L>, anchor: V3<L>, spins: V3<L>, normal: V3<L>) -> [V3<L>; 2] {
     let still = [L::splat(0.0); 3];
@@ -56,7 +59,8 @@ fn carry<L: Lanes>(velocity: V3<L>, anchor: V3<L>, spins: V3<L>, normal: V3<L>) 
     [sub(velocity, moved), sub(anchor, sub(still, moved))]
 }
 
-/// Contacts of all listed pairs. Impulses on both grains of a pair are exactly opposite.
+/// Solves the contacts of all listed pairs. Impulses on the two grains of a pair are exactly
+/// opposite.
 #[inline(always)]
 pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(list: &mut Pairs, law: &Law, at: Predicted, sums: &mut Sums) {
     let c = &law.grain;
@@ -70,7 +74,8 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(list: &mut Pairs, law: &Law,
     for row in 0..firsts.len() {
         let (first, second) = (&firsts[row], &seconds[row]);
         #[allow(unsafe_code)]
-        // SAFETY: the list names grains and the two places after the last, and `p` has them all; `Grains::list` makes both together.
+        // SAFETY: the list contains indices of grains and the two places after the last, and `p`
+        // has them all; `Grains::list` builds both together.
         let ([ax, ay, az, radius], [bx, by, bz, their_radius]) =
             unsafe { (L::gather(at.p, first), L::gather(at.p, second)) };
         let offset = sub([ax, ay, az], [bx, by, bz]);
@@ -90,14 +95,15 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(list: &mut Pairs, law: &Law,
             continue;
         }
         let distance = distance2.sqrt();
-        // The inverse by a root and a division that do not wait for each other.
+        // A square root and a division that do not depend on each other compute the inverse.
         let normal = scale(offset, distance * (one / distance2));
         let gap = if EXTENDED { distance - (radii + L::splat(c.onset)) } else { distance - onset };
         let mut along = zero - attract(gap, L::splat(c.attraction), inverse_ramp);
         let touch = gap.below(zero) & near;
         let (mut reduced_mass, mut effective) = (one, one);
         if EXTENDED {
-            // Of unequal grains the lighter one gives way: a correction of equal grains is an impulse of their reduced mass.
+            // Of unequal grains the lighter one yields: a correction for equal grains is an impulse
+            // of their reduced mass.
             let (mine, theirs) = (mass(radius), mass(their_radius));
             reduced_mass = (mine + mine) * theirs / (mine + theirs);
             // Attraction grows with the effective radius.
@@ -126,7 +132,7 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(list: &mut Pairs, law: &Law,
                     unsafe { (L::gather(at.spin, first), L::gather(at.spin, second)) };
                 let (spin, their_spin) = ([sx, sy, sz], [tx, ty, tz]);
                 let [lever, their_lever] = levers(distance, radius, radii);
-                // Surfaces that turn carry the contact's two points along.
+                // Rotating surfaces carry the contact's two points along.
                 let spins = add(scale(spin, lever), scale(their_spin, their_lever));
                 [velocity, stuck] = carry(velocity, stuck, spins, normal);
                 turning = sub(spin, their_spin);
@@ -190,15 +196,17 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(list: &mut Pairs, law: &Law,
     }
 }
 
-/// The levers of both grains add up to the distance, overlap or not, so that friction keeps angular momentum.
+/// The levers of both grains add up to the distance, overlap or not, so that friction conserves
+/// angular momentum.
 #[inline(always)]
 fn levers<L: Lanes>(distance: L, radius: L, radii: L) -> [L; 2] {
     let lever = distance * radius / radii;
     [lever, distance - lever]
 }
 
-/// Contact of block grains with a wall. `anchors` are where each contact stuck, with 1 in the fourth place while it touches; `stretches`
-/// are the rolling stretches, with 1 in the fourth place for a grain that clings to spoons.
+/// Solves the contacts of block grains with a wall. `anchors` are where each contact stuck, with 1
+/// in the fourth place while it touches; `stretches` are the rolling stretches, with 1 in the
+/// fourth place for a grain that clings to spoons.
 #[inline(always)]
 pub(super) fn wall<L: Lanes, const EXTENDED: bool>(
     law: &Law,
@@ -230,7 +238,7 @@ pub(super) fn wall<L: Lanes, const EXTENDED: bool>(
     let [ax, ay, az, was] = L::rows(anchors);
     let was = zero.below(was);
     let mut stuck = choose(was, [ax, ay, az], turn.p);
-    // An anchor goes with its wall.
+    // An anchor moves with its wall.
     stuck = sub(stuck, sub([zero; 3], touched.velocity));
     if EXTENDED {
         [velocity, stuck] = carry(velocity, stuck, scale(turn.spin, turn.radius), normal);
@@ -249,7 +257,7 @@ pub(super) fn wall<L: Lanes, const EXTENDED: bool>(
         let stretches = stretches.expect("grains with mechanisms have stretches");
         let [sx, sy, sz, clings] = L::rows(stretches);
         let mut stretch = choose(was, [sx, sy, sz], [zero; 3]);
-        // A wall's effective radius is the grain's own.
+        // At a wall, the effective radius is the grain's own.
         let lightness = (turn.radius + turn.radius) / mass(turn.radius);
         pull = pull * lightness;
         let mut contact = AtWall {

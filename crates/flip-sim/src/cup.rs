@@ -1,5 +1,5 @@
-//! The cup experiment: grains in a flat-bottomed cylinder run out of a round hole in the middle of its floor. How fast, and how steep is
-//! what stays?
+//! The cup experiment: grains flow out of a flat-bottomed cylinder through a round hole in the
+//! middle of its floor. It measures the flow rate and the slope of the remaining powder.
 
 use super::flank::surface;
 use super::grains::Grains;
@@ -12,13 +12,15 @@ use flip_core::domain::parameters::ParameterSet;
 
 /// Coulomb coefficient of the cup.
 const FRICTION: f64 = 0.4;
-/// Share of the grains that has left when timing begins and when it ends: the flow is steady, and does not feel how full the cup is.
+/// Shares of grains discharged at the start and end of timing: in between, the flow is steady and
+/// independent of the fill level.
 const TIMED: [f64; 2] = [0.1, 0.4];
-/// Times sqrt(d / g) after which a cup from which nothing flows is given up.
+/// Time, in units of sqrt(d / g), after which a cup without flow is given up.
 const PATIENCE: f64 = 60.0;
-/// Substeps between two looks at the hole.
+/// Substeps between two checks of the hole.
 const LOOK: u32 = 8;
-/// Hole and cup of the drained angle, radii in grain diameters, and how deep the cup is filled: a crater of 50 deg ends at its side.
+/// Hole and cup of the drained angle, radii in grain diameters, and fill depth: a crater of 50 deg
+/// ends at the side of the cup.
 const DRAIN: [f64; 3] = [4.0, 12.0, 13.0];
 
 /// A filled cup.
@@ -29,7 +31,7 @@ struct Cup {
 }
 
 impl Cup {
-    /// Fill a cup with the hole closed, and open it. Lengths in grain diameters.
+    /// Fills a cup with the hole closed, then opens it. Lengths in grain diameters.
     fn open(set: &ParameterSet, [hole, radius, depth]: [f64; 3], seed: u64) -> Self {
         let law = Law::new(set, FRICTION, SUBSTEP_S);
         let closed = Silo::closed(radius as f32);
@@ -48,12 +50,14 @@ impl Cup {
     }
 }
 
-/// Grains that leave in the time sqrt(d / g) through a hole of `orifice` grain diameters; 0 for a powder that bridges it.
+/// Number of grains that leave in the time sqrt(d / g) through a hole of `orifice` grain diameters;
+/// 0 for a powder that bridges it.
 ///
-/// The cup is 1.6 times as wide as the hole, 16 d at least, and filled 1.2 holes and 4 d deep.
+/// The cup is 1.6 times as wide as the hole, at least 16 d, and filled to a depth of 1.2 holes plus
+/// 4 d.
 ///
 /// # Errors
-/// [`Refusal`] when the solver diverged.
+/// [`Refusal`] if the solver diverged.
 pub(super) fn flow(set: &ParameterSet, orifice: f64, seed: u64) -> Result<f64, Refusal> {
     let mut cup = Cup::open(set, [0.5 * orifice, (0.8 * orifice).max(8.0), 1.2 * orifice + 4.0], seed);
     let all = cup.grains.centres().len() as f64;
@@ -75,14 +79,15 @@ pub(super) fn flow(set: &ParameterSet, orifice: f64, seed: u64) -> Result<f64, R
     }
 }
 
-/// Slope of what stays in a cup that has run out, degrees; 90 for a powder that bridges the hole or leaves a shaft.
+/// Slope of the powder that remains in a drained cup, degrees; 90 for a powder that bridges the
+/// hole or leaves a shaft.
 ///
 /// # Errors
-/// [`Refusal`] when the solver diverged.
+/// [`Refusal`] if the solver diverged.
 pub(super) fn drained_deg(set: &ParameterSet, seed: u64) -> Result<f64, Refusal> {
     let [hole, radius, _] = DRAIN;
     let mut cup = Cup::open(set, DRAIN, seed);
-    // Drained: a thousandth of the grains at most leaves in the time of ten falls.
+    // Drained: at most a thousandth of the grains leaves in the time of ten falls.
     let all = cup.grains.centres().len();
     let window = (10.0 * fall_time(&cup.law)) as u32;
     loop {
@@ -99,7 +104,8 @@ pub(super) fn drained_deg(set: &ParameterSet, seed: u64) -> Result<f64, Refusal>
         .filter(|[r, _]| (hole + 0.5..radius - 1.5).contains(r))
         .collect();
     let gone = (all - cup.grains.centres().len()) as f64 / all as f64;
-    // A shaft as wide as the hole holds a ninth of the cup: more than twice that has to leave for a crater.
+    // A shaft as wide as the hole holds a ninth of the cup: a crater requires more than twice that
+    // to leave.
     if gone < 0.25 || crater.len() < 3 {
         return Ok(90.0);
     }

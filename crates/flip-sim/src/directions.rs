@@ -1,6 +1,7 @@
-//! What a heap knows of the nine parameters.
+//! The combinations of the nine parameters that a heap depends on.
 //!
-//! With lengths in diameters d and times in sqrt(d / g), g = gravity_scale * 9.81 m/s^2, a heap depends on five numbers,
+//! With lengths in diameters d and times in sqrt(d / g), g = gravity_scale * 9.81 m/s^2, a heap
+//! depends on five numbers,
 //!
 //! ```text
 //! mu                                    friction between grains
@@ -10,17 +11,19 @@
 //! damping * sqrt(d / gravity_scale)     loss of speed in the time of a fall of one diameter
 //! ```
 //!
-//! (mu, Bo, Bo_w and reach as in [`super::law`]) and, weakly, on the substep. So particle_mass does nothing, adhesion and its scale act
-//! between grains as a product, and cohesion, that product, diameter and gravity trade against each other.
+//! (mu, Bo, Bo_w and reach as in [`super::law`]) and, weakly, on the substep. Hence particle_mass
+//! has no effect, adhesion and its scale act between grains as a product, and cohesion, that
+//! product, diameter and gravity trade off against each other.
 
 use super::law::{BOND_PER_COHESION, BOND_PER_PARTICLE_ADHESION, DIAMETER_REFERENCE_MM};
 use flip_core::domain::parameters::{PARAMETERS, ParameterSet};
 
-/// How many numbers a heap depends on.
+/// Number of directions a heap depends on.
 pub const DIRECTIONS: usize = 5;
 
-/// The five numbers of a set, each increasing from 0 to 1 over the published box. The attractions enter by their square root: small grains
-/// under little gravity stretch their range far beyond where most sets are and most of their effect is.
+/// The five numbers of a set, each increasing from 0 to 1 over the published box. The attractions
+/// enter by their square root: small grains under low gravity stretch their range far beyond where
+/// most sets, and most of their effect, lie.
 pub fn directions(set: &ParameterSet) -> [f64; DIRECTIONS] {
     let of = numbers(set);
     let strongest = ParameterSet::new(PARAMETERS.map(|p| match p.key {
@@ -33,7 +36,7 @@ pub fn directions(set: &ParameterSet) -> [f64; DIRECTIONS] {
     [of[0] / mu, (of[1] / bond).sqrt(), (of[2] / wall_bond).sqrt(), of[3] / reach, of[4] / loss]
 }
 
-/// The five numbers up to constant factors and shifts.
+/// The five numbers, up to constant factors and shifts.
 fn numbers(set: &ParameterSet) -> [f64; DIRECTIONS] {
     let small = (DIAMETER_REFERENCE_MM / set.particle_diameter_mm()).powi(2) / set.gravity_scale();
     let product = set.adhesion() * set.particle_adhesion_scale();
@@ -72,7 +75,8 @@ mod tests {
     #[test]
     fn sets_with_the_same_numbers_have_the_same_dimensionless_law() {
         let ours = set(&[("cohesion", 0.4), ("adhesion", 0.5), ("particle_adhesion_scale", 0.8), ("damping", 0.6)]);
-        // 0.4 * 0.4 + 0.1 * 0.5 * 0.8 = 0.4 * 0.35 + 0.1 * 0.5 * 1.2, at another gravity, diameter and mass.
+        // 0.4 * 0.4 + 0.1 * 0.5 * 0.8 = 0.4 * 0.35 + 0.1 * 0.5 * 1.2, at another gravity, diameter
+        // and mass.
         let small = |d: f64, g: f64| (0.27f64 / d).powi(2) / g;
         let scale = small(0.27, 1.0) / small(0.24, 1.1);
         let others = set(&[

@@ -1,7 +1,8 @@
 //! The dosing experiment: a filled spoon over a vial, one action at a time.
 //!
-//! The spoon is solved in its own frame: pitching turns gravity, shaking adds the inertial force of its acceleration.
-//! A grain that leaves over the rim falls freely, in the frame of the room, and is in the vial if it meets the mouth.
+//! The spoon is solved in its own frame: pitching rotates gravity, shaking adds the inertial force
+//! of its acceleration. A grain that leaves over the rim falls freely in the lab frame, and counts
+//! as in the vial if it hits the mouth.
 
 use super::constraints::{Vector, vector};
 use super::grains::{Departure, Grains};
@@ -37,16 +38,16 @@ pub struct Settings {
     pub shake: MotionLimits,
     /// Radius of the vial's mouth, mm. Default 9 (a 20 ml vial).
     pub vial_radius_mm: f64,
-    /// Distance of the mouth's axis from the spoon's middle along its length at rest, mm. Default 10: the tip, at 5 mm,
-    /// shakes by up to 16 mm.
+    /// Distance of the mouth's axis from the spoon's middle along its length at rest, mm. Default
+    /// 10: the tip, at 5 mm, shakes by up to 16 mm.
     pub vial_offset_mm: f64,
-    /// Height of the rim of the level spoon over the mouth, mm. Default 10.
+    /// Height of the level spoon's rim above the mouth, mm. Default 10.
     pub drop_height_mm: f64,
     /// Substep of the solver, s. Default 0.00008.
     pub substep_s: f64,
     /// Longest wait for the powder to rest after a motion, s. Default 0.5.
     pub settle_max_s: f64,
-    /// What the base simulator leaves out. Default nothing.
+    /// Mechanisms not in the base simulator. Default none.
     #[serde(skip_serializing_if = "Extensions::is_none")]
     pub extensions: Extensions,
 }
@@ -71,14 +72,16 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// The same spoon on an arm whose executed shakes were measured: a shake has the largest speed that was measured for its executed amplitude.
+    /// The same spoon on an arm whose executed shakes were measured: a shake reaches the peak speed
+    /// measured for its executed amplitude.
     ///
     /// ```text
     /// s = sum(peak top) / sum(top^2)       top: of the move over the executed amplitude within the present limits
     /// v <- s v,  a <- s^2 a,  j <- s^3 j   the same move, 1/s times as long
     /// ```
     ///
-    /// Differs: one factor for all amplitudes; an arm with other ratios of its limits is met on average.
+    /// Difference: one factor for all amplitudes; an arm with other ratios of its limits is matched
+    /// only on average.
     #[must_use]
     pub fn as_executed(self, calibration: &ShakeCalibration) -> Self {
         let limits = self.shake;
@@ -86,7 +89,7 @@ impl Settings {
         let pairs = calibration.shakes.iter().map(|it| (top_m_s(it.executed_mm), it.peak_mm_s * 1e-3));
         let (both, squares) =
             pairs.fold((0.0, 0.0), |(both, squares), (top, peak)| (both + peak * top, squares + top * top));
-        // Shakes that were not executed say nothing about speed.
+        // Shakes that were not executed carry no information about speed.
         let s = if both > 0.0 && squares > 0.0 { both / squares } else { 1.0 };
         let shake = MotionLimits {
             velocity_m_s: s * limits.velocity_m_s,
@@ -97,18 +100,18 @@ impl Settings {
     }
 }
 
-/// What one action did.
+/// Result of one action.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Poured {
     /// Mass that fell into the vial during the action, mg.
     pub vial_mg: f64,
     /// Mass that missed the vial, mg.
     pub spilled_mg: f64,
-    /// Time of the motion and of the powder coming to rest, s.
+    /// Duration of the motion and of the powder coming to rest, s.
     pub duration_s: f64,
 }
 
-/// A spoon filled with a simulated powder over a vial. Clone it to replay from the same heap.
+/// A spoon filled with a simulated powder, over a vial. Clone it to replay from the same heap.
 #[derive(Debug, Clone)]
 pub struct Dispenser {
     settings: Settings,
@@ -117,7 +120,7 @@ pub struct Dispenser {
     grains: Grains,
     grain_mg: f64,
     pitch_deg: f64,
-    /// In masses of a mean grain.
+    /// In units of a mean grain's mass.
     vial: f64,
     spilled: f64,
     fault: Option<String>,
@@ -125,31 +128,31 @@ pub struct Dispenser {
     camera: Option<Camera>,
 }
 
-/// Where the spoon is at one moment, for grains that leave it.
+/// Pose of the spoon at one moment, for grains that leave it.
 #[derive(Debug, Clone, Copy, Default)]
 struct Pose {
     pitch_rad: f64,
-    /// Along the spoon's axis, m and m/s.
+    /// Position and velocity along the spoon's axis, m and m/s.
     shift_m: f64,
     shift_m_s: f64,
 }
 
-/// Substeps between two looks for grains that left and for rest.
+/// Substeps between two checks for departed grains and for rest.
 const SLICE: u32 = 8;
-/// A powder rests when no grain was faster than this for [`REST_S`], m/s.
+/// A powder rests if no grain was faster than this for [`REST_S`], m/s.
 const REST_M_S: f64 = 0.01;
 /// Time over which rest is judged, s.
 const REST_S: f64 = 0.02;
 
 impl Dispenser {
-    /// Fill the level spoon and let the powder rest (under a second of CPU; clone to reuse).
+    /// Fills the level spoon and lets the powder rest (under a second of CPU; clone to reuse).
     pub fn new(set: &ParameterSet, settings: &Settings, seed: u64) -> Self {
         let mut filled = Self::empty(set, settings);
         filled.fill(seed);
         filled
     }
 
-    /// A spoon without powder.
+    /// Creates a spoon without powder.
     pub(super) fn empty(set: &ParameterSet, settings: &Settings) -> Self {
         let law = Law::new(set, settings.friction, settings.substep_s);
         let law = law.extended(&settings.extensions, set, Site::Spoon);
@@ -169,7 +172,8 @@ impl Dispenser {
         }
     }
 
-    /// The level spoon with these grains in it (centres and velocities in its frame), when they have come to rest.
+    /// Puts these grains in the level spoon (centres and velocities in its frame) and lets them
+    /// come to rest.
     pub(super) fn holding(mut self, grains: impl Iterator<Item = [Vector; 2]>) -> Self {
         grains.for_each(|[x, v]| self.grains.pour(&self.law, x, v));
         self.rest(2.0 * self.settings.settle_max_s);
@@ -177,12 +181,13 @@ impl Dispenser {
         self
     }
 
-    /// Let a camera watch the grains in the spoon from now on, in the spoon's frame.
+    /// Lets a camera watch the grains in the spoon from now on, in the spoon's frame.
     pub fn watch(&mut self, camera: Camera) {
         self.camera = Some(camera);
     }
 
-    /// Grains rain from a loose lattice over the middle of the bowl; what rolls off while filling is not counted.
+    /// Rains grains from a loose lattice over the middle of the bowl; those that roll off while
+    /// filling are not counted.
     fn fill(&mut self, seed: u64) {
         let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[0xF111]));
         let [a, b, _] = self.bowl.semi_axes;
@@ -207,14 +212,15 @@ impl Dispenser {
         (self.vial, self.spilled) = (0.0, 0.0);
     }
 
-    /// Carry out one action, until the powder rests: first the pitch, clamped to its limits, then the shake.
+    /// Carries out one action until the powder rests: first the pitch, clamped to its limits, then
+    /// the shake.
     pub fn step(&mut self, action: Action) -> Poured {
         let limits = self.settings.pitch;
         let pitch = (self.pitch_deg + action.incline_change_deg).clamp(limits.lower_deg, limits.upper_deg);
         self.carry_out(pitch, action.executed_shake_mm())
     }
 
-    /// Bring the spoon back to level.
+    /// Returns the spoon to level.
     pub fn level(&mut self) -> Poured {
         self.carry_out(0.0, 0.0)
     }
@@ -238,7 +244,8 @@ impl Dispenser {
         }
     }
 
-    /// Turn at a speed that rises and falls smoothly: pitch(t) = p0 + dp (1 - cos(pi t / T)) / 2.
+    /// Pitches at a speed that rises and falls smoothly: pitch(t) = p0 + dp (1 - cos(pi t / T))
+    /// / 2.
     fn incline(&mut self, pitch_deg: f64) -> f64 {
         let (start, change) = (self.pitch_deg.to_radians(), (pitch_deg - self.pitch_deg).to_radians());
         let duration = (pitch_deg - self.pitch_deg).abs() / self.settings.pitch_deg_s;
@@ -250,7 +257,7 @@ impl Dispenser {
         duration
     }
 
-    /// Out along the spoon's axis by the amplitude and back.
+    /// Moves out along the spoon's axis by the amplitude and back.
     fn shake(&mut self, amplitude_m: f64) -> f64 {
         let stroke = Move::new(amplitude_m, self.settings.shake);
         let (half, pitch_rad) = (stroke.duration_s(), self.pitch_deg.to_radians());
@@ -264,7 +271,7 @@ impl Dispenser {
         2.0 * half
     }
 
-    /// Wait until the powder rests; returns how long that took, s.
+    /// Waits until the powder rests; returns the time taken, s.
     fn rest(&mut self, limit_s: f64) -> f64 {
         let pose = Pose { pitch_rad: self.pitch_deg.to_radians(), ..Pose::default() };
         let (limit, quiet) = (self.law.substeps(limit_s), self.law.substeps(REST_S));
@@ -278,7 +285,8 @@ impl Dispenser {
         f64::from(spent) * self.law.substep_s
     }
 
-    /// Advance by `duration_s`; `motion` gives the pose and the spoon's acceleration along its axis at each time.
+    /// Advances by `duration_s`; `motion` returns the pose and the spoon's acceleration along its
+    /// axis at each time.
     fn run(&mut self, duration_s: f64, mut motion: impl FnMut(f64) -> (Pose, f64)) {
         for substep in 0..self.law.substeps(duration_s) {
             let (pose, acceleration) = motion(f64::from(substep) * self.law.substep_s);
@@ -309,13 +317,13 @@ impl Dispenser {
         }
     }
 
-    /// Free fall from where a grain left to the height of the vial's mouth.
+    /// Whether free fall from the point of departure hits the vial's mouth.
     fn meets_the_mouth(&self, departure: Departure, pose: Pose) -> bool {
         let metres = |v: Vector| [0, 1, 2].map(|k| f64::from(v[k]) * self.law.diameter_m);
         let x = metres(departure.x);
         let v = metres(departure.v).map(|d| d / self.law.substep_s);
         let (sin, cos) = libm::sincos(pose.pitch_rad);
-        // The spoon's frame is turned about its width and shifted along its own axis.
+        // The spoon's frame is rotated about its width and shifted along its own axis.
         let room = |along: f64, up: f64| [along * cos + up * sin, -along * sin + up * cos];
         let [at_x, at_z] = room(x[0] + pose.shift_m, x[2]);
         let [speed_x, speed_z] = room(v[0] + pose.shift_m_s, v[2]);
@@ -327,12 +335,12 @@ impl Dispenser {
         libm::hypot(miss_x, miss_y) <= self.settings.vial_radius_mm * 1e-3
     }
 
-    /// Pitch now, degrees, positive is tip down.
+    /// Current pitch, degrees; positive is tip down.
     pub fn pitch_deg(&self) -> f64 {
         self.pitch_deg
     }
 
-    /// Powder in the vial, mg: the truth, not the balance's reading.
+    /// Powder in the vial, mg: the true mass, not the balance's reading.
     pub fn vial_mg(&self) -> f64 {
         self.vial * self.grain_mg
     }
@@ -347,13 +355,13 @@ impl Dispenser {
         self.grains.mass() * self.grain_mg
     }
 
-    /// Why the simulation means nothing any more, if it does.
+    /// The reason why the simulation is no longer meaningful, if any.
     pub fn fault(&self) -> Option<&str> {
         self.fault.as_deref()
     }
 }
 
-/// What the grains of a full spoon of this powder weigh, mg: more than this cannot be dosed.
+/// Mass of the grains in a full spoon of this powder, mg: the largest possible dose.
 pub fn capacity_mg(set: &ParameterSet, settings: &Settings) -> f64 {
     f64::from(settings.particles) * set.particle_mass_ug() / 1000.0
 }

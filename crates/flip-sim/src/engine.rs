@@ -1,4 +1,4 @@
-//! What the heap experiment asks of a solver, and the two solvers that answer.
+//! The solver interface used by the heap experiment, and its two implementations.
 
 use super::constraints::{Vector, vector};
 use super::grains::Grains;
@@ -13,7 +13,7 @@ use flip_core::domain::parameters::ParameterSet;
 /// The units of an engine.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Scales {
-    /// Size of gravity, diameters per step squared.
+    /// Magnitude of gravity, diameters per step squared.
     pub gravity: f32,
     /// Grain diameter, m.
     pub diameter_m: f64,
@@ -22,12 +22,12 @@ pub(super) struct Scales {
 }
 
 impl Scales {
-    /// A speed in diameters per step as m/s.
+    /// Converts a speed in diameters per step to m/s.
     pub(super) fn speed_m_s(&self, speed: f32) -> f64 {
         f64::from(speed) * self.diameter_m / self.step_s
     }
 
-    /// Steps in a time, rounded to the nearest.
+    /// Number of steps in a time, rounded to the nearest.
     pub(super) fn steps(&self, seconds: f64) -> u32 {
         (seconds / self.step_s).round() as u32
     }
@@ -36,27 +36,28 @@ impl Scales {
 /// A powder on a plate, solved in steps. Lengths in grain diameters, time in steps.
 pub(super) trait Engine {
     fn scales(&self) -> Scales;
-    /// Add a grain.
+    /// Adds a grain.
     fn pour(&mut self, x: Vector, v: Vector);
-    /// Advance one step.
+    /// Advances one step.
     fn step(&mut self);
-    /// Take out the grains that fell off.
+    /// Removes the grains that fell off.
     fn drop_departed(&mut self);
     fn centres(&self) -> &[Vector];
-    /// Centres of the poured grains from the height on which the heap stands; the fourth number is the radius.
+    /// Centres of the poured grains, measured from the height on which the heap stands; the fourth
+    /// number is the radius.
     fn heap(&self) -> Vec<Vector>;
     fn snapshot(&self, time_s: f64) -> Snapshot;
-    /// In the order of the centres; the fourth number counts contacts.
+    /// Velocities in the order of the centres; the fourth number counts contacts.
     fn velocities(&self) -> &[Vector];
-    /// Root mean square.
+    /// Root-mean-square speed.
     fn speed_rms(&self) -> f32;
     /// Mean and largest overlap of overlapping grains.
     fn overlaps(&mut self) -> (f64, f64);
-    /// What makes the state meaningless, if anything does.
+    /// The reason why the state is meaningless, if any.
     fn fault(&self) -> Option<String>;
 }
 
-/// The simulator's own solver; a step is a substep.
+/// The simulator's own solver; one step is a substep.
 pub(super) struct Physical {
     law: Law,
     plate: Shape,
@@ -73,7 +74,7 @@ impl Physical {
 
     /// Grains that follow `law`.
     pub(super) fn under(law: Law, settings: &Settings) -> Self {
-        // Only a law with mechanisms knows fixed grains.
+        // Only a law with mechanisms supports fixed grains.
         let law = Law { extended: law.extended || settings.rough_base, ..law };
         let plate = Plate { radius: settings.base_radius_diameters as f32 };
         let mut grains = Grains::default();
@@ -86,10 +87,10 @@ impl Physical {
     }
 }
 
-/// Distance of close-packed layers, grain diameters: sqrt(2/3).
+/// Distance between close-packed layers, grain diameters: sqrt(2/3).
 pub(super) const LAYER: f32 = 0.816_496_6;
 
-/// Centres of a close-packed layer that lies on a round base.
+/// Centres of a close-packed layer on a round base.
 pub(super) fn close_packed(radius: f32) -> Vec<Vector> {
     let rows = (radius / 0.75) as i32;
     let at = |row: i32, column: i32| [column as f32 + 0.5 * (row & 1) as f32, row as f32 * 0.866_025_4];
@@ -133,7 +134,7 @@ impl Engine for Physical {
     }
 }
 
-/// The published engine's semantics; a step is a frame.
+/// The published engine's semantics; one step is a frame.
 pub(super) struct Physx {
     law: physx::Law,
     plate: Plate,

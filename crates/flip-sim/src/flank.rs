@@ -1,8 +1,8 @@
-//! The flank of a heap as a depth camera from above sees it.
+//! The flank of a heap as seen by a depth camera from above.
 
 use super::constraints::Vector;
 
-/// Sectors around the axis for the cone fit and for the cover of the rim.
+/// Number of sectors around the axis for the cone fit and for the coverage of the rim.
 pub(super) const SECTORS: usize = 12;
 
 /// The sector of a position.
@@ -14,9 +14,9 @@ pub(super) fn sector(at: [f64; 2]) -> usize {
 /// Side of a pixel of the height map, grain diameters.
 const PIXEL: f64 = 0.25;
 
-/// Slope of the flank as a depth camera from above sees it: the mean surface height of every one-diameter ring in each
-/// sector, a least-squares line through the rings between 20 % and 80 % of the apex height, and the mean slope of the
-/// sectors as an angle, degrees.
+/// Slope of the flank as seen by a depth camera from above: the mean surface height of every
+/// one-diameter ring in each sector, a least-squares line through the rings between 20 % and 80 %
+/// of the apex height, and the mean slope of the sectors as an angle, degrees.
 pub(super) fn cone_deg(x: &[Vector], base_radius: f64) -> f64 {
     let rings = base_radius.ceil() as usize;
     let mut profile = vec![Ring::default(); SECTORS * rings];
@@ -69,7 +69,7 @@ pub(super) fn surface(x: &[Vector], base_radius: f64) -> impl Iterator<Item = ([
     top.into_iter().enumerate().filter(|(_, z)| z.is_finite()).map(move |(k, z)| (position(k), z))
 }
 
-/// Least-squares slope of height over radius; `None` below three points or without spread.
+/// Least-squares slope of height over radius; `None` for fewer than three points or without spread.
 fn slope(points: &[[f64; 2]]) -> Option<f64> {
     let n = points.len() as f64;
     if n < 3.0 {

@@ -1,4 +1,4 @@
-//! The state of a powder and the order of one substep.
+//! The state of a powder, and the sequence of one substep.
 
 use super::constraints::{Vector, add, choose, dot, scale, splat};
 use super::contacts::{self, Predicted, Sums, Turn};
@@ -11,8 +11,8 @@ use super::walls::{Shape, Wall};
 
 /// Grains at one moment. Lengths in grain diameters, velocities in diameters per substep.
 ///
-/// They lie in memory near their neighbours, so a grain's place changes; arrays are filled up to whole blocks with grains that are far
-/// away and never move.
+/// Grains lie in memory near their neighbours, so a grain's index changes; arrays are padded to
+/// whole blocks with grains that are far away and never move.
 #[derive(Debug, Clone)]
 pub(super) struct Grains {
     n: usize,
@@ -24,21 +24,22 @@ pub(super) struct Grains {
     wall_anchor: Vec<Vector>,
     /// Spins, radians per substep; the fourth number is 1 for a grain that can move.
     spin: Vec<Vector>,
-    /// Each grain's rolling stretch at the wall; the fourth number is 1 for a grain that clings to spoons.
+    /// Each grain's rolling stretch at the wall; the fourth number is 1 for a grain that clings to
+    /// spoons.
     wall_stretch: Vec<Vector>,
-    /// In the order of pouring.
+    /// Ids, in the order of pouring.
     id: Vec<u32>,
     /// Each grain's place in the neighbour list.
     listed: Vec<u32>,
-    /// What [`Predicted`] says, with two grains more that are nowhere: the pairs of a row that is not full.
+    /// As in [`Predicted`], plus two grains that are nowhere: the pairs that fill up a row.
     p: Vec<Vector>,
     u: Vec<Vector>,
     turning: Vec<Vector>,
-    /// What [`Sums`] says; zero between substeps.
+    /// As in [`Sums`]; zero between substeps.
     impulse: Vec<Vector>,
     torque: Vec<Vector>,
     neighbours: Neighbours,
-    /// Grains came or went since the list was built.
+    /// Whether grains were added or removed since the list was built.
     changed: bool,
     poured: u32,
     elapsed: u32,
@@ -50,29 +51,29 @@ pub(super) struct Grains {
 /// A grain that left the scene.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Departure {
-    /// Centre when it was taken out.
+    /// Centre when it was removed.
     pub x: Vector,
-    /// Velocity then.
+    /// Velocity when it was removed.
     pub v: Vector,
 }
 
-/// Mass of a grain centred at `x` over that of a mean grain.
+/// Mass of a grain centred at `x`, relative to a mean grain.
 fn mass(x: &Vector) -> f64 {
     (2.0 * f64::from(x[3])).powi(3)
 }
 
 impl Departure {
-    /// Mass over that of a mean grain.
+    /// Mass relative to a mean grain.
     pub(super) fn mass(&self) -> f64 {
         mass(&self.x)
     }
 }
 
-/// What the state means nothing beyond: more than this many diameters per substep is an explosion, not a powder.
+/// Speed limit of a meaningful state: more diameters per substep is an explosion, not a powder.
 const SPEED_MAX: f32 = 1.0;
-/// A grain that fills a block up.
+/// A padding grain.
 const NOBODY: Vector = [FAR, FAR, FAR, 0.5];
-/// The two of a pair that is none: far from each other.
+/// The two grains of a padding pair: far from each other.
 const NOWHERE: [Vector; 2] = [[-FAR, -FAR, -FAR, 0.5], [-FAR, -FAR, FAR, 0.5]];
 
 impl Default for Grains {
@@ -82,7 +83,7 @@ impl Default for Grains {
 }
 
 impl Grains {
-    /// No grains yet, to be solved on this path.
+    /// Creates an empty state, to be solved on this path.
     pub(super) fn on(path: Path) -> Self {
         Self {
             n: 0,
@@ -108,12 +109,12 @@ impl Grains {
         }
     }
 
-    /// Centres, in no lasting order; the fourth number is the radius.
+    /// Centres, in no stable order; the fourth number is the radius.
     pub(super) fn centres(&self) -> &[Vector] {
         &self.x[..self.n]
     }
 
-    /// Numbers in the order of pouring, in the order of the centres.
+    /// Ids (numbers in the order of pouring), in the order of the centres.
     pub(super) fn ids(&self) -> &[u32] {
         &self.id
     }
@@ -123,14 +124,15 @@ impl Grains {
         &self.v[..self.n]
     }
 
-    /// Add a grain; its radius is the law's for its number.
+    /// Adds a grain; the law determines its radius from its id.
     pub(super) fn pour(&mut self, law: &Law, x: Vector, v: Vector) {
         let radius = law.mechanisms.sizes.radius(self.poured);
         let clings = law.mechanisms.film.clings(self.poured);
         self.add([x[0], x[1], x[2], radius], v, [1.0, clings]);
     }
 
-    /// Add a grain of the mean size that never moves. Only a law with mechanisms knows such grains.
+    /// Adds a grain of the mean size that never moves. Only a law with mechanisms supports such
+    /// grains.
     pub(super) fn fix(&mut self, x: Vector) {
         self.add([x[0], x[1], x[2], 0.5], [0.0; 4], [0.0, 0.0]);
     }
@@ -152,32 +154,33 @@ impl Grains {
         self.changed = true;
     }
 
-    /// What each grain takes with it when its place changes.
+    /// The columns that move with a grain when its index changes.
     fn columns(&mut self) -> [&mut Vec<Vector>; 5] {
         [&mut self.x, &mut self.v, &mut self.wall_anchor, &mut self.spin, &mut self.wall_stretch]
     }
 
-    /// Advance one substep: predict, project every contact once at the predicted positions, move.
+    /// Advances one substep: predict, project every contact once at the predicted positions, move.
     ///
     /// ```text
     /// u = (v + acceleration) drag           p = x + u
     /// v <- u + sum of corrections(p, u)     x <- x + v
     /// ```
     ///
-    /// One relaxed Jacobi iteration: every correction is computed at the same `p` and summed by its own grain in list order, so the
-    /// result does not depend on the processor or on threads. Both grains of a pair receive exactly opposite corrections.
+    /// One relaxed Jacobi iteration: every correction is computed at the same `p` and summed per
+    /// grain in list order, so the result does not depend on the processor or on threads. Both
+    /// grains of a pair receive exactly opposite corrections.
     pub(super) fn substep(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
         #[allow(unsafe_code)]
         match self.path {
             Path::Portable => self.advance_any::<Portable>(law, acceleration, wall),
-            // SAFETY: a path is chosen only on a processor that has it.
+            // SAFETY: a path is chosen only on a processor that supports it.
             Path::Avx2 => unsafe { self.advance_avx2(law, acceleration, wall) },
             // SAFETY: as above.
             Path::Avx512 => unsafe { self.advance_avx512(law, acceleration, wall) },
         }
     }
 
-    /// The same, adding to the thread's [`super::Work`].
+    /// Like [`Self::substep`], adding to the thread's [`super::Work`].
     pub(super) fn substep_counted(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
         self.advance::<Counting, false>(law, acceleration, wall);
     }
@@ -225,7 +228,7 @@ impl Grains {
         self.elapsed += 1;
     }
 
-    /// The lanes of block `b` that hold a grain.
+    /// Mask of the lanes of block `b` that hold a grain.
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
     fn inhabited(&self, b: usize) -> Mask {
@@ -233,7 +236,8 @@ impl Grains {
         if left >= WIDTH { Mask::MAX } else { (1 << left) - 1 }
     }
 
-    /// Where everything would be without contacts; whether the neighbour list still holds there.
+    /// Predicts the state without contacts; returns whether the neighbour list is still valid
+    /// there.
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
     fn predict<L: Lanes, const EXTENDED: bool>(&mut self, law: &Law, acceleration: Vector) -> bool {
@@ -253,7 +257,7 @@ impl Grains {
             }
             let p = choose(inhabited, add([x, y, z], u), [x, y, z]);
             let strayed = L::select(inhabited, self.neighbours.strayed(b, p), L::splat(-1.0));
-            // A position that is no number has strayed too.
+            // A position that is NaN counts as strayed too.
             furthest = L::select(strayed.below(furthest), furthest, strayed);
             L::write_rows([p[0], p[1], p[2], radius], block_mut(&mut self.p, b));
             let share = L::splat(1.0) / L::splat(1.0).max(contacts).sqrt();
@@ -262,7 +266,7 @@ impl Grains {
         furthest.below(L::splat(0.0)) == Mask::MAX
     }
 
-    /// Sort the grains into cells and list their neighbours.
+    /// Sorts the grains into cells and lists their neighbours.
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
     fn list<L: Lanes, const EXTENDED: bool>(&mut self, law: &Law) {
@@ -303,7 +307,7 @@ impl Grains {
         self.changed = false;
     }
 
-    /// Add the walls to what the pairs gave the grains of block `b`, and move them.
+    /// Adds the walls to the sums over pairs for the grains of block `b`, and moves them.
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
     fn advance_block<L: Lanes, const EXTENDED: bool>(&mut self, b: usize, law: &Law, wall: &Shape) {
@@ -342,7 +346,7 @@ impl Grains {
         }
     }
 
-    /// Take out the grains that have left for good, in the order of pouring.
+    /// Removes the grains that have left for good, in the order of pouring.
     pub(super) fn take_departed(&mut self, wall: &Shape) -> Vec<Departure> {
         let mut departed = Vec::new();
         let mut kept = 0;
@@ -367,7 +371,7 @@ impl Grains {
         departed.into_iter().map(|(_, departure)| departure).collect()
     }
 
-    /// Mass of all grains over that of a mean grain.
+    /// Mass of all grains, relative to a mean grain.
     pub(super) fn mass(&self) -> f64 {
         self.centres().iter().map(mass).sum()
     }
@@ -389,17 +393,17 @@ impl Grains {
         (largest.sqrt(), (sum / f64::from(mobile.max(1))).sqrt() as f32)
     }
 
-    /// Have the next substep build the neighbour list again.
+    /// Makes the next substep rebuild the neighbour list.
     pub(super) fn outdate(&mut self) {
         self.changed = true;
     }
 
-    /// How often the neighbour list was built.
+    /// Number of neighbour-list builds so far.
     pub(super) fn rebuilds(&self) -> u64 {
         self.neighbours.builds
     }
 
-    /// Memory held, bytes. Names every field, so that none is forgotten.
+    /// Memory held, bytes. Lists every field, so that none is forgotten.
     pub(super) fn bytes(&self) -> usize {
         let Self {
             n: _,
@@ -431,7 +435,7 @@ impl Grains {
             + neighbours.bytes()
     }
 
-    /// What makes the state meaningless, if anything does.
+    /// The reason why the state is meaningless, if any.
     pub(super) fn fault(&self) -> Option<String> {
         if self.neighbours.overfull {
             return Some("grains have fallen into each other".to_owned());
@@ -466,13 +470,13 @@ impl Grains {
         (sum / f64::from(overlapping.max(1)), largest)
     }
 
-    /// Spin of a grain by its number in the order of pouring, radians per substep.
+    /// Spin of a grain by id, radians per substep.
     #[cfg(test)]
     pub(super) fn spin(&self, id: u32) -> Vector {
         self.spin[self.id.iter().position(|&other| other == id).expect("the grain is still there")]
     }
 
-    /// Centre and velocity of a grain by its number in the order of pouring.
+    /// Centre and velocity of a grain by id.
     #[cfg(test)]
     pub(super) fn grain(&self, id: u32) -> (Vector, Vector) {
         let place = self.id.iter().position(|&other| other == id).expect("the grain is still there");

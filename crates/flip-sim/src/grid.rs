@@ -1,4 +1,4 @@
-//! The search grid: grains by cell, cell after cell. Lengths in grain diameters.
+//! The search grid: grains sorted by cell. Lengths in grain diameters.
 
 use super::constraints::Vector;
 
@@ -17,7 +17,7 @@ pub(super) struct Grid {
     cell_of: Vec<u32>,
 }
 
-/// Most cells along one side: a stray grain far away must not cost memory.
+/// Maximum number of cells along one side, so that a stray grain far away does not cost memory.
 const CELLS_MAX: i32 = 128;
 
 impl Grid {
@@ -26,7 +26,7 @@ impl Grid {
         (((x - self.origin[axis]) * (1.0 / CELL)) as i32).clamp(0, self.size[axis] - 1)
     }
 
-    /// Sort grains at `x` into cells.
+    /// Sorts grains at `x` into cells.
     pub(super) fn fill(&mut self, x: &[Vector]) {
         let mut low = [f32::MAX; 3];
         let mut high = [f32::MIN; 3];
@@ -53,7 +53,7 @@ impl Grid {
         }
         self.grain.clear();
         self.grain.resize(x.len(), 0);
-        // Filling moves every start up by one cell, to where it belongs.
+        // Filling moves every start up by one cell, to its final place.
         for (grain, &cell) in self.cell_of.iter().enumerate() {
             let place = &mut self.first[cell as usize + 1];
             self.grain[*place as usize] = grain as u32;
@@ -75,20 +75,20 @@ impl Grid {
         Lines { low, high, y: low[1], z: low[2] }
     }
 
-    /// The lines of cells within `range` of `x` from its own line on.
+    /// The lines of cells within `range` of `x`, starting with its own line.
     #[inline(always)]
     pub(super) fn after(&self, x: Vector, range: f32) -> Lines {
         Lines { y: self.coordinate(x[1], 1), z: self.coordinate(x[2], 2), ..self.near(x, range) }
     }
 }
 
-/// Memory that a column holds, used or not, bytes.
+/// Memory held by a column, used or not, bytes.
 pub(super) fn held<T>(column: &Vec<T>) -> usize {
     column.capacity() * size_of::<T>()
 }
 
-/// Walks over the lines of cells in a box. No closure and no iterator adapter: what runs within must be compiled for the processor at
-/// hand.
+/// Iterates over the lines of cells in a box. It uses no closure or iterator adapter, because the
+/// code inside must be compiled for the CPU path in use.
 pub(super) struct Lines {
     low: [i32; 3],
     high: [i32; 3],

@@ -10,27 +10,32 @@ pub const GRAVITY: f64 = 9.81;
 pub const SUBSTEP_S: f64 = 0.000_08;
 /// Share of an overlap that one substep removes, both sides together.
 const RELAX_NORMAL: f64 = 0.3;
-/// Share of a tangential stretch that one substep removes, both sides together. With the normal share it decides whether the one Jacobi
-/// iteration of a substep is stable in a dense packing: at 0.2 cohesive heaps tremble and creep, at 0.1 none does.
+/// Share of a tangential stretch that one substep removes, both sides together. Together with the
+/// normal share it determines whether the one Jacobi iteration of a substep is stable in a dense
+/// packing: at 0.2 cohesive heaps tremble and creep, at 0.1 none does.
 const RELAX_TANGENTIAL: f64 = 0.1;
-/// Share of the approach velocity of two lone grains that one substep takes out. Near the critical 2 (sqrt(k) - k) = 0.5: impacts are
-/// inelastic.
+/// Share of the approach velocity of two isolated grains that one substep removes. Near the
+/// critical 2 (sqrt(k) - k) = 0.5: impacts are inelastic.
 const DAMP_NORMAL: f64 = 0.5;
-/// Share of the slip velocity of two lone grains that one substep takes out.
+/// Share of the slip velocity of two isolated grains that one substep removes.
 const DAMP_TANGENTIAL: f64 = 0.2;
-/// A wall does not give way: the same share on one side alone would make stiff grains ring between wall and neighbours.
+/// Factor at walls. A wall does not yield: the same share on one side alone would make stiff grains
+/// ring between wall and neighbours.
 const RELAX_WALL: f64 = 0.6;
-/// Share of the approach velocity that one substep takes out at a wall, before the factor above.
+/// Share of the approach velocity that one substep removes at a wall, before the factor above.
 const DAMP_WALL: f64 = 0.8;
 
-/// Coulomb coefficient at `friction` 0: grains in air are never frictionless, and a heap needs a start.
+/// Coulomb coefficient at `friction` 0: grains in air are never frictionless, and a heap needs a
+/// start.
 pub const FRICTION_BASE: f64 = 0.06;
-/// Coulomb coefficient per unit of `friction`. Grains here do not rotate, which alone holds a heap as strong rolling
-/// resistance would; this map makes the published range 0-1.3 span 25 to 45 deg without any attraction.
+/// Coulomb coefficient per unit of `friction`. Grains here do not rotate, which by itself holds a
+/// heap like strong rolling resistance; this map makes the published range 0-1.3 span 25 to 45 deg
+/// without any attraction.
 pub const FRICTION_PER_UNIT: f64 = 0.2;
 /// Attraction over reference weight per unit of `cohesion`.
 pub const BOND_PER_COHESION: f64 = 0.4;
-/// Attraction over reference weight per unit of `adhesion * particle_adhesion_scale`, between grains.
+/// Attraction over reference weight per unit of `adhesion * particle_adhesion_scale`, between
+/// grains.
 pub const BOND_PER_PARTICLE_ADHESION: f64 = 0.1;
 /// Attraction over reference weight per unit of `adhesion`, between grain and wall.
 pub const BOND_PER_WALL_ADHESION: f64 = 1.0;
@@ -38,21 +43,22 @@ pub const BOND_PER_WALL_ADHESION: f64 = 1.0;
 pub const DIAMETER_REFERENCE_MM: f64 = 0.27;
 /// Gap at which attraction ends, in diameters, at `adhesion_offset_scale` 0.
 pub const REACH_BASE: f64 = 0.05;
-/// Widening of that gap per unit of `adhesion_offset_scale`, diameters: 0.05 more at the upper published bound.
+/// Widening of that gap per unit of `adhesion_offset_scale`, diameters: 0.05 at the upper published
+/// bound.
 pub const REACH_PER_OFFSET_SCALE: f64 = 1000.0;
 
-/// A powder as the kernel sees it. Lengths in grain diameters, time in substeps.
+/// A powder in the kernel's terms. Lengths in grain diameters, time in substeps.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Law {
-    /// Size of gravity, diameters per substep squared.
+    /// Magnitude of gravity, diameters per substep squared.
     pub gravity: f32,
     /// Factor on every velocity, per substep.
     pub drag: f32,
-    /// Between grains.
+    /// Contacts between grains.
     pub grain: Contact,
-    /// Between a grain and a wall.
+    /// Contacts between a grain and a wall.
     pub wall: Contact,
-    /// What the base leaves out.
+    /// Mechanisms not in the base simulator.
     pub mechanisms: Mechanisms,
     /// Whether the kernel runs the mechanisms.
     pub extended: bool,
@@ -75,9 +81,10 @@ impl Law {
     /// reach = (0.05 + 1000 adhesion_offset_scale) d    gap at which attraction ends
     /// ```
     ///
-    /// Bo is attraction over the weight of a grain under *standard* gravity: gravity_scale changes the weight and not
-    /// the attraction, so it acts as 1/Bo. Attraction between small bodies grows with their diameter and weight with
-    /// its cube, hence the square. particle_mass is not here: equal masses cancel, it converts counts to mg only.
+    /// Bo is attraction over the weight of a grain under *standard* gravity: gravity_scale changes
+    /// the weight and not the attraction, so it acts as 1/Bo. Attraction between small bodies grows
+    /// with their diameter and weight with its cube, hence the square. particle_mass does not
+    /// appear: equal masses cancel, it only converts counts to mg.
     pub(super) fn new(set: &ParameterSet, wall_friction: f64, substep_s: f64) -> Self {
         let diameter_m = set.particle_diameter_mm() * 1e-3;
         let per_substep2 = substep_s * substep_s / diameter_m;
@@ -112,10 +119,11 @@ impl Law {
         }
     }
 
-    /// The same law with mechanisms that the base leaves out.
+    /// The same law with mechanisms added to the base simulator.
     ///
-    /// Grains that rotate give way in their contacts: a solid sphere's contact point has 1 + 5/2 times the ease of a grain that does not, and
-    /// the tangential shares shrink by as much, so that the one iteration stays stable.
+    /// Rotating grains yield in their contacts: the contact point of a solid sphere has 1 + 5/2
+    /// times the compliance of a non-rotating grain, and the tangential shares shrink by the same
+    /// factor, so that the one iteration stays stable.
     pub(super) fn extended(self, extensions: &Extensions, set: &ParameterSet, site: Site) -> Self {
         let ease = 1.0 / (1.0 + 2.5 * extensions.rotation as f32);
         let eased = |contact: Contact| Contact {
@@ -130,12 +138,12 @@ impl Law {
         Self { grain, wall, mechanisms, extended: !extensions.is_none(), ..self }
     }
 
-    /// A speed in diameters per substep as m/s.
+    /// Converts a speed in diameters per substep to m/s.
     pub(super) fn speed_m_s(&self, speed: f32) -> f64 {
         f64::from(speed) * self.diameter_m / self.substep_s
     }
 
-    /// Substeps in a time, rounded to the nearest.
+    /// Number of substeps in a time, rounded to the nearest.
     pub(super) fn substeps(&self, seconds: f64) -> u32 {
         (seconds / self.substep_s).round() as u32
     }

@@ -2,8 +2,9 @@
 //!
 //! # Theory
 //!
-//! A powder is N equal spheres that do not rotate. One substep of length h is one relaxed Jacobi iteration of
-//! position-based dynamics ("small steps": many substeps with one iteration each, Macklin et al. 2019):
+//! A powder is N equal spheres that do not rotate. One substep of length h is one relaxed Jacobi
+//! iteration of position-based dynamics ("small steps": many substeps with one iteration each,
+//! Macklin et al. 2019):
 //!
 //! ```text
 //! u = (v + g h) (1 - c h)                     gravity, drag: predicted velocity
@@ -16,10 +17,12 @@
 //! x <- x + v h
 //! ```
 //!
-//! Contacts act like springs of stiffness k m / h^2, so an overlap at rest shrinks as h^2. Anchors (Cundall and Strack 1979) give
-//! friction a memory, which is what lets a heap stand still. The damping makes impacts inelastic; a contact between grains with
-//! m and n contacts gets the share 1 / sqrt(m n) of it, so that the one iteration stays stable in a dense packing. `onset` is where
-//! attraction and elastic push balance out to zero force at gap zero: attracted grains rest touching, not overlapping.
+//! Contacts act like springs of stiffness k m / h^2, so an overlap at rest shrinks as h^2. Anchors
+//! (Cundall and Strack 1979) give friction a memory, which is what keeps a heap at rest. The
+//! damping makes impacts inelastic; a contact between grains with m and n contacts gets the share 1
+//! / sqrt(m n) of it, so that the one iteration stays stable in a dense packing. `onset` is where
+//! attraction and elastic push balance to zero force at gap zero: attracted grains rest touching,
+//! not overlapping.
 //!
 //! | symbol | meaning | unit | where |
 //! |---|---|---|---|
@@ -31,24 +34,27 @@
 //! | mu, Bo, c, g | friction, bond number, drag, gravity | 1, 1, 1/s, m/s^2 | [`law`] |
 //! | h | substep | s | [`law::SUBSTEP_S`] |
 //!
-//! Grains do not rotate, which equals infinite rolling resistance: heaps are steeper than those of rolling spheres with
-//! the same mu, and [`law`] maps the published `friction` range accordingly.
+//! Non-rotating grains are equivalent to infinite rolling resistance: heaps are steeper than those
+//! of rolling spheres with the same mu, and [`law`] maps the published `friction` range
+//! accordingly.
 //!
-//! # How it runs
+//! # Implementation
 //!
-//! Every pair of near grains is listed once (`neighbours`, `pairs`). Sixteen pairs are solved at once and their impulses added to their
-//! grains one after the other, so that every sum has a fixed order. `lanes` is the one file that knows the processor; its paths give the
-//! same bits.
+//! Every pair of near grains is listed once (`neighbours`, `pairs`). Sixteen pairs are solved at a
+//! time and their impulses are added to their grains one after another, so that every sum has a
+//! fixed order. `lanes` is the only processor-specific module; its paths give the same bits.
 //!
-//! # Another solver
+//! # Alternative solver
 //!
-//! `physx` is the published engine's own semantics, for comparison: `compat` in the settings of the heap experiment switches it on.
-//! `engine` is what that experiment asks of either.
+//! `physx` implements the published engine's own semantics, for comparison: `compat` in the
+//! settings of the heap experiment switches it on. `engine` is the solver interface used by that
+//! experiment.
 //!
 //! # The nine parameters
 //!
-//! Each acts by one law with a unit, written in [`law`]; the tests in `sim/tests.rs` show each effect on something that
-//! can be measured. `particle_mass_ug` converts counts to milligrams and does nothing else, because equal masses cancel.
+//! Each acts by one law with a unit, documented in [`law`]; the tests in `sim/tests.rs` show each
+//! effect on a measurable quantity. `particle_mass_ug` only converts counts to milligrams, because
+//! equal masses cancel.
 
 pub mod balance;
 pub mod column;
@@ -82,5 +88,5 @@ pub use lanes::Work;
 #[cfg(test)]
 mod tests;
 
-/// Version of the simulator's physics: results of different versions are never mixed.
+/// Version of the simulator's physics; results of different versions are never mixed.
 pub const VERSION: &str = "pbd-3";

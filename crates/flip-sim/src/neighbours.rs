@@ -1,77 +1,83 @@
-//! Grains that may touch before the list is built again. Lengths in grain diameters, time in substeps.
+//! The list of grains that may touch before the next rebuild. Lengths in grain diameters, time in
+//! substeps.
 
 use super::constraints::{V3, Vector, dot, inner, splat, sub};
 use super::grid::{Grid, Lines, held};
 use super::lanes::{Lanes, WIDTH, block};
 use super::pairs::Pairs;
 
-/// How far any grain may stray from its path before the list is built again.
+/// How far any grain may stray from its path before the list is rebuilt.
 const SKIN: f32 = 0.14;
-/// How much further a moving grain may stray, as a share of its path.
+/// Additional allowance of a moving grain, as a share of its path.
 const SKIN_PER_PATH: f32 = 0.7;
-/// Longest stray allowed.
+/// Largest allowance.
 const SKIN_MAX: f32 = 0.6;
-/// Substeps for which paths are covered.
+/// Number of substeps covered by the paths.
 const HORIZON: f32 = 6.0;
-/// A grain faster than this searches by itself and wide, so that the others need not look out for it.
+/// A grain faster than this searches by itself over a wide range, so that the others need not look
+/// out for it.
 const FAST: f32 = 0.05;
-/// Squared distance within which a pair is listed among the near ones: it touches now or soon.
+/// Squared distance within which a pair is listed as near: it touches now or soon.
 const HOT2: f32 = 1.1;
-/// Most neighbours of a grain among those after it; grains with as many have fallen into each other: a dense powder at full allowance has
-/// a quarter of it.
+/// Maximum number of later neighbours of a grain; grains with as many have collapsed into each
+/// other: a dense powder at full allowance has a quarter of it.
 const NEIGHBOURS_MAX: usize = 112;
-/// Where nothing is.
+/// Coordinate of padding, far from everything.
 pub(super) const FAR: f32 = 1e6;
-/// Finds the pairs of grains that may touch before it is asked again.
+/// Finds the pairs of grains that may touch before the next rebuild.
 ///
-/// A grain's path goes from where it was, at the velocity it had, when the list was built. Every pair that can come closer than the reach
-/// of a contact is listed as long as no grain has strayed from its path by more than its allowance, `SKIN + SKIN_PER_PATH * path`.
-/// Grains that move together, as in a falling stream, have parallel paths and are not listed with each other for being fast.
+/// A grain's path starts at its position when the list was built, and follows its velocity at that
+/// time. Every pair that can come closer than the reach of a contact is listed as long as no grain
+/// has strayed from its path by more than its allowance, `SKIN + SKIN_PER_PATH * path`. Grains that
+/// move together, as in a falling stream, have parallel paths and are not listed with each other
+/// merely for being fast.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Neighbours {
-    /// What was found.
+    /// The pairs found.
     pub pairs: Pairs,
-    /// Some grain once had more neighbours than the list takes: contacts were missing.
+    /// Whether some grain ever had more neighbours than the list can hold, so that contacts were
+    /// missing.
     pub overfull: bool,
-    /// Lists built.
+    /// Number of lists built.
     pub builds: u64,
-    /// Where each grain's path begins; the fourth number is the square of its allowance.
+    /// Start of each grain's path; the fourth number is the square of its allowance.
     start: Vec<Vector>,
-    /// The velocity along it.
+    /// Velocity along the path.
     pace: Vec<Vector>,
     /// Substeps since the list was built.
     age: f32,
-    /// By how much the largest radius exceeds the mean.
+    /// Excess of the largest radius over the mean.
     widest: f32,
     grid: Grid,
     sorted: Sorted,
     fast: Vec<u32>,
-    /// Pairs with a fast grain.
+    /// Pairs that include a fast grain.
     wide: Vec<(u32, u32)>,
 }
 
-/// Those that are near, and those that may come near, with room to write whole lanes.
+/// Near pairs, and pairs that may come near, with room to write whole lanes.
 type Found = [[u32; NEIGHBOURS_MAX + WIDTH]; 2];
 
-/// Positions, velocities and allowances by component, with a block of nowhere behind the last.
+/// Positions, velocities and allowances by component, with a block of padding at the end.
 #[derive(Debug, Clone, Default)]
 struct Sorted {
     x: [Vec<f32>; 3],
-    /// The first component again, where fast grains are nowhere.
+    /// The first component again, with fast grains moved far away.
     slow: Vec<f32>,
     v: [Vec<f32>; 3],
     allowance: Vec<f32>,
 }
 
 impl Neighbours {
-    /// The order in which grains at `x` lie in memory close to their neighbours; to be asked before [`Neighbours::build`].
+    /// The order in which grains at `x` lie in memory close to their neighbours; call before
+    /// [`Neighbours::build`].
     pub(super) fn order(&mut self, x: &[Vector]) -> &[u32] {
         self.grid.fill(x);
         &self.grid.grain
     }
 
-    /// How far beyond its allowance any grain of block `b` at `p` has strayed from its path, squared: the list holds where this is below
-    /// zero.
+    /// How far beyond its allowance any grain of block `b` at `p` has strayed from its path, as a
+    /// difference of squares: the list is valid where this is below zero.
     #[inline(always)]
     pub(super) fn strayed<L: Lanes>(&self, b: usize, p: V3<L>) -> L {
         let [x, y, z, allowance2] = L::rows(block(&self.start, b));
@@ -81,14 +87,14 @@ impl Neighbours {
         inner(off, off) - allowance2
     }
 
-    /// A substep has passed.
+    /// Registers that a substep has passed.
     pub(super) fn grow_older(&mut self) {
         self.age += 1.0;
     }
 
-    /// Build the list for grains at `x` with velocities `v`, in the order that [`Neighbours::order`] gave; contacts closer than `reach`
-    /// from centre to centre matter. `was` gives for each grain its place in the list before, [`NEW`] if it had none; anchors follow
-    /// their pair.
+    /// Builds the list for grains at `x` with velocities `v`, in the order returned by
+    /// [`Neighbours::order`]; contacts closer than `reach` from centre to centre matter. `was` is
+    /// each grain's place in the previous list, [`NEW`] if it had none; anchors follow their pair.
     #[inline(always)]
     pub(super) fn build<L: Lanes, const EXTENDED: bool>(
         &mut self,
@@ -123,7 +129,7 @@ impl Neighbours {
         self.builds += 1;
     }
 
-    /// Memory held, bytes. Names every field, so that none is forgotten.
+    /// Memory held, bytes. Lists every field, so that none is forgotten.
     pub(super) fn bytes(&self) -> usize {
         let Self { pairs, overfull: _, builds: _, start, pace, age: _, widest: _, grid, sorted, fast, wide } = self;
         let Sorted { x, slow, v, allowance } = sorted;
@@ -136,7 +142,7 @@ impl Neighbours {
             + held(wide)
     }
 
-    /// Begin every grain's path.
+    /// Starts every grain's path.
     fn set_out(&mut self, x: &[Vector], v: &[Vector]) {
         let n = x.len();
         let padded = n.div_ceil(WIDTH) * WIDTH;
@@ -154,7 +160,8 @@ impl Neighbours {
             let a = (SKIN + SKIN_PER_PATH * speed * HORIZON).min(SKIN_MAX);
             self.start.push([x[i][0], x[i][1], x[i][2], a * a]);
             self.pace.push([v[i][0], v[i][1], v[i][2], 0.0]);
-            // The search knows grains of the mean size: a larger one looks further by what it is larger.
+            // The search assumes grains of the mean size: a larger one searches further by its
+            // excess radius.
             allowance[i] = a + (x[i][3] - 0.5);
             self.widest = self.widest.max(x[i][3] - 0.5);
             let is_fast = speed > FAST;
@@ -171,13 +178,13 @@ impl Neighbours {
         self.pace.resize(padded, [0.0; 4]);
     }
 
-    /// Pairs with a fast grain.
+    /// Finds the pairs that include a fast grain.
     #[inline(always)]
     fn search_wide<L: Lanes>(&mut self, x: &[Vector], v: &[Vector], reach: f32, found: &mut Found) {
         self.wide.clear();
         for k in 0..self.fast.len() {
             let i = self.fast[k] as usize;
-            // Faster ones find it.
+            // Faster grains find this one.
             let speed = dot(v[i], v[i]).sqrt();
             let range = reach + self.sorted.allowance[i] + self.widest + SKIN_MAX + 2.0 * speed * HORIZON;
             let lines = self.grid.near(x[i], range);
@@ -195,7 +202,8 @@ impl Neighbours {
         self.wide.sort_unstable();
     }
 
-    /// The neighbours of grain `i` among those after it that are not fast: those near now, and those that may come near; how many.
+    /// Finds the later neighbours of grain `i` that are not fast: those near now, and those that
+    /// may come near; returns how many.
     #[inline(always)]
     fn search<L: Lanes>(&self, i: usize, x: &[Vector], v: &[Vector], reach: f32, found: &mut Found) -> [usize; 2] {
         let others = SKIN + SKIN_PER_PATH * FAST * HORIZON + self.widest;
@@ -203,8 +211,9 @@ impl Neighbours {
         self.scan::<L, false>(i, x, v, reach, self.grid.after(x[i], range), found)
     }
 
-    /// The grains on these lines of cells whose paths come near that of grain `i`: all of them, itself too, or those after it that are not
-    /// fast. The first line is its own, then.
+    /// Finds the grains on these lines of cells whose paths come near that of grain `i`: either all
+    /// of them, including itself, or only later ones that are not fast. In the latter case the
+    /// first line is its own.
     #[inline(always)]
     fn scan<L: Lanes, const ALL: bool>(
         &self,
@@ -228,7 +237,8 @@ impl Neighbours {
                 let u = sub(pace, [sixteen(&sv[0], j), sixteen(&sv[1], j), sixteen(&sv[2], j)]);
                 let near: L = near + sixteen(allowance, j);
                 let (near2, rr, ru, uu) = (near * near, inner(r, r), inner(r, u), inner(u, u));
-                // Closest at the start, at the end, or in between, where the distance is (rr uu - ru^2) / uu.
+                // Closest at the start, at the end, or in between, where the squared distance is
+                // `(rr uu - ru^2) / uu`.
                 let end = rr + horizon * (ru + ru + horizon * uu);
                 let approach = zero - ru;
                 let between = zero.below(approach) & approach.below(uu * horizon);
@@ -247,7 +257,7 @@ impl Neighbours {
     }
 }
 
-/// Sixteen numbers of a column from place `j`; sixteen follow every grain.
+/// Sixteen numbers of a column from place `j`; every grain is followed by at least sixteen.
 #[inline(always)]
 fn sixteen<L: Lanes>(column: &[f32], j: usize) -> L {
     L::load(column[j..j + WIDTH].try_into().expect("sixteen places follow every grain"))
@@ -274,7 +284,7 @@ mod tests {
         [x, y, z, 0.5]
     }
 
-    /// A cloud in which every seventh grain moves, some of them fast, sorted as the list wants it.
+    /// A cloud in which every seventh grain moves, some of them fast, sorted as the list requires.
     fn cloud(n: usize, side: f32, seed: u64) -> (Neighbours, Vec<Vector>, Vec<Vector>) {
         let u = |i: usize, k: u64| (derive(seed, &[i as u64, k]) >> 40) as f32 / (1u64 << 24) as f32;
         let x: Vec<Vector> = (0..n).map(|i| grain(side * u(i, 0), side * u(i, 1), side * u(i, 2))).collect();
@@ -363,7 +373,7 @@ mod tests {
         list.pairs.linked[0] = 0b10;
         list.pairs.memory[0][0][1] = 0.3;
         list.pairs.memory[0][3][1] = 7.0;
-        // Grain 0 leaves, and 2 and 3, which share a cell, come in the other order.
+        // Grain 0 leaves, and 2 and 3, which share a cell, come in the opposite order.
         let (mut y, mut was) = (vec![x[3], x[2], x[1]], vec![3, 2, 1]);
         let order = list.order(&y).to_vec();
         assert_eq!(order, [2, 0, 1]);
@@ -371,7 +381,7 @@ mod tests {
         was = order.iter().map(|&i| was[i as usize]).collect();
         list.build::<Portable, true>(&y, &v[1..], &was, 1.05);
         assert_eq!(pairs(&list, 3), [(1, 2)]);
-        // What was the second grain of the pair is now the first.
+        // The second grain of the pair has become the first.
         assert_eq!((list.pairs.touching[0], list.pairs.anchor[0][0][0]), (0b1, 0.9));
         let memory = &list.pairs.memory[0];
         assert_eq!((list.pairs.linked[0], memory[0][0], memory[3][0]), (0b1, -0.3, 7.0));

@@ -1,7 +1,8 @@
-//! What else a powder can be measured by, simulated.
+//! Simulation of observables other than the angle of repose.
 //!
-//! A simulation gives a *reduced* number: without the factors that are known exactly, so that little is left to learn, and of a size at
-//! which differences matter. [`value`] gives the observable's own unit.
+//! A simulation returns a *reduced* number: without the exactly known factors, so that little is
+//! left to learn, and on a scale where differences matter. [`value`] converts it to the
+//! observable's own unit.
 //!
 //! | observable | scene | reduced number | its value |
 //! |---|---|---|---|
@@ -21,12 +22,13 @@ use flip_core::domain::bench::{Action, PitchLimits};
 use flip_core::domain::observable::Observable;
 use flip_core::domain::parameters::ParameterSet;
 
-/// How many numbers an observable depends on.
+/// Number of inputs an observable depends on.
 pub const NUMBERS: usize = DIRECTIONS + 2;
-/// Shakes of a full spoon whose mean is taken.
+/// Number of shakes of a full spoon to average.
 const SHAKES: u32 = 3;
 
-/// The numbers of a set, 0 to 1: those of a heap, and diameter and gravity, which count where a length or a time is not the grains' own.
+/// The inputs of a set, 0 to 1: those of a heap, plus diameter and gravity, which matter where a
+/// length or a time is not set by the grains.
 pub fn numbers(set: &ParameterSet) -> [f64; NUMBERS] {
     let (heap, unit) = (directions(set), set.to_unit());
     let own = ["particle_diameter_mm", "gravity_scale"].map(|key| {
@@ -36,7 +38,7 @@ pub fn numbers(set: &ParameterSet) -> [f64; NUMBERS] {
     std::array::from_fn(|k| if k < DIRECTIONS { heap[k] } else { own[k - DIRECTIONS] })
 }
 
-/// Simulate, reduced. Same inputs, same bytes.
+/// Simulates the reduced number. Same inputs, same bytes.
 ///
 /// # Errors
 /// [`Refusal`]: a heap without an angle, or a solver that diverged.
@@ -59,7 +61,7 @@ pub fn observe(observable: &Observable, set: &ParameterSet, seed: u64) -> Result
     }
 }
 
-/// What a reduced number of a set is in the observable's unit.
+/// Converts a reduced number of a set to the observable's unit.
 pub fn value(observable: &Observable, set: &ParameterSet, reduced: f64) -> f64 {
     match *observable {
         Observable::FlowTime { mass_g, .. } => {
@@ -77,10 +79,11 @@ fn fall_s(set: &ParameterSet) -> f64 {
     (set.particle_diameter_mm() * 1e-3 / (set.gravity_scale() * GRAVITY)).sqrt()
 }
 
-/// Grains that fall at each of `count` shakes of a full spoon. What falls while the spoon is pitched is not counted.
+/// Number of grains that fall at each of `count` shakes of a full spoon. Grains that fall while the
+/// spoon is pitched are not counted.
 ///
 /// # Errors
-/// [`Refusal`] when the solver diverged.
+/// [`Refusal`] if the solver diverged.
 pub fn shakes(set: &ParameterSet, pitch_deg: f64, shake_mm: f64, count: u32, seed: u64) -> Result<Vec<f64>, Refusal> {
     let settings = dispense::Settings { pitch: PitchLimits { lower_deg: 0.0, upper_deg: 90.0 }, ..Default::default() };
     let mut spoon = Dispenser::new(set, &settings, seed);
@@ -128,7 +131,8 @@ mod tests {
 
     #[test]
     fn a_cup_empties_in_beverloos_time() {
-        // 50 g through 2.54 mm: W = 0.58 rho_bulk sqrt(g) (D - 1.4 d)^(5/2), rho_bulk 0.58 of the grain's.
+        // 50 g through 2.54 mm: W = 0.58 rho_bulk sqrt(g) (D - 1.4 d)^(5/2), with rho_bulk 0.58 of
+        // the grain density.
         let set = set(&[("friction", 0.4)]);
         let hall = Observable::FlowTime { mass_g: 50.0, orifice_mm: 2.54 };
         let seconds = value(&hall, &set, observe(&hall, &set, 1).unwrap());

@@ -1,44 +1,48 @@
-//! The pairs of grains that are near each other, in rows of sixteen, and what each remembers.
+//! The pairs of nearby grains, in rows of sixteen, and the memory of each.
 
 use super::grid::held;
 use super::lanes::{Mask, WIDTH};
 use super::mechanisms::{Memory, SLOTS};
 
-/// A grain that was not in the last list.
+/// Marks a grain that was not in the previous list.
 pub(super) const NEW: u32 = u32::MAX;
-/// Numbers of a memory that point from one grain of a pair to the other, and turn round with it: the first ones.
+/// Number of leading memory entries that point from one grain of a pair to the other, and flip sign
+/// with it.
 const POINTING: usize = 3;
 
 /// The pairs, each once, with a memory for each.
 ///
-/// Sixteen pairs are a row, solved at once. First come the pairs that were near when the list was built, so that in most of their rows all
-/// lanes have work, then those that may come near; in both, pairs of one grain follow each other.
+/// Sixteen pairs form a row, solved at a time. First come the pairs that were near when the list
+/// was built, so that most of their rows have all lanes busy, then those that may come near; in
+/// both, pairs of the same grain are adjacent.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Pairs {
-    /// The earlier and the later grain of each pair, row after row. Where a row is not full, two places after the last grain.
+    /// The earlier and the later grain of each pair, row after row. Unused places of a row hold the
+    /// two places after the last grain.
     pub ends: [Vec<u32>; 2],
-    /// By component: position of the first grain relative to the second where the contact stuck. Means something only where `touching`
-    /// says so.
+    /// By component: position of the first grain relative to the second where the contact stuck.
+    /// Only meaningful where `touching` is set.
     pub anchor: Vec<[[f32; WIDTH]; 3]>,
     /// Lanes of a row that touch.
     pub touching: Vec<Mask>,
-    /// Lanes of a row that have a memory beside the anchor, and what they remember; of use to mechanisms only.
+    /// Lanes of a row with a memory in addition to the anchor, and that memory; used by mechanisms
+    /// only.
     pub linked: Vec<Mask>,
     pub memory: Vec<Memory>,
-    /// Where each grain's pairs begin among the near ones, and among those that may come near.
+    /// Start of each grain's pairs among the near ones, and among those that may come near.
     begins: [Vec<u32>; 2],
-    /// Where those begin among all.
+    /// Start of the latter among all pairs.
     middle: usize,
     later: Vec<u32>,
-    /// Grains of the last list.
+    /// Number of grains in the previous list.
     grains: usize,
     kept: Vec<Kept>,
-    /// Their memories, where mechanisms have any.
+    /// Their memories, if mechanisms have any.
     kept_memory: Vec<[f32; SLOTS]>,
     renamed: Vec<u32>,
 }
 
-/// A pair that goes on from one list to the next.
+/// A pair that carries over from one list to the next.
 #[derive(Debug, Clone)]
 struct Kept {
     ends: [u32; 2],
@@ -48,7 +52,7 @@ struct Kept {
 }
 
 impl Pairs {
-    /// Note what has to go on from the list as it is.
+    /// Saves the state to carry over from the current list.
     pub(super) fn keep<const EXTENDED: bool>(&mut self) {
         self.kept.clear();
         self.kept_memory.clear();
@@ -73,7 +77,8 @@ impl Pairs {
         self.ends.iter_mut().chain(&mut self.begins).chain([&mut self.later]).for_each(Vec::clear);
     }
 
-    /// The pairs of the next grain: the later ends of those that are near, and of those that may come near.
+    /// Adds the pairs of the next grain: the later ends of those that are near, and of those that
+    /// may come near.
     pub(super) fn push(&mut self, near: &[u32], later: &[u32]) {
         let [first, second] = &mut self.ends;
         self.begins[0].push(second.len() as u32);
@@ -83,15 +88,15 @@ impl Pairs {
         self.later.extend_from_slice(later);
     }
 
-    /// Every grain's pairs are there. `was` gives for each grain its place in the list before, [`NEW`] if it had none: what a pair knew
-    /// follows it.
+    /// Completes the list once every grain's pairs are in. `was` is each grain's place in the
+    /// previous list, [`NEW`] if it had none; the memory of a pair follows it.
     pub(super) fn finish<const EXTENDED: bool>(&mut self, was: &[u32]) {
         self.write_rows::<EXTENDED>(was.len());
         self.remember::<EXTENDED>(was);
         self.grains = was.len();
     }
 
-    /// Memory held, bytes. Names every field, so that none is forgotten.
+    /// Memory held, bytes. Lists every field, so that none is forgotten.
     pub(super) fn bytes(&self) -> usize {
         let Self {
             ends,
@@ -116,7 +121,7 @@ impl Pairs {
             + held(kept_memory)
     }
 
-    /// Put the pairs that may come near behind the near ones, and make room for what pairs remember.
+    /// Moves the pairs that may come near behind the near ones, and allocates the memories.
     fn write_rows<const EXTENDED: bool>(&mut self, n: usize) {
         let padded = (n.div_ceil(WIDTH) * WIDTH) as u32;
         let [first, second] = &mut self.ends;
@@ -145,7 +150,7 @@ impl Pairs {
         }
     }
 
-    /// Bring back what was noted of the pairs that are still listed.
+    /// Restores the saved state of pairs that are still listed.
     fn remember<const EXTENDED: bool>(&mut self, was: &[u32]) {
         self.renamed.clear();
         self.renamed.resize(self.grains, NEW);
@@ -173,7 +178,7 @@ impl Pairs {
         }
     }
 
-    /// Where the pair of grains `i` and `j > i` is listed.
+    /// Place at which the pair of grains `i` and `j > i` is listed.
     fn place(&self, i: usize, j: u32) -> Option<usize> {
         let among = |begin: usize, begins: &[u32]| {
             let (first, end) = (begin + begins[i] as usize, begin + begins[i + 1] as usize);

@@ -1,8 +1,9 @@
-//! The heap experiment: parameter set and seed in, angle of repose out.
+//! The heap experiment: from a parameter set and a seed to an angle of repose.
 //!
-//! Grains pour through a round opening that rises above a fixed round base; what does not find room falls off the rim. When the
-//! heap rests, its angle is read twice: from the apex, as the published camera does, and from a cone fitted to its
-//! flank. Everything is scaled in grain diameters, so the number of grains does not change with their size.
+//! Grains pour through a round opening that rises above a fixed round base; surplus grains fall off
+//! the rim. Once the heap rests, its angle is measured twice: from the apex, as the published
+//! camera does, and from a cone fitted to its flank. Everything is scaled in grain diameters, so
+//! the number of grains does not change with their size.
 
 use super::constraints::{Vector, vector};
 use super::engine::{Engine, Physical, Physx};
@@ -17,14 +18,16 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
 
-/// Whose semantics the solver has.
+/// Solver semantics.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Compat {
-    /// FLIP's own: friction with a memory, so that heaps rest; every parameter acts by one documented law.
+    /// FLIP's own: friction with a memory, so that heaps rest; every parameter acts by one
+    /// documented law.
     #[default]
     Physical,
-    /// The published engine's, PhysX 5 solid particles, with what is inert in it and its creep: see `sim/physx/mod.rs`.
+    /// The published engine's: PhysX 5 solid particles, including its inert parameters and its
+    /// creep; see `sim/physx/mod.rs`.
     Physx,
 }
 
@@ -35,10 +38,12 @@ pub enum Compat {
 pub struct Settings {
     /// Grains poured. Default 2000.
     pub particles: u32,
-    /// Radius of the base, grain diameters. Default 9: 2000 grains cover it and overflow up to 50 deg.
+    /// Radius of the base, grain diameters. Default 9: 2000 grains cover it and overflow for angles
+    /// up to 50 deg.
     pub base_radius_diameters: f64,
-    /// Coulomb coefficient of the base. Default 0.8: a rough plate, so that the heap fails and not its footing. Does nothing with
-    /// `compat` physx, where the grains' own coefficient holds at walls.
+    /// Coulomb coefficient of the base. Default 0.8: a rough plate, so that the heap fails and not
+    /// its footing. No effect with `compat` physx, where the grains' own coefficient applies at
+    /// walls.
     pub base_friction: f64,
     /// Height of the opening above the apex, grain diameters; it rises with the heap. Default 3.
     pub funnel_clearance_diameters: f64,
@@ -46,23 +51,24 @@ pub struct Settings {
     pub funnel_radius_diameters: f64,
     /// Substep of the solver, s. Default 0.00008.
     pub substep_s: f64,
-    /// Longest wait for rest after the last grain, s. Default 1. With `compat` physx, whose heaps creep, always the whole of it.
+    /// Longest wait for rest after the last grain, s. Default 1. With `compat` physx, whose heaps
+    /// creep, the full time is always used.
     pub settle_max_s: f64,
-    /// Times the angle of each heap is read, 1 to 64. Between two readings 15 % more grains are poured on the heap: they knock as many off
-    /// the base and leave another top. Default 1.
+    /// Number of readings of each heap's angle, 1 to 64. Between two readings 15 % more grains are
+    /// poured on the heap: they knock as many off the base and form a new top. Default 1.
     #[serde(skip_serializing_if = "is_one")]
     pub readings: u32,
     /// Whether a layer of fixed grains covers the base. Default no: a smooth plate.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub rough_base: bool,
-    /// What the base simulator leaves out. Default nothing.
+    /// Mechanisms not in the base simulator. Default none.
     #[serde(skip_serializing_if = "Extensions::is_none")]
     pub extensions: Extensions,
-    /// Whose semantics the solver has. Default physical.
+    /// Solver semantics. Default physical.
     pub compat: Compat,
     /// Frame of `compat` physx, s. Default 0.001.
     pub frame_s: f64,
-    /// Iterations in such a frame. Default 16, the engine's.
+    /// Iterations per such frame. Default 16, the engine's.
     pub iterations: u32,
 }
 
@@ -92,8 +98,8 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// The default experiment with another number of grains: the base scales with its cube root, so that the grains overflow it as far
-    /// as the default's do. The stream stays as it is.
+    /// The default experiment with a different number of grains: the base scales with its cube
+    /// root, so that the grains overflow it as far as in the default. The stream is unchanged.
     pub fn with_particles(particles: u32) -> Self {
         let default = Self::default();
         let scale = libm::cbrt(f64::from(particles) / f64::from(default.particles));
@@ -106,16 +112,18 @@ impl Settings {
 pub struct Repose {
     /// atan(2 h / d_base) from the apex, degrees; mean over the readings.
     pub tip_deg: f64,
-    /// Standard deviation of the tip angle over the readings of this heap, degrees; absent for one.
+    /// Standard deviation of the tip angle over the readings of this heap, degrees; absent for a
+    /// single one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tip_sd_deg: Option<f64>,
-    /// Slope of a cone fitted between 20 % and 80 % of the height over 12 sectors, degrees; mean over the readings.
+    /// Slope of a cone fitted between 20 % and 80 % of the height over 12 sectors, degrees; mean
+    /// over the readings.
     pub cone_deg: f64,
     /// Change of the cone angle over the last 0.2 s, degrees per second.
     pub creep_deg_per_s: f64,
     /// Root-mean-square speed of the grains at the end, mm/s.
     pub speed_rms_mm_s: f64,
-    /// Grains that stayed on the base.
+    /// Number of grains that stayed on the base.
     pub particles_on_base: u32,
     /// Mean overlap of overlapping grains, in diameters.
     pub overlap_mean: f64,
@@ -135,63 +143,67 @@ pub enum Refusal {
     BaseNotCovered {
         /// Sectors of the rim that hold a grain.
         covered: u32,
-        /// All sectors.
+        /// Total number of sectors.
         sectors: u32,
     },
-    /// The simulation left the range where its numbers mean anything.
+    /// The simulation left the range where its numbers are meaningful.
     #[error("the simulation diverged at {at_s} s: {cause}")]
     Diverged {
         /// Simulated time, s.
         at_s: f64,
-        /// What was seen.
+        /// The symptom.
         cause: String,
     },
 }
 
-/// Time over which rest is judged and creep measured, s.
+/// Time over which rest is checked and creep measured, s.
 const HOLD_S: f64 = 0.2;
 /// Grains slower than this (root mean square) count as resting, m/s.
 const REST_RMS_M_S: f64 = 0.0005;
 
-/// Share of the grains that is poured again between two readings of a heap: a third of those that lie on it. With fewer, later readings are
-/// steeper than the first, as after a pour that trickles out; with these by 0.1 to 0.4 deg.
+/// Share of the grains that is poured again between two readings of a heap: a third of those on it.
+/// With fewer, later readings are steeper than the first, as after a pour that trickles out; with
+/// this share, by 0.1 to 0.4 deg.
 const RENEWAL: f64 = 0.15;
-/// Share of the grains that come through the wide opening.
+/// Share of the grains poured through the wide opening.
 const QUICK: f64 = 0.6;
-/// Steps between two looks for grains that fell off the base.
+/// Steps between two checks for grains that fell off the base.
 const DEPARTURE_CHECK: u32 = 16;
 
-/// Pour, wait until the heap rests, measure. Same inputs, same bytes.
+/// Pours, waits until the heap rests, and measures. Same inputs, same bytes.
 ///
 /// ```text
 /// AoR = atan(2 h / d_base)      h = D - |p_apex - p_tip|
 /// ```
 ///
-/// with D the height of the opening over the base and p_tip on the axis at the opening, wherever it stands: h is the height of the apex.
-/// The publication prints `2 h / d_base` without the arctangent; its numbers are degrees, so the arctangent is taken.
+/// with D the height of the opening above the base and p_tip on the axis at the opening, at its
+/// current height: h is the height of the apex. The publication prints `2 h / d_base` without the
+/// arctangent; its numbers are in degrees, so the arctangent is taken.
 ///
 /// # Errors
-/// [`Refusal`] when the heap has no angle: a base that is not covered, or a solver that diverged.
+/// [`Refusal`] if the heap has no angle: a base that is not covered, or a solver that diverged.
 pub fn repose(set: &ParameterSet, settings: &Settings, seed: u64) -> Result<Repose, Refusal> {
     pile(set, settings, seed, None).map(|pile| pile.repose)
 }
 
-/// [`repose`] of grains that follow `law`; the settings' base friction and substep are those the law was made with.
+/// [`repose`] of grains that follow `law`; `settings` must have the base friction and substep the
+/// law was made with.
 pub(super) fn repose_under(law: Law, settings: &Settings, seed: u64) -> Result<Repose, Refusal> {
     let engine = Physical::under(law, settings);
     Heap { engine, settings, steps: 0, camera: None }.run(seed).map(|pile| pile.repose)
 }
 
-/// A heap and where its grains lie.
+/// A heap and the positions of its grains.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pile {
-    /// What was measured.
+    /// The measurement.
     pub repose: Repose,
     /// The grains at the end.
     pub snapshot: Snapshot,
 }
 
-/// As [`repose`], and where the grains lie; `camera` watches them on their way.
+/// Like [`repose`], also returning the positions of the grains; `camera` watches them during the
+/// simulation.
 ///
 /// # Errors
 /// As [`repose`].
@@ -255,9 +267,11 @@ impl<E: Engine> Heap<'_, E> {
         f64::from(self.steps) * self.engine.scales().step_s
     }
 
-    /// The first grains, which end up inside or below, come quickly through a wide opening; those that shape the heap through the narrow
-    /// one. Layers leave the opening at the speed of a free-flowing orifice, sqrt(g D). The opening rises with the apex: grains that fall
-    /// far would dig into a heap that is only tens of grains wide, which a heap of hundreds does not feel.
+    /// The first grains, which end up inside or below, are poured quickly through a wide opening;
+    /// those that shape the heap, through the narrow one. Layers leave the opening at the speed of
+    /// a free-flowing orifice, sqrt(g D). The opening rises with the apex: grains that fall far
+    /// would dig into a heap that is only tens of grains wide, which does not affect a heap of
+    /// hundreds.
     fn pour(&mut self, seed: u64) -> Result<Pcg64Mcg, Refusal> {
         let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[0x0EAF]));
         let narrow = self.settings.funnel_radius_diameters as f32;
@@ -269,7 +283,8 @@ impl<E: Engine> Heap<'_, E> {
         Ok(rng)
     }
 
-    /// Pour layer after layer until at least `grains` have left the opening, `most` at most; how many that were.
+    /// Pours layer after layer until at least `grains` have left the opening, at most `most`;
+    /// returns how many did.
     fn stream(&mut self, rng: &mut Pcg64Mcg, grains: usize, most: usize, radius: f32) -> Result<usize, Refusal> {
         let speed = (self.engine.scales().gravity * 2.0 * radius).sqrt();
         let per_layer = (1.15 / speed).ceil() as u32;
@@ -328,14 +343,15 @@ impl<E: Engine> Heap<'_, E> {
         })
     }
 
-    /// Tip angle and cone angle of the heap as it lies, degrees.
+    /// Tip angle and cone angle of the heap in its current state, degrees.
     fn angles(&self) -> [f64; 2] {
         let (heap, base) = (self.engine.heap(), self.settings.base_radius_diameters);
         let height = heap.iter().fold(0.0f64, |top, x| top.max(f64::from(x[2]) + f64::from(x[3])));
         [libm::atan(2.0 * height / (2.0 * base)).to_degrees(), cone_deg(&heap, base)]
     }
 
-    /// Every sector of the outermost two diameters must hold a grain, or the heap is not as wide as its base.
+    /// Checks that every sector of the outermost two diameters holds a grain; otherwise the heap is
+    /// not as wide as its base.
     fn check_cover(&self) -> Result<(), Refusal> {
         let mut seen = [false; SECTORS];
         let inner = self.settings.base_radius_diameters as f32 - 2.0;
@@ -349,7 +365,7 @@ impl<E: Engine> Heap<'_, E> {
     }
 }
 
-/// Positions of one layer: a hexagonal lattice over the opening, turned and shifted at random.
+/// Positions of one layer: a hexagonal lattice over the opening, randomly rotated and shifted.
 pub(super) fn layer(rng: &mut Pcg64Mcg, radius: f32, height: f32) -> Vec<Vector> {
     let spacing = 1.12f32;
     let (sin, cos) = libm::sincosf(rng.random_range(0.0..std::f32::consts::TAU));
@@ -400,7 +416,7 @@ mod tests {
             assert!(b.simulated_s > a.simulated_s && b.tip_sd_deg.is_some_and(|sd| sd > 0.0 && sd < 6.0), "{b:?}");
         }
         let mean = |heaps: &[Repose]| heaps.iter().map(|heap| heap.tip_deg).sum::<f64>() / heaps.len() as f64;
-        // One reading of so small a heap scatters by about 2 deg.
+        // A single reading of such a small heap scatters by about 2 deg.
         assert!((mean(&once) - mean(&again)).abs() < 3.0, "{} {}", mean(&once), mean(&again));
         assert_eq!(heap(4, 3), again[2]);
     }

@@ -1,4 +1,5 @@
-//! What the scenes share: gravity that leans, rain, settling, and a few statistics. Lengths in grain diameters.
+//! Shared parts of the scenes: tilted gravity, rain, settling, and some statistics. Lengths in
+//! grain diameters.
 
 use super::constraints::{Vector, vector};
 use super::grains::Grains;
@@ -10,10 +11,10 @@ use flip_core::domain::seed::derive;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-/// Clearance of the sources of rain over what already lies.
+/// Clearance of the rain's sources above the existing grains.
 const CLEARANCE: f32 = 2.0;
 
-/// Gravity that leans from straight down towards +x by an angle.
+/// Gravity tilted from straight down towards +x by an angle.
 pub(super) fn leaning(law: &Law, degrees: f64) -> Vector {
     let (sin, cos) = libm::sincos(degrees.to_radians());
     vector(law.gravity * sin as f32, 0.0, -law.gravity * cos as f32)
@@ -38,14 +39,15 @@ pub(super) fn at_rest(law: &Law, centres: impl IntoIterator<Item = Vector>) -> G
     grains
 }
 
-/// `substeps` under one acceleration.
+/// Advances by `substeps` under one acceleration.
 pub(super) fn advance(grains: &mut Grains, law: &Law, acceleration: Vector, wall: &Shape, substeps: u32) {
     for _ in 0..substeps {
         grains.substep(law, acceleration, wall);
     }
 }
 
-/// Until the grains' root-mean-square speed is below one percent of sqrt(g d), or `substeps_max` have passed.
+/// Advances until the grains' root-mean-square speed is below one percent of sqrt(g d), or
+/// `substeps_max` have passed.
 pub(super) fn settle(grains: &mut Grains, law: &Law, acceleration: Vector, wall: &Shape, substeps_max: u32) {
     let rest = 0.01 * law.gravity.sqrt();
     for _ in 0..substeps_max / 100 {
@@ -56,10 +58,11 @@ pub(super) fn settle(grains: &mut Grains, law: &Law, acceleration: Vector, wall:
     }
 }
 
-/// Fill a container by rain until `full` says so, and let it come to rest.
+/// Fills a container by rain until `full` returns true, and lets it come to rest.
 ///
-/// Layers of grains start at sqrt(g d) a little above what lies; of each layer's places a share of `density` holds a grain, drawn at
-/// random, so that no grain falls on the place of the one before.
+/// Layers of grains start at sqrt(g d) slightly above the existing grains; a share `density` of
+/// each layer's places, drawn at random, holds a grain, so that grains do not fall exactly onto
+/// those of the layer before.
 pub(super) fn rain(law: &Law, silo: &Silo, density: f64, seed: u64, full: impl Fn(&Grains) -> bool) -> Grains {
     let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[0x5EED]));
     let mut grains = Grains::default();
@@ -89,12 +92,12 @@ pub(super) fn top(grains: &Grains) -> f32 {
     top
 }
 
-/// The grains whose top is below a height, at rest, with their contacts' memory fresh.
+/// The grains whose top is below a height, at rest, with their contacts' memory reset.
 pub(super) fn cut(law: &Law, grains: &Grains, height: f64) -> Grains {
     at_rest(law, grains.centres().iter().filter(|x| f64::from(x[2]) + 0.5 <= height).copied())
 }
 
-/// Share of the volume that is grain, between two heights and within a radius.
+/// Packing fraction between two heights and within a radius.
 pub(super) fn packing_fraction(grains: &Grains, radius: f64, [low, high]: [f64; 2]) -> f64 {
     let inside =
         |x: &&Vector| f64::from(x[0]).hypot(f64::from(x[1])) < radius && (low..high).contains(&f64::from(x[2]));
@@ -102,7 +105,7 @@ pub(super) fn packing_fraction(grains: &Grains, radius: f64, [low, high]: [f64; 
     count / 6.0 / (radius * radius * (high - low))
 }
 
-/// Mean of measurements and its standard error.
+/// Mean of measurements with its standard error.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Mean {
     /// Mean.
@@ -135,14 +138,15 @@ pub(super) fn line(points: &[[f64; 2]]) -> [f64; 2] {
     [slope, y - slope * x]
 }
 
-/// Exponent and prefactor of a power law through points, by a line through their logarithms.
+/// Exponent and prefactor of a power law through points, from a line through their logarithms.
 pub(super) fn power_law(points: &[[f64; 2]]) -> [f64; 2] {
     let logarithms: Vec<[f64; 2]> = points.iter().map(|p| p.map(f64::ln)).collect();
     let [exponent, at_one] = line(&logarithms);
     [exponent, at_one.exp()]
 }
 
-/// Where a function that is false at `low` and true at `high` changes, by halving the interval `steps` times.
+/// Finds where a function that is false at `low` and true at `high` changes, by halving the
+/// interval `steps` times.
 pub(super) fn threshold([mut low, mut high]: [f64; 2], steps: u32, is_beyond: impl Fn(f64) -> bool) -> f64 {
     for _ in 0..steps {
         let middle = 0.5 * (low + high);

@@ -1,4 +1,5 @@
-//! Scooping: a spoon is lowered into a bed of powder, pushed through it and lifted, so that a weighing begins from a real heap.
+//! Scooping: a spoon is lowered into a bed of powder, pushed through it and lifted, so that a
+//! weighing starts from a real heap.
 //!
 //! Solved in the frame of the trough; the spoon is a moving wall.
 
@@ -19,20 +20,20 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
 
-/// Settings of the bed and of the spoon's way through it.
+/// Settings of the bed and of the spoon's path through it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
-    /// The spoon and what happens with it afterwards; `particles` is not used.
+    /// The spoon and the steps after scooping; `particles` is not used.
     pub spoon: dispense::Settings,
     /// Depth of the bed, mm. Default 5.
     pub bed_depth_mm: f64,
-    /// Depth of the rim below the surface of the bed while the spoon is pushed, mm. Default 2: at a few grain diameters a steep powder
-    /// does not run into the spoon.
+    /// Depth of the rim below the surface of the bed during the push, mm. Default 2: at a depth of
+    /// a few grain diameters a steep powder does not flow into the spoon.
     pub immersion_mm: f64,
     /// Length of the push, mm. Default 8.
     pub push_mm: f64,
-    /// Room between the spoon and the sides of the trough, mm. Default 2.
+    /// Clearance between the spoon and the sides of the trough, mm. Default 2.
     pub margin_mm: f64,
     /// Limits of the spoon's motion. Default [`MotionLimits::PAPER`].
     pub motion: MotionLimits,
@@ -51,40 +52,42 @@ impl Default for Settings {
     }
 }
 
-/// A filled spoon and what it took.
+/// A filled spoon and the scooped mass.
 #[derive(Debug, Clone)]
 pub struct Scooped {
     /// The spoon over the vial, level and at rest.
     pub dispenser: Dispenser,
-    /// Mass in the bed before, mg.
+    /// Mass in the bed before scooping, mg.
     pub bed_mg: f64,
-    /// Mass taken, mg.
+    /// Mass scooped, mg.
     pub taken_mg: f64,
     /// Simulated time, s.
     pub simulated_s: f64,
 }
 
-/// Why nothing was scooped.
+/// Why scooping failed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Failure {
     /// The spoon would touch the bottom, or the bed would have no sides.
     #[error(transparent)]
     Settings(#[from] FieldError),
-    /// The simulation left the range where its numbers mean anything.
+    /// The simulation left the range where its numbers are meaningful.
     #[error(transparent)]
     Diverged(#[from] Refusal),
 }
 
-/// Least distance of the spoon to the floor and the sides, grain diameters: a grain between them must not be squeezed.
+/// Minimum distance of the spoon from the floor and the sides, grain diameters, so that a grain
+/// between them is not squeezed.
 const CLEARANCE: f64 = 2.5;
 /// Time for the bed, and for the lifted powder, to come to rest, s.
 const REST_S: f64 = 0.15;
-/// Spacing of the lattice from which the bed rains, grain diameters.
+/// Spacing of the lattice from which the bed is rained, grain diameters.
 const SPACING: f64 = 1.12;
 /// Volume of a rained bed per grain, in grain diameters cubed: a packing fraction of 0.58.
 const VOLUME_PER_GRAIN: f64 = std::f64::consts::PI / 6.0 / 0.58;
 
-/// Scoop. Same inputs, same bytes. The cost grows with the volume of the bed: tens of thousands of grains at the default size.
+/// Scoops. Same inputs, same bytes. The cost grows with the volume of the bed: tens of thousands of
+/// grains at the default size.
 ///
 /// # Errors
 /// [`Failure`]: settings in which the spoon would touch the trough, or a solver that diverged.
@@ -108,7 +111,8 @@ pub fn scoop(set: &ParameterSet, settings: &Settings, seed: u64, camera: Option<
     Ok(Scooped { dispenser, bed_mg, taken_mg, simulated_s: bed.elapsed_s() })
 }
 
-/// A trough open at the top, its floor at z = 0 and its middle at the origin, with a spoon in it.
+/// A trough open at the top, with its floor at z = 0 and its middle at the origin, and a spoon in
+/// it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Trough {
     bowl: Bowl,
@@ -168,7 +172,7 @@ impl<'a> Bed<'a> {
         let [a, b, c] = settings.spoon.semi_axes_mm;
         let clear = CLEARANCE * mm;
         let least = c + settings.immersion_mm + clear;
-        // Written so that a number that is none is refused too.
+        // Written so that NaN is rejected too.
         if !(settings.bed_depth_mm >= least && settings.bed_depth_mm <= 50.0) {
             let message = format!(
                 "must be from {least:.2} mm (spoon depth {c}, immersion {} and {CLEARANCE} grains) to 50 mm, got {}",
@@ -201,7 +205,7 @@ impl<'a> Bed<'a> {
         f64::from(self.substeps) * self.law.substep_s
     }
 
-    /// Grains rain from a loose lattice until the bed is as deep as asked.
+    /// Rains grains from a loose lattice until the bed has the requested depth.
     fn fill(&mut self, seed: u64) -> Result<(), Refusal> {
         let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[0x5C00]));
         let [length, width] = self.trough.half.map(|half| 2.0 * f64::from(half));
@@ -224,7 +228,7 @@ impl<'a> Bed<'a> {
         self.rest((2.0 * fall_m / super::law::GRAVITY).sqrt() + REST_S)
     }
 
-    /// Height below which 98 % of the grains lie, and a radius.
+    /// Height below which 98 % of the grains lie, plus a radius.
     fn surface(&self) -> f32 {
         let mut heights: Vec<f32> = self.grains.centres().iter().map(|x| x[2]).collect();
         heights.sort_unstable_by(f32::total_cmp);
@@ -237,7 +241,7 @@ impl<'a> Bed<'a> {
         self.check()
     }
 
-    /// Move the spoon by a distance, from rest to rest.
+    /// Moves the spoon by a distance, from rest to rest.
     fn go(&mut self, by: [f32; 3]) -> Result<(), Refusal> {
         let length = by.iter().map(|x| x * x).sum::<f32>().sqrt();
         let way = Move::new(f64::from(length) * self.law.diameter_m, self.settings.motion);
@@ -250,7 +254,8 @@ impl<'a> Bed<'a> {
             let share = (gone / f64::from(length)).min(1.0) as f32;
             let next: [f32; 3] = std::array::from_fn(|k| start[k] + by[k] * share);
             self.trough.velocity = std::array::from_fn(|k| next[k] - self.trough.at[k]);
-            // The contact is sought at the predicted positions, so the spoon is where it will be then.
+            // Contacts are computed at the predicted positions, so the spoon is placed where it
+            // will be then.
             self.trough.at = next;
             self.substep();
         }
@@ -293,7 +298,7 @@ mod tests {
         Settings { spoon, bed_depth_mm: 2.5, immersion_mm: 0.6, push_mm: 3.0, margin_mm: 1.0, ..Default::default() }
     }
 
-    /// Free-flowing: a steep powder is pushed along by so small a spoon.
+    /// Free-flowing: such a small spoon would push a steep powder along.
     fn set() -> ParameterSet {
         ParameterSet::default().with("friction", 0.2).unwrap()
     }
@@ -301,7 +306,7 @@ mod tests {
     #[test]
     fn a_scooped_spoon_holds_about_its_bowl_and_can_be_poured() {
         let Scooped { mut dispenser, bed_mg, taken_mg, .. } = scoop(&set(), &small(), 3, None).unwrap();
-        // Half an ellipsoid at a packing fraction of 0.6, less the rim, more the heap.
+        // Half an ellipsoid at a packing fraction of 0.6, minus the rim, plus the heap.
         let bowl_mm3 = 2.0 / 3.0 * std::f64::consts::PI * 2.2 * 1.6 * 1.0;
         let grain_mm3 = std::f64::consts::PI / 6.0 * 0.27f64.powi(3);
         let level_mg = 0.6 * bowl_mm3 / grain_mm3 * set().particle_mass_ug() / 1000.0;

@@ -4,30 +4,33 @@ use super::constraints::{V3, Vector, choose};
 use super::lanes::Lanes;
 use super::walls::{NEAREST, RADIUS, Touch, Wall, touch_point};
 
-/// Radius of the groove between the side and the floor of a silo: above a grain's, so that every grain has one nearest point.
+/// Radius of the groove between the side and the floor of a silo: larger than a grain's, so that
+/// every grain has a single nearest point.
 const FILLET: f32 = 0.75;
 
-/// The inside of an upright cylinder with a flat floor and, in its middle, a round orifice with a sharp edge.
+/// The inside of an upright cylinder with a flat floor that has a round, sharp-edged orifice in its
+/// middle.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Silo {
     /// Radius of the cylinder.
     pub radius: f32,
-    /// Radius of the orifice; zero is none.
+    /// Radius of the orifice; zero for none.
     pub orifice: f32,
     /// Height of the floor.
     pub floor: f32,
 }
 
 impl Silo {
-    /// A container: no orifice, the floor at zero.
+    /// A container without an orifice, its floor at zero.
     pub(super) fn closed(radius: f32) -> Self {
         Self { radius, orifice: 0.0, floor: 0.0 }
     }
 }
 
 impl Wall for Silo {
-    /// Exact everywhere: side, floor and groove are one distance, `f - |(max(0, r - R + f), max(0, f - z))|` with f the groove's radius;
-    /// over the orifice the edge is nearest, and below the floor its underside.
+    /// Exact everywhere: side, floor and groove form one distance,
+    /// `f - |(max(0, r - R + f), max(0, f - z))|` with f the groove's radius; over the orifice the
+    /// edge is nearest, and below the floor its underside.
     #[inline(always)]
     fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
         let (zero, one) = (L::splat(0.0), L::splat(1.0));
@@ -78,7 +81,8 @@ mod tests {
         (first(touch.gap), touch.normal.map(first))
     }
 
-    /// Gap and direction to the nearest of points strewn densely over the surface of a silo, in the half-plane y = 0, x > 0.
+    /// Gap and direction to the nearest of many points spread densely over the surface of a silo,
+    /// in the half-plane y = 0, x > 0.
     fn brute_force(silo: &Silo, p: [f32; 3]) -> (f32, [f32; 3]) {
         let steps = 20_000u16;
         let share = |k: u16| f32::from(k) / f32::from(steps);

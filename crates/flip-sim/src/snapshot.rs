@@ -1,4 +1,4 @@
-//! Particles at one moment, small enough to send to a viewer many times a second.
+//! A snapshot of the particles, small enough to stream to a viewer many times a second.
 
 use super::constraints::Vector;
 use super::grains::Grains;
@@ -6,7 +6,8 @@ use super::law::Law;
 use std::fmt;
 use std::sync::Arc;
 
-/// Where every grain is, in the order of pouring, each coordinate in 65 536 steps of the longest side of the box that holds them all.
+/// Positions of all grains in the order of pouring, each coordinate in 65 536 steps of the longest
+/// side of their bounding box.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Snapshot {
     /// Simulated time, s.
@@ -15,13 +16,14 @@ pub struct Snapshot {
     pub origin_mm: [f32; 3],
     /// Length of one step, mm.
     pub step_mm: f32,
-    /// Number in the order of pouring.
+    /// Ids of the grains (numbers in the order of pouring).
     pub ids: Vec<u32>,
     /// Centre, steps from the origin, and radius, steps.
     pub grains: Vec<[u16; 4]>,
 }
 
-/// Says how often to take a snapshot and who sees it; called from the thread that simulates, so what it does must be short.
+/// Snapshot interval and receiver; called on the simulation thread, so the receiver must return
+/// quickly.
 #[derive(Clone)]
 pub struct Camera {
     /// Simulated time between two snapshots, s.
@@ -42,7 +44,7 @@ impl Camera {
         step.is_multiple_of(((self.every_s / step_s).round() as u32).max(1))
     }
 
-    /// Take a snapshot if one is due at this substep.
+    /// Takes a snapshot if one is due at this substep.
     pub(super) fn look(&self, grains: &Grains, law: &Law, substep: u32) {
         if self.is_due(substep, law.substep_s) {
             let time_s = f64::from(substep) * law.substep_s;
@@ -52,7 +54,7 @@ impl Camera {
 }
 
 impl Snapshot {
-    /// Of grains with these numbers, centres and radii in grain diameters.
+    /// Creates a snapshot of grains with these ids, centres and radii in grain diameters.
     pub(super) fn of(ids: &[u32], centres: &[Vector], diameter_m: f64, time_s: f64) -> Self {
         let mut all: Vec<_> = ids.iter().copied().zip(centres).collect();
         all.sort_unstable_by_key(|(id, _)| *id);
@@ -79,17 +81,18 @@ impl Snapshot {
         }
     }
 
-    /// Centre of the grain at a place, mm.
+    /// Centre of the grain at an index, mm.
     pub fn centre_mm(&self, place: usize) -> [f32; 3] {
         std::array::from_fn(|k| self.origin_mm[k] + f32::from(self.grains[place][k]) * self.step_mm)
     }
 
-    /// Radius of the grain at a place, mm.
+    /// Radius of the grain at an index, mm.
     pub fn radius_mm(&self, place: usize) -> f32 {
         f32::from(self.grains[place][3]) * self.step_mm
     }
 
-    /// Little-endian: `FLP1`, count (u32), time (f64), origin (3 f32), step (f32), then per grain number (u32), centre and radius (4 u16).
+    /// Serialises, little-endian: `FLP1`, count (u32), time (f64), origin (3 f32), step (f32), then
+    /// per grain id (u32), centre and radius (4 u16).
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(32 + 12 * self.ids.len());
         bytes.extend(b"FLP1");

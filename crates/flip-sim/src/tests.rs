@@ -1,4 +1,4 @@
-//! Each of the nine parameters has an effect that can be measured, and the kernel keeps what nature keeps.
+//! Each of the nine parameters has a measurable effect, and the kernel obeys the conservation laws.
 
 use super::constraints::{Vector, dot, vector};
 use super::dispense::{self, Dispenser};
@@ -14,7 +14,7 @@ fn sub(a: Vector, b: Vector) -> Vector {
     std::array::from_fn(|k| a[k] - b[k])
 }
 
-/// Substeps in a time.
+/// Number of substeps in a time.
 fn substeps(seconds: f64) -> u32 {
     (seconds / SUBSTEP_S).round() as u32
 }
@@ -37,7 +37,7 @@ fn grains(centres: &[Vector]) -> Grains {
     grains
 }
 
-/// Metres fallen from rest in 0.1 s.
+/// Distance fallen from rest in 0.1 s, m.
 fn fall_m(changes: &[(&str, f64)]) -> f64 {
     let law = law(changes);
     let mut one = grains(&[[0.0; 4]]);
@@ -63,7 +63,8 @@ fn damping_slows_a_fall_as_an_exponential_does() {
     assert!(fall_m(&[("damping", 1.0)]) < 0.98 * fall_m(&[("damping", 0.0)]));
 }
 
-/// How far two grains at a gap of 0.02 diameters have approached after 8 substeps without gravity, in diameters.
+/// How far two grains at a gap of 0.02 diameters have approached after 8 substeps without gravity,
+/// in diameters.
 fn approach(changes: &[(&str, f64)], gap: f32) -> f32 {
     let law = law(changes);
     let mut pair = grains(&[[0.0; 4], vector(1.0 + gap, 0.0, 0.0)]);
@@ -135,8 +136,8 @@ fn friction_makes_a_heap_steeper() {
     assert!(mean(1.3) > mean(0.0) + 10.0);
 }
 
-/// Speed down a wall inclined by `degrees` 0.05 s after the tilt of a resting grain, and how far it has slid between 0.025 s and then,
-/// in diameters.
+/// Speed down a wall inclined by `degrees`, 0.05 s after the tilt of a resting grain, and the
+/// distance it has slid between 0.025 s and then, in diameters.
 fn slide(degrees: f64) -> [f32; 2] {
     let law = law(&[]);
     let (sin, cos) = degrees.to_radians().sin_cos();
@@ -152,7 +153,8 @@ fn slide(degrees: f64) -> [f32; 2] {
 
 #[test]
 fn a_grain_slides_down_an_incline_above_atan_mu_and_with_coulombs_acceleration() {
-    // mu = 0.4 at the wall: atan 0.4 = 21.80 deg. The tilt is sudden, so the first 0.025 s are left to the transient.
+    // mu = 0.4 at the wall: atan 0.4 = 21.80 deg. The tilt is sudden, so the first 0.025 s are
+    // skipped as transient.
     let ([_, held], [_, slid]) = (slide(21.7), slide(21.9));
     assert!(held < 0.001 && slid > 0.01, "{held} {slid}");
     let degrees = 30.0f64.to_radians();
@@ -180,7 +182,8 @@ fn a_collision_keeps_momentum() {
     assert!(dot(change, change).sqrt() < 1e-6, "{change:?}");
 }
 
-/// Speed after over speed before the impact of a grain that falls five diameters onto a plate.
+/// Ratio of the speeds after and before the impact of a grain that falls five diameters onto a
+/// plate.
 fn wall_restitution(law: &Law) -> f32 {
     let mut one = grains(&[vector(0.0, 0.0, 5.5)]);
     let (mut fastest, mut rebound) = (0.0f32, 0.0f32);
@@ -194,7 +197,7 @@ fn wall_restitution(law: &Law) -> f32 {
     rebound / fastest
 }
 
-/// Speed at which two grains part over the speed at which they met.
+/// Ratio of the speeds at which two grains separate and meet.
 fn pair_restitution(law: &Law) -> f32 {
     let mut pair = Grains::default();
     pair.pour(law, vector(0.0, 0.0, 0.0), vector(0.02, 0.0, 0.0));
@@ -205,7 +208,8 @@ fn pair_restitution(law: &Law) -> f32 {
 
 #[test]
 fn impacts_are_inelastic() {
-    // The published engine's collisions are perfectly inelastic. Below a tenth, an impact keeps less than 1 % of its energy.
+    // The published engine's collisions are perfectly inelastic. With a ratio below a tenth, an
+    // impact keeps less than 1 % of its energy.
     let law = law(&[]);
     assert!(wall_restitution(&law) < 0.1, "{}", wall_restitution(&law));
     let pair = pair_restitution(&law);
@@ -214,7 +218,7 @@ fn impacts_are_inelastic() {
 
 #[test]
 fn a_heap_rests_with_and_without_cohesion() {
-    // The box of parameters ends near bond number 3; cohesion 1.2 at gravity_scale 0.3 is one of 1.6.
+    // The parameter box ends near bond number 3; cohesion 1.2 at gravity_scale 0.3 gives 1.6.
     for (changes, creep_max, speed_max) in [
         (vec![("friction", 0.8)], 0.02, 0.05),
         (vec![("friction", 0.3), ("cohesion", 1.2), ("gravity_scale", 0.3)], 0.1, 0.3),

@@ -1,4 +1,5 @@
-//! Walls: shapes that answer "how far is this grain's surface, and which way is out". Lengths in grain diameters.
+//! Walls: shapes that return the distance to a grain's surface and the outward direction. Lengths
+//! in grain diameters.
 
 use super::constraints::{V3, Vector, choose, inner, scale, sub};
 use super::lanes::Lanes;
@@ -26,13 +27,13 @@ impl<L: Lanes> Touch<L> {
 
 /// A fixed wall in the frame of the simulation.
 pub(super) trait Wall {
-    /// The contacts of grains of diameter 1 centred at `p`.
+    /// Computes the contacts of grains of diameter 1 centred at `p`.
     fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L>;
     /// Whether a grain centred at `p` has left the scene for good.
     fn has_left(&self, p: Vector) -> bool;
 }
 
-/// The walls of a scene. One type for all of them, so that the kernel is compiled once and not once for each.
+/// The walls of a scene. One type for all of them, so that the kernel is compiled only once.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Shape {
     /// No wall anywhere.
@@ -45,7 +46,7 @@ pub(super) enum Shape {
 }
 
 impl Shape {
-    /// The plane z = 0 without an edge.
+    /// The infinite plane z = 0.
     pub(super) const FLAT: Self = Self::Plane(Plane { normal: [0.0, 0.0, 1.0] });
 }
 
@@ -74,7 +75,7 @@ impl Wall for Shape {
     }
 }
 
-/// A plane through the origin without end.
+/// An infinite plane through the origin.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Plane {
     /// Unit vector out of the wall.
@@ -95,7 +96,7 @@ impl Wall for Plane {
 
 /// Radius of a grain in the kernel's unit of length.
 pub(super) const RADIUS: f32 = 0.5;
-/// Nothing is nearer to a point than this: keeps divisions finite.
+/// Lower limit of distances, to keep divisions finite.
 pub(super) const NEAREST: f32 = 1e-6;
 
 /// A horizontal round plate at z = 0 with a sharp rim; grains beyond it fall.
@@ -128,7 +129,8 @@ impl Wall for Plate {
     }
 }
 
-/// The bowl of a spoon: the lower half of an ellipsoid, open at z = 0, centred at the origin, tip towards +x.
+/// The bowl of a spoon: the lower half of an ellipsoid, open at z = 0, centred at the origin, tip
+/// towards +x.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Bowl {
     /// Semi-axes along x (length), y (width) and z (depth), grain diameters.
@@ -144,9 +146,9 @@ impl Bowl {
 }
 
 impl Wall for Bowl {
-    /// Inside, the distance to the ellipsoid is taken to first order, `f (1 - f) / |grad f^2 / 2|` with
-    /// `f^2 = (x/a)^2 + (y/b)^2 + (z/c)^2`: exact at the surface, where contacts are. Above the bowl only the rim, a
-    /// sharp edge, can be touched.
+    /// Inside, the distance to the ellipsoid is first order, `f (1 - f) / |grad f^2 / 2|` with
+    /// `f^2 = (x/a)^2 + (y/b)^2 + (z/c)^2`: exact at the surface, where contacts occur. Above the
+    /// bowl only the rim, a sharp edge, can be touched.
     #[inline(always)]
     fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
         let (zero, one) = (L::splat(0.0), L::splat(1.0));
@@ -160,7 +162,7 @@ impl Wall for Bowl {
         let f = f2.sqrt();
         let bowl =
             Touch::still(f * (one - f) / steepness - L::splat(RADIUS), scale(gradient, (zero - one) / steepness));
-        // In the very middle the distance is to first order nothing, but the bowl is deep.
+        // Very close to the middle the first-order distance vanishes, but the bowl is deep.
         let middle = f2.below(L::splat(0.01));
         let bowl = Touch { gap: L::select(middle, L::splat(self.semi_axes[2]), bowl.gap), ..bowl };
         if inside == u16::MAX {
@@ -180,7 +182,7 @@ impl Wall for Bowl {
 }
 
 impl Bowl {
-    /// As [`Wall::touch`], with an outside too: the bowl is a thin shell.
+    /// Like [`Wall::touch`], but with an outside too: the bowl is a thin shell.
     #[inline(always)]
     pub(super) fn shell<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
         let (zero, one) = (L::splat(0.0), L::splat(1.0));
@@ -196,14 +198,14 @@ impl Bowl {
         Touch::still(L::select(beneath, gap, inside.gap), choose(beneath, normal, inside.normal))
     }
 
-    /// Whether a grain centred at `p` lies in the bowl or on what it holds.
+    /// Whether a grain centred at `p` lies in the bowl or on its contents.
     pub(super) fn holds(&self, p: [f32; 3]) -> bool {
         let level: f32 = (0..2).map(|k| p[k] * p[k] * self.inverse_squares[k]).sum();
         level + p[2].min(0.0).powi(2) * self.inverse_squares[2] < 1.0
     }
 }
 
-/// Contact of grains with points.
+/// Contacts of grains with points.
 #[inline(always)]
 pub(super) fn touch_point<L: Lanes>(p: V3<L>, point: V3<L>) -> Touch<L> {
     let away = sub(p, point);
@@ -256,7 +258,8 @@ mod tests {
             let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
             // A centre half a diameter inside the surface point: its true gap is zero.
             let (gap, _) = touch(&bowl, std::array::from_fn(|k| s[k] - 0.5 * n[k] / length));
-            // First order: off by half of distance^2 times curvature, at most 0.5^2 / 2 * 18.5 / 7.4^2 = 0.04.
+            // First order: off by half of distance^2 times curvature, at most 0.5^2 / 2 * 18.5 /
+            // 7.4^2 = 0.04.
             assert!(gap.abs() < 0.04, "gap {gap}");
         }
     }

@@ -1,11 +1,13 @@
-//! Archives: files of the folder `audit` that hold what the table of the audit trail held of doses long past.
+//! Archives: files in the folder `audit` that hold audit records of doses long past, moved out of
+//! the table.
 //!
 //! ```text
 //! audit/<first>-<last>-<sha256>.jsonl.gz      a record a line, as it was hashed; each unbroken row of one weighing's records is a member of its own
 //! audit_away                                  which records are in which member, and the hashes before and at its end
 //! ```
 //!
-//! So one weighing is read without the others, each member proves itself by the chain, and a file that is lost breaks the chain nowhere else.
+//! So a weighing can be read without the others, each member is verified by the chain, and a lost
+//! file breaks the chain nowhere else.
 
 use super::audit::{AuditRecord, Written};
 use super::row::Columns;
@@ -25,15 +27,15 @@ use std::path::{Path, PathBuf};
 
 /// Name of the folder in the data folder.
 pub(super) const FOLDER: &str = "audit";
-/// The deed whose record names a file.
+/// The action whose record names a file.
 pub(super) const DEED: &str = "archive audit";
-/// Files that the record names, with their hashes.
+/// Files named by the record, with their hashes.
 pub(super) const NAMED: &str = "SELECT body ->> '$.file' AS file, body ->> '$.sha256' AS sha256 FROM audit \
     WHERE weighing IS NULL AND kind = 'person' AND body ->> '$.action' = 'archive audit' ORDER BY seq";
-/// Most bytes that a member is unpacked to: what is larger was not written here.
+/// Maximum unpacked size of a member, bytes: anything larger was not written here.
 const UNPACKED_MAX: u64 = 1 << 30;
 
-/// An archive that is gone or damaged.
+/// An archive that is missing or damaged.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LostArchive {
     /// The file, in the data folder.
@@ -46,7 +48,7 @@ pub struct LostArchive {
     pub why: String,
 }
 
-/// What the record says of a file.
+/// Record of an archive file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Named {
     pub file: String,
@@ -55,11 +57,11 @@ pub(super) struct Named {
     pub last: i64,
     pub records: i64,
     pub weighings: i64,
-    /// Of weighings that had ended before.
+    /// All of its weighings had ended before this.
     pub before: Timestamp,
 }
 
-/// Records of a weighing that follow each other and lie in a file.
+/// Consecutive records of one weighing that are stored in a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Away {
     pub first: i64,
@@ -72,7 +74,7 @@ pub(super) struct Away {
     pub bytes: u64,
 }
 
-/// The folder.
+/// The archive folder.
 #[derive(Clone, Debug)]
 pub(super) struct Archives {
     folder: PathBuf,
@@ -83,15 +85,15 @@ impl Archives {
         Self { folder }
     }
 
-    /// Whether there is any file.
+    /// Whether there are any files.
     pub(super) fn any(&self) -> bool {
         fs::read_dir(&self.folder).is_ok_and(|mut found| found.next().is_some())
     }
 
-    /// Where a file is that the record names.
+    /// Path of a file named by the record.
     ///
     /// # Errors
-    /// [`Error::Corrupt`]: no name that was given here.
+    /// [`Error::Corrupt`]: not a name assigned here.
     fn path(&self, file: &str) -> Result<PathBuf> {
         let name = file.strip_prefix("audit/").and_then(|rest| rest.strip_suffix(".jsonl.gz")).unwrap_or_default();
         let is_ours = !name.is_empty() && name.bytes().all(|b| b.is_ascii_hexdigit() || b == b'-');
@@ -101,7 +103,7 @@ impl Archives {
         }
     }
 
-    /// The bytes of a file, whatever they are.
+    /// The bytes of a file, unchecked.
     ///
     /// # Errors
     /// [`Error::File`]; [`Error::Corrupt`]: its name.
@@ -138,7 +140,7 @@ impl Archives {
         [&self.folder, parent].into_iter().try_for_each(|it| File::open(it)?.sync_all()).map_err(failed)
     }
 
-    /// The records of a member, gone through from the hash before them to that of the last.
+    /// The records of a member, verified from the hash before them to that of the last.
     ///
     /// # Errors
     /// [`Error::File`], [`Error::Corrupt`]: they are lost.
@@ -162,14 +164,15 @@ fn unpacked(path: &Path, away: &Away) -> std::io::Result<String> {
     Ok(text)
 }
 
-/// What is wrong with the records of a member, if anything is.
+/// Check the records of a member.
 fn check(records: &[Written], away: &Away) -> std::result::Result<(), String> {
     let mut previous = &away.before;
     for (record, seq) in records.iter().zip(away.first..) {
         if let Some(why) = record.flaw(seq, previous) {
             return Err(format!("record {seq}: {why}"));
         }
-        // The table finds records of a weighing by this: another name there would hide them.
+        // The table finds the records of a weighing by this name: another name there would hide
+        // them.
         if record.weighing.as_ref() != Some(&away.weighing) {
             let of = record.weighing.as_deref().unwrap_or("no weighing");
             return Err(format!("record {seq} is of {of}, the table of archives says {}", away.weighing));
@@ -180,7 +183,7 @@ fn check(records: &[Written], away: &Away) -> std::result::Result<(), String> {
     whole.then_some(()).ok_or_else(|| format!("does not end with record {}", away.last))
 }
 
-/// Records as a member: the same records, the same bytes.
+/// Records as a member; the same records yield the same bytes.
 pub(super) fn member(records: &[Written]) -> Result<Vec<u8>> {
     let failed = |error: std::io::Error| Error::Corrupt(format!("cannot be compressed: {error}"));
     let mut packed = GzEncoder::new(Vec::new(), Compression::default());
@@ -192,7 +195,7 @@ pub(super) fn member(records: &[Written]) -> Result<Vec<u8>> {
 }
 
 impl Store {
-    /// The records of a member; where it is lost, one that says so.
+    /// The records of a member; if it is lost, one record that states this.
     pub(super) fn archived(&self, away: &Away) -> Result<Vec<AuditRecord>> {
         match self.archives.read(away) {
             Ok(records) => records.into_iter().map(Written::record).collect(),
@@ -202,7 +205,7 @@ impl Store {
     }
 }
 
-/// Why a file is lost, without where the data folder is.
+/// Why a file is lost, without revealing where the data folder is.
 pub(super) fn why_lost(file: &str, error: &Error) -> String {
     match error {
         Error::File { source, .. } => format!("{file}: {source}"),
@@ -210,7 +213,7 @@ pub(super) fn why_lost(file: &str, error: &Error) -> String {
     }
 }
 
-/// A record in the place of those that are lost.
+/// A placeholder for records that are lost.
 fn stands_for(away: &Away, error: &Error) -> AuditRecord {
     let Away { first, last, weighing, file, .. } = away;
     let why = why_lost(file, error);
@@ -224,14 +227,15 @@ fn stands_for(away: &Away, error: &Error) -> AuditRecord {
     }
 }
 
-/// In which order members are looked for.
+/// Order in which members are searched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Order {
     Newest,
     Oldest,
 }
 
-/// Members that hold records after the first and before the second position, at most `limit`; all of one weighing when named.
+/// Members that hold records after the first and before the second position, at most `limit`; of
+/// one weighing if given.
 pub(super) async fn aways(
     connection: &mut SqliteConnection,
     weighing: Option<&str>,
@@ -265,13 +269,13 @@ pub(super) async fn aways(
     Ok(found)
 }
 
-/// Whether this database knows of archives: one from before them can be read as it is.
+/// Whether this database knows archives: one from before them can be read as it is.
 pub(super) async fn are_kept(connection: &mut SqliteConnection) -> Result<bool> {
     let sql = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'audit_away')";
     Ok(sqlx::query_scalar(sql).fetch_one(connection).await?)
 }
 
-/// How many members the table names.
+/// Number of members named by the table.
 pub(super) async fn count(connection: &mut SqliteConnection) -> Result<i64> {
     if !are_kept(connection).await? {
         return Ok(0);
@@ -279,7 +283,8 @@ pub(super) async fn count(connection: &mut SqliteConnection) -> Result<i64> {
     Ok(sqlx::query_scalar("SELECT count(*) FROM audit_away").fetch_one(connection).await?)
 }
 
-/// What the table says of a file otherwise than the record that names it, also where the file is gone.
+/// How the table's entry for a file differs from the record that names it, even if the file is
+/// gone.
 pub(super) async fn not_as_named(
     connection: &mut SqliteConnection,
     archive: i64,
@@ -298,7 +303,7 @@ pub(super) async fn not_as_named(
     }))
 }
 
-/// Hash of the record at this position, wherever it is; none where there is none.
+/// Hash of the record at this position, in the table or an archive; `None` if there is none.
 pub(super) async fn hash_at(connection: &mut SqliteConnection, seq: i64) -> Result<Option<String>> {
     let sql = "SELECT hash FROM audit WHERE seq = ?1";
     if let Some(hash) = sqlx::query_scalar(sql).bind(seq).fetch_optional(&mut *connection).await? {
@@ -307,7 +312,7 @@ pub(super) async fn hash_at(connection: &mut SqliteConnection, seq: i64) -> Resu
     if !are_kept(connection).await? {
         return Ok(None);
     }
-    // Asked for where a member ends, or begins.
+    // Queried where a member ends or begins.
     let sql =
         "SELECT hash FROM audit_away WHERE last = ?1 UNION ALL SELECT before FROM audit_away WHERE first = ?1 + 1";
     Ok(sqlx::query_scalar(sql).bind(seq).fetch_optional(connection).await?)

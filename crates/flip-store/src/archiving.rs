@@ -1,7 +1,9 @@
-//! Moving what was recorded of doses long past from the table of the audit trail into archives (`archive.rs`).
+//! Moves audit records of doses long past from the table into archives (`archive.rs`).
 //!
-//! The file is written, read back and compared before the record names it, and the rows go in the transaction that names it: whenever a process ends,
-//! each record is in the table or in a file that the record names. A file that nothing names yet is written again by the next try, to the byte.
+//! The file is written, read back and compared before the record names it, and the rows are deleted
+//! in the transaction that names it: whenever a process ends, each record is in the table or in a
+//! file that the record names. A file that nothing names yet is rewritten byte for byte by the next
+//! attempt.
 
 use super::archive::{Away, DEED, Named, hash_at, member};
 use super::artifacts::sha256_hex;
@@ -13,21 +15,22 @@ use flip_core::domain::timestamp::Timestamp;
 use serde::Serialize;
 use std::collections::HashSet;
 
-/// Records in a file. Whoever records a dose meanwhile waits while so many rows are removed.
+/// Records per file. Recording of a dose waits while this many rows are deleted.
 const RECORDS_MAX: i64 = 10_000;
-/// What goes of a weighing that ended before a day. Its intent, its outcome and what people did stay in the table: rows are compared with them.
+/// Records moved for a weighing that ended before a given day. Its intent, its outcome and people's
+/// actions stay in the table: rows are compared with them.
 const BULK: &str = "SELECT audit.* FROM audit JOIN weighing ON weighing.id = audit.weighing \
     WHERE audit.seq > ?1 AND weighing.outcome IS NOT NULL AND weighing.finished_at < ?2 \
     AND audit.kind IN ('state', 'sent', 'received', 'reading', 'decision') ORDER BY audit.seq LIMIT ?3";
 
-/// What went into archives.
+/// What was moved into archives.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Archived {
-    /// Weighings that had ended before this were looked for.
+    /// Weighings that had ended before this were selected.
     pub before: Option<Timestamp>,
-    /// Weighings whose records went.
+    /// Weighings whose records were moved.
     pub weighings: usize,
-    /// Records that went.
+    /// Records moved.
     pub records: i64,
     /// The files, in the data folder.
     pub files: Vec<String>,
@@ -35,7 +38,7 @@ pub struct Archived {
     pub bytes: u64,
 }
 
-/// A file, before anything names it.
+/// A file that nothing names yet.
 struct Packed {
     named: Named,
     bytes: Vec<u8>,
@@ -43,12 +46,14 @@ struct Packed {
 }
 
 impl Store {
-    /// Move the readings, messages, decisions and phases of weighings that ended before this into files.
+    /// Move the readings, messages, decisions and phases of weighings that ended before this into
+    /// files.
     ///
     /// # Errors
-    /// [`Error::ReadOnly`]; [`Error::Archiving`]: another process does this now, and nothing was moved; [`Error::Corrupt`]: the record is not what
-    /// was written, and from there on nothing was moved; [`Error::File`], [`Error::Full`], [`Error::Locked`]: what was moved is in the files that the
-    /// record names, all else where it was.
+    /// [`Error::ReadOnly`]; [`Error::Archiving`]: another process is archiving, and nothing was
+    /// moved; [`Error::Corrupt`]: the record is not what was written, and nothing was moved from
+    /// there on; [`Error::File`], [`Error::Full`], [`Error::Locked`]: everything moved so far is in
+    /// the files that the record names, the rest is where it was.
     pub async fn archive_audit(&self, before: Timestamp) -> Result<Archived> {
         let _lock = ArchivingLock::beside(self.place.path())?;
         let mut done = Archived { before: Some(before), ..Archived::default() };
@@ -75,7 +80,7 @@ impl Store {
         query.fetch_all(&self.long).await?.iter().map(Written::of).collect()
     }
 
-    /// The file of these records, and where each is in it.
+    /// Pack these records into a file; returns it with the position of each member.
     async fn pack(&self, records: &[Written], before: Timestamp) -> Result<Packed> {
         let (mut bytes, mut aways) = (Vec::new(), Vec::new());
         for run in records.chunk_by(|a, b| a.seq + 1 == b.seq && a.weighing == b.weighing) {
@@ -92,7 +97,7 @@ impl Store {
         Ok(Packed { named, bytes, aways })
     }
 
-    /// Records that follow each other, if they are what was written.
+    /// Describe consecutive records, after verifying them.
     async fn away(&self, run: &[Written], (start, bytes): (u64, u64)) -> Result<Away> {
         let (Some(first), Some(last)) = (run.first(), run.last()) else { unreachable!("not empty") };
         let before = hash_at(&mut *self.long.acquire().await?, first.seq - 1).await?.unwrap_or_else(beginning);
@@ -109,7 +114,7 @@ impl Store {
         Ok(Away { first: first.seq, last: last.seq, weighing, before, hash, file, start, bytes })
     }
 
-    /// The file holds these records, as it is on the disk.
+    /// Verify that the file on disk holds these records.
     fn read_back(&self, packed: &Packed, records: &[Written]) -> Result<()> {
         self.archives.get(&packed.named.file, &packed.named.sha256)?;
         let mut read = Vec::new();
@@ -122,12 +127,12 @@ impl Store {
         }
     }
 
-    /// Name the file in the record, and remove what it holds from the table.
+    /// Name the file in the record, and delete its contents from the table.
     async fn move_away(&self, packed: &Packed) -> Result<()> {
         let mut tx = self.write().await?;
         tx.name_archive(packed).await?;
         tx.commit().await?;
-        // The file shrinks only by this; without it the room is there for other rows.
+        // Only this shrinks the file; without it the space is available for other rows.
         if let Err(error) = sqlx::query("PRAGMA incremental_vacuum(2000)").fetch_all(self.writer()?).await {
             tracing::warn!(%error, "the database keeps the room of what was archived");
         }
@@ -142,7 +147,7 @@ impl Tx {
         let archive: i64 =
             sqlx::query("SELECT max(seq) AS seq FROM audit").fetch_one(&mut *self.inner).await?.plain("seq")?;
         for away in &packed.aways {
-            // Where the file system has no locks, this is how another's work is seen.
+            // Detects another process's work where the file system has no locks.
             let left = "SELECT count(*) FROM audit WHERE seq BETWEEN ?1 AND ?2";
             let left = sqlx::query_scalar::<_, i64>(left).bind(away.first).bind(away.last);
             if left.fetch_one(&mut *self.inner).await? != away.last - away.first + 1 {

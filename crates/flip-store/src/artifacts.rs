@@ -1,4 +1,5 @@
-//! Bytes by content: checkpoints and traces are files named by their SHA-256, written before the row that names them.
+//! Content-addressed bytes: checkpoints and traces are files named by their SHA-256, written before
+//! the row that names them.
 
 use super::{Error, Result, Store};
 use sha2::{Digest, Sha256};
@@ -8,12 +9,13 @@ use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// How old a file that no row names must be to be removed: a restore may bring files first and the rows an hour later.
+/// Minimum age for removing a file that no row names: a restore may bring files first and the rows
+/// an hour later.
 const SWEEP_GRACE: Duration = Duration::from_secs(86_400);
-/// Most files that are swept at a start; each crash leaves one or two.
+/// Maximum number of files swept at startup; each crash leaves one or two.
 const SWEPT_MAX: usize = 100;
 
-/// Every file that a row names.
+/// Every file named by a row.
 pub(super) const NAMED: &str = "SELECT checkpoint FROM job WHERE checkpoint IS NOT NULL \
     UNION SELECT result ->> '$.posterior' FROM job WHERE kind = 'calibration' AND result ->> '$.posterior' IS NOT NULL \
     UNION SELECT trace FROM weighing WHERE trace IS NOT NULL \
@@ -33,7 +35,7 @@ impl Artifacts {
     /// Store bytes durably and return their SHA-256: when this returns, a row may name them.
     ///
     /// # Errors
-    /// [`Error::File`]; what was there before is untouched.
+    /// [`Error::File`]; existing contents are untouched.
     pub fn put(&self, bytes: &[u8]) -> Result<String> {
         let sha256 = sha256_hex(bytes);
         let path = self.path(&sha256);
@@ -43,7 +45,7 @@ impl Artifacts {
         let failed = |source| Error::File { path: path.clone(), source };
         let folder = path.parent().unwrap_or(&self.folder);
         fs::create_dir_all(folder).map_err(failed)?;
-        // A name of its own: two writers of the same bytes must not share a half-written file.
+        // A unique name: two writers of the same bytes must not share a half-written file.
         let temporary = folder.join(format!("{}.part", super::new_id()));
         let mut file = File::create(&temporary).map_err(failed)?;
         file.write_all(bytes).and_then(|()| file.sync_all()).map_err(failed)?;
@@ -57,7 +59,8 @@ impl Artifacts {
     /// The bytes with this SHA-256.
     ///
     /// # Errors
-    /// [`Error::File`] when there are none, [`Error::Corrupt`] when the file no longer matches its name.
+    /// [`Error::File`] when there are none, [`Error::Corrupt`] when the file no longer matches its
+    /// name.
     pub fn get(&self, sha256: &str) -> Result<Vec<u8>> {
         let path = self.path(sha256);
         let bytes = fs::read(&path).map_err(|source| Error::File { path: path.clone(), source })?;
@@ -67,9 +70,11 @@ impl Artifacts {
         }
     }
 
-    /// Remove our files that are older than the grace and not named. Only for whoever holds the folder alone.
+    /// Remove our files that are older than the grace period and not named. Only for the sole
+    /// holder of the folder.
     ///
-    /// So many that no crash leaves them are all left: then it is rather the rows that are missing.
+    /// If there are more than crashes could leave, none is removed: then the rows are more likely
+    /// missing.
     fn sweep(&self, named: &HashSet<String>, grace: Duration) -> Result<()> {
         let is_named = |path: &PathBuf| file_name(path).is_some_and(|name| named.contains(name));
         let is_old = |path: &PathBuf| age(path).is_some_and(|age| age > grace);
@@ -82,7 +87,7 @@ impl Artifacts {
         unnamed.iter().try_for_each(|path| remove(path))
     }
 
-    /// Whether there is any file of ours.
+    /// Whether there are any files of ours.
     ///
     /// # Errors
     /// [`Error::File`]
@@ -90,7 +95,8 @@ impl Artifacts {
         Ok(!self.files()?.is_empty())
     }
 
-    /// Our files by their names, whole ones and half-written ones; whatever else lies here is somebody else's.
+    /// Our files, complete and half-written, recognised by their names; anything else here belongs
+    /// to someone else.
     fn files(&self) -> Result<Vec<PathBuf>> {
         let is_hex = |name: &str, digits: usize| name.len() == digits && name.bytes().all(|b| b.is_ascii_hexdigit());
         let mut found = Vec::new();
@@ -111,7 +117,7 @@ impl Artifacts {
 }
 
 impl Store {
-    /// Remove a file that a row named until now, unless another row does.
+    /// Remove a file that a row has just stopped naming, unless another row names it.
     pub(super) async fn forget_artifact(&self, sha256: &str) -> Result<()> {
         let sql = "SELECT EXISTS (SELECT 1 FROM job WHERE checkpoint = ?1 \
              UNION SELECT 1 FROM job WHERE kind = 'calibration' AND result ->> '$.posterior' = ?1 \
@@ -121,7 +127,8 @@ impl Store {
         if named { Ok(()) } else { remove(&self.artifacts.path(sha256)) }
     }
 
-    /// Remove files that no row has named for a day: a process that ended between file and row leaves one behind.
+    /// Remove files that no row has named for a day: a process that ends between file and row
+    /// leaves one behind.
     pub(super) async fn sweep_artifacts(&self) -> Result<()> {
         let named: Vec<String> = sqlx::query_scalar(NAMED).fetch_all(&self.reader).await?;
         self.artifacts.sweep(&named.into_iter().collect(), SWEEP_GRACE)
@@ -137,7 +144,7 @@ fn file_name(path: &Path) -> Option<&str> {
     path.file_name()?.to_str()
 }
 
-/// Since the file was written; `None` where that is not known, or is to come.
+/// Time since the file was written; `None` if unknown or in the future.
 fn age(path: &Path) -> Option<Duration> {
     fs::metadata(path).ok()?.modified().ok()?.elapsed().ok()
 }

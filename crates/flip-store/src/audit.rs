@@ -1,11 +1,14 @@
-//! The audit trail: what happened on the bench, in order, each record chained to the one before it by its hash.
+//! The audit trail: everything that happened on the bench, in order, each record chained to the
+//! previous one by its hash.
 //!
 //! ```text
 //! hash = SHA-256 of  previous hash LF seq LF milliseconds since 1970 LF weighing LF kind LF body     (in hexadecimal; 64 zeros before the first)
 //! ```
 //!
-//! `verify.rs` goes through it, `trail.rs` reads it out, `archive.rs` moves what is old into files. The database refuses to change or delete a record, and whoever edits the file by other means breaks the chain. A chain that was cut off at its end
-//! looks whole: who wants to know keeps a hash elsewhere, as a printed certificate does, and asks whether the chain still holds it.
+//! `verify.rs` verifies it, `trail.rs` reads it, `archive.rs` moves old records into files. The
+//! database refuses to change or delete a record, and editing the file by other means breaks the
+//! chain. A chain truncated at its end looks whole: to detect that, keep a hash elsewhere, as a
+//! printed certificate does, and check whether the chain still holds it.
 
 use super::archive::LostArchive;
 use super::row::{Columns, json};
@@ -26,36 +29,40 @@ pub struct AuditRecord {
     pub seq: i64,
     /// When.
     pub at: Timestamp,
-    /// The weighing that it belongs to.
+    /// The weighing it belongs to.
     pub weighing: Option<String>,
-    /// `intent`, `state`, `sent`, `received`, `reading`, `decision`, `outcome`, `person`, `latch`, `hold`, `check`, `pile`, `rows` (rows as they were
-    /// written) or `stock`; `lost` stands for records of an archive that is gone.
+    /// `intent`, `state`, `sent`, `received`, `reading`, `decision`, `outcome`, `person`, `latch`,
+    /// `hold`, `check`, `pile`, `rows` (rows as written) or `stock`; `lost` stands for records of
+    /// an archive that is gone.
     pub kind: String,
-    /// What happened: for a `state` its name, else an object whose fields depend on the kind.
+    /// Contents: for a `state` its name, else an object whose fields depend on the kind.
     #[schema(value_type = serde_json::Value)]
     pub body: serde_json::Value,
-    /// Hash of this record and, through the one before it, of all before.
+    /// Hash of this record and, through the previous one, of all before.
     pub hash: String,
 }
 
 /// Whether the audit trail is whole.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct AuditVerification {
-    /// Records looked at.
+    /// Records checked.
     pub records: i64,
-    /// Hash of the last one; 64 zeros if there is none.
+    /// Hash of the last record; 64 zeros if there is none.
     pub last_hash: String,
     /// The first record that is not what was written, and why.
     pub broken: Option<AuditBreak>,
-    /// Whether a hash that was asked for is in the chain.
+    /// Whether the requested hash is in the chain.
     pub holds_hash: Option<bool>,
-    /// Weighings whose rows are not what the record says, at most a hundred; the first of them is `broken` too.
+    /// Weighings whose rows do not match the record, at most a hundred; the first of them is in
+    /// `broken` too.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub changed: Vec<ChangedRow>,
-    /// Other rows that are not what the record says (tokens, measurements, what the bench is), at most a hundred; the first of all is `broken` too.
+    /// Other rows that do not match the record (tokens, measurements, state of the bench), at most
+    /// a hundred; the first of all is in `broken` too.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub others: Vec<ChangedOther>,
-    /// Archives that are gone or damaged: their records are lost, and nothing else. The first of them is `broken` too.
+    /// Archives that are missing or damaged: their records are lost, and nothing else. The first of
+    /// them is in `broken` too.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub archives: Vec<LostArchive>,
 }
@@ -69,7 +76,7 @@ pub struct AuditBreak {
     pub why: String,
 }
 
-/// What the record says of an outcome.
+/// Record of an outcome.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct OutcomeRecord {
     #[serde(flatten)]
@@ -77,19 +84,20 @@ pub(super) struct OutcomeRecord {
     /// SHA-256 of the file with the ticks.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trace: Option<String>,
-    /// Of weighings that were found without a record: others have it in that of their intent.
+    /// Of weighings found without a record of their own; others have it in the record of their
+    /// intent.
     #[serde(flatten)]
     pub key: RetryKey,
 }
 
-/// What an audit record is about.
+/// Subject of an audit record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct About<'a> {
     pub weighing: Option<&'a str>,
     pub kind: &'a str,
 }
 
-/// A record as it was hashed.
+/// A record in the form in which it is hashed.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Written {
     pub seq: i64,
@@ -97,7 +105,7 @@ pub(super) struct Written {
     pub at: i64,
     pub weighing: Option<String>,
     pub kind: String,
-    /// JSON, to the byte.
+    /// JSON, byte for byte.
     pub body: String,
     pub hash: String,
 }
@@ -112,7 +120,7 @@ fn chained(previous: &str, seq: i64, at_ms: i64, about: About<'_>, body: &str) -
 }
 
 impl Tx {
-    /// Add a record at the end of the chain.
+    /// Append a record to the chain.
     pub async fn audit(&mut self, about: About<'_>, body: &impl Serialize, now: Timestamp) -> Result<()> {
         let body = match about.kind {
             "person" | "intent" => json(&signed(body)?)?,
@@ -138,12 +146,12 @@ impl Tx {
 }
 
 impl Tx {
-    /// A person did something to a weighing or the bench.
+    /// Record a person's action on a weighing or the bench.
     pub async fn audit_person(&mut self, weighing: Option<&str>, action: &str, now: Timestamp) -> Result<()> {
         self.audit_deed(weighing, action, serde_json::json!({}), now).await
     }
 
-    /// A person did something; `details` is an object that says what beside the action.
+    /// Record a person's action; `details` is an object with further fields.
     pub async fn audit_deed(
         &mut self,
         weighing: Option<&str>,
@@ -156,7 +164,7 @@ impl Tx {
     }
 }
 
-/// What a person did, with who it was where that is known.
+/// The body of an action, with the caller's identity if known.
 fn signed(body: &impl Serialize) -> Result<serde_json::Value> {
     let mut body = serde_json::to_value(body).map_err(|error| Error::Corrupt(error.to_string()))?;
     if let (Some(who), Some(fields)) = (Who::now(), body.as_object_mut()) {
@@ -178,7 +186,7 @@ impl Written {
         })
     }
 
-    /// What is wrong with it if it should be the `seq`-th and follow this hash.
+    /// Check it as the `seq`-th record after this hash; returns what is wrong.
     pub(super) fn flaw(&self, seq: i64, previous: &str) -> Option<String> {
         if self.seq != seq {
             return Some(format!("record {seq} is missing"));
@@ -188,7 +196,7 @@ impl Written {
         (hash != self.hash).then(|| "it is not what was written, or the one before it is not".to_owned())
     }
 
-    /// As callers see it.
+    /// The record in the form returned to callers.
     pub(super) fn record(self) -> Result<AuditRecord> {
         let body = serde_json::from_str(&self.body).map_err(|error| Error::Corrupt(format!("body: {error}")))?;
         let Self { seq, weighing, kind, hash, .. } = self;
@@ -217,7 +225,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = with_records(folder.path(), 5).await;
         let whole = store.verify_audit(None).await.unwrap();
-        // With the two of the rows that a new database begins with.
+        // Including the two for the rows that a new database begins with.
         assert_eq!((whole.records, &whole.broken), (7, &None));
         let writer = store.writer().unwrap();
         for sql in ["UPDATE audit SET body = '{}' WHERE seq = 3", "DELETE FROM audit WHERE seq = 5"] {

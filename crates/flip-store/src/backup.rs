@@ -1,7 +1,9 @@
-//! Copies of a data folder that are whole: the database as it is at one moment, the files that it names, and all of it read back.
+//! Consistent copies of a data folder: the database at one moment, the files it names, and all of
+//! it read back.
 //!
-//! A backup is a data folder like any other, and restoring is the same work the other way round. Neither writes over anything: the copy is made
-//! beside its place under another name, looked at, and put there in one step.
+//! A backup is an ordinary data folder, and restoring is the same procedure in reverse. Neither
+//! overwrites anything: the copy is made next to its destination under another name, verified, and
+//! renamed in one step.
 
 use super::archive::{self, Archives};
 use super::artifacts::{Artifacts, NAMED, sha256_hex};
@@ -15,52 +17,55 @@ use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-/// What a copy holds, as it was read back.
+/// Contents of a copy, as read back.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Copied {
     /// The copy.
     pub folder: PathBuf,
     /// Size of its database.
     pub database_bytes: u64,
-    /// Files beside the database, archives of the audit trail among them, whole by their hashes.
+    /// Files next to the database, including archives of the audit trail, verified by their hashes.
     pub files: usize,
-    /// Files that the database names and the original has no more, or only damaged, by SHA-256, or by name of an archive: what they hold is lost, and
-    /// nothing else.
+    /// Files named by the database that are missing or damaged in the original, by SHA-256, or by
+    /// name for an archive: their contents are lost, and nothing else.
     pub lost: Vec<String>,
-    /// Those of them that are damaged archives: they were copied as they are, and their other parts can still be read.
+    /// The damaged archives among them: they were copied as they are, and their other parts can
+    /// still be read.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub damaged: Vec<String>,
     /// Records of the audit trail.
     pub records: i64,
-    /// Hash of the last one; `flip audit verify --hash` asks for it.
+    /// Hash of the last one, for `flip audit verify --hash`.
     pub last_hash: String,
-    /// Why the audit trail is not what was written, if it is not: the copy keeps it as it is.
+    /// Why the audit trail is not what was written, if so: the copy keeps it as it is.
     pub audit_broken: Option<String>,
-    /// Why the bench of a restored folder is held, which is one record more.
+    /// Why the bench of a restored folder is held, which adds one record.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub held: Option<String>,
-    /// Tokens of a backup that were revoked in the data folder that was made of it.
+    /// Tokens of the backup that were revoked in the restored data folder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub revoked_tokens: Option<usize>,
 }
 
-/// Who holds the bench of a restored folder.
+/// Holder of the bench of a restored folder.
 const RESTORE: &str = "flip restore";
 
-/// Copy the data folder `from`, also while another process writes there, to `to`, which must not be there or be empty.
+/// Copy the data folder `from`, even while another process writes to it, to `to`, which must be
+/// missing or empty.
 ///
 /// # Errors
-/// [`Error::Occupied`], [`Error::Absent`]; [`Error::Damaged`], [`Error::Newer`] of the database; [`Error::Full`], [`Error::File`].
-/// Nothing is left behind.
+/// [`Error::Occupied`], [`Error::Absent`]; [`Error::Damaged`], [`Error::Newer`] of the database;
+/// [`Error::Full`], [`Error::File`]. Nothing is left behind.
 pub async fn copy(from: &Path, to: &Path) -> Result<Copied> {
     let (beside, made) = copy_beside(from, to).await?;
     beside.put_in_place(to)?;
     Ok(Copied { folder: to.to_owned(), ..made })
 }
 
-/// As [`copy()`], of a backup to a data folder that is going to be served: it is brought up to date. What was poured since the backup its database does
-/// not know, so its bench is held until a person has looked; and a token that was revoked since would open again, so all are revoked unless they are
-/// to be kept.
+/// As [`copy()`], from a backup to a data folder that is going to be served, including migration.
+/// The database does not know what was poured since the backup, so its bench is held until a person
+/// has checked; and a token that was revoked since would be valid again, so all are revoked unless
+/// `keep_tokens` is set.
 ///
 /// # Errors
 /// As [`copy()`].
@@ -77,7 +82,7 @@ pub async fn restore(backup: &Path, to: &Path, keep_tokens: bool) -> Result<Copi
     Ok(Copied { folder: to.to_owned(), ..made })
 }
 
-/// Revoke every token that is not; how many.
+/// Revoke every token that is still valid; returns how many.
 async fn revoke_tokens(store: &Store) -> Result<usize> {
     let tokens = store.every_token().await?.into_iter().map(|token| token.entry);
     let open: Vec<_> = tokens.filter(|token| token.revoked_at.is_none()).collect();
@@ -101,7 +106,7 @@ async fn copy_beside(from: &Path, to: &Path) -> Result<(Beside, Copied)> {
     Ok((beside, made))
 }
 
-/// When a backup's database was written, by its file.
+/// When a backup's database was written, according to its file.
 fn written_at(database: &Path) -> Result<Timestamp> {
     let modified = fs::metadata(database).and_then(|it| it.modified());
     let modified = modified.map_err(|source| Error::File { path: database.to_owned(), source })?;
@@ -109,7 +114,7 @@ fn written_at(database: &Path) -> Result<Timestamp> {
     Ok(Timestamp::from_unix_ms(since_1970.as_millis() as i64))
 }
 
-/// Hold the bench, in place of a hold from before; why.
+/// Hold the bench, replacing an earlier hold; returns the reason.
 async fn hold(store: &Store, backup: Timestamp) -> Result<String> {
     let mut reason = format!("restored from a backup of {backup}: look before resuming");
     if let Some(before) = store.held().await? {
@@ -122,7 +127,7 @@ async fn hold(store: &Store, backup: Timestamp) -> Result<String> {
     Ok(reason)
 }
 
-/// Database first: every file that it names is there already.
+/// Database first: every file it names already exists then.
 async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
     let database = folder.join(DATABASE);
     let original = Store::open_to_read(from).await?;
@@ -157,7 +162,7 @@ async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
     })
 }
 
-/// Copy these files and read each copy back; those that the original does not have whole.
+/// Copy these files and read each copy back; returns those that are not intact in the original.
 fn copy_files(named: &[String], from: &Artifacts, to: &Artifacts) -> Result<Vec<String>> {
     let mut lost = Vec::new();
     for sha256 in named {
@@ -173,14 +178,15 @@ fn copy_files(named: &[String], from: &Artifacts, to: &Artifacts) -> Result<Vec<
     Ok(lost)
 }
 
-/// Archives that the original does not have whole.
+/// Archives that are not intact in the original.
 #[derive(Debug, Default)]
 struct NotWhole {
     gone: Vec<String>,
     damaged: Vec<String>,
 }
 
-/// Copy these archives and read each copy back. One that is damaged is copied as it is: each of its parts is read without the others.
+/// Copy these archives and read each copy back. A damaged one is copied as it is: its parts can be
+/// read independently.
 fn copy_archives(named: &[(String, String)], from: &Archives, to: &Archives) -> Result<NotWhole> {
     let mut found = NotWhole::default();
     for (file, sha256) in named {
@@ -198,7 +204,7 @@ fn copy_archives(named: &[(String, String)], from: &Archives, to: &Archives) -> 
     Ok(found)
 }
 
-/// A folder beside the place that a copy will have; gone when dropped before that.
+/// A temporary folder next to a copy's destination; removed if dropped before it is renamed.
 struct Beside {
     folder: PathBuf,
     parent: PathBuf,
@@ -217,7 +223,7 @@ impl Beside {
         Ok(Self { folder, parent })
     }
 
-    /// Rename it: an empty folder there is replaced, anything else refuses.
+    /// Rename it: replaces an empty folder at the destination, fails for anything else.
     fn put_in_place(&self, to: &Path) -> Result<()> {
         let failed = |source| Error::File { path: to.to_owned(), source };
         File::open(&self.folder).and_then(|folder| folder.sync_all()).map_err(failed)?;
@@ -228,7 +234,7 @@ impl Beside {
 
 impl Drop for Beside {
     fn drop(&mut self) {
-        // Renamed, it is not there any more.
+        // After renaming it no longer exists.
         let _ = fs::remove_dir_all(&self.folder);
     }
 }
@@ -254,11 +260,12 @@ mod tests {
     async fn a_backup_while_serving_holds_every_committed_row_and_comes_back() {
         let folder = tempfile::tempdir().unwrap();
         let (data, kept, back) = (folder.path().join("data"), folder.path().join("kept"), folder.path().join("back"));
-        // Open, so that all of it may still be in the write-ahead log: a copy of flip.db alone had 0 of 20.
+        // Open, so that everything may still be in the write-ahead log: a copy of flip.db alone had
+        // 0 of 20.
         let store = with_powders(&data, 20).await;
         let made = copy(&data, &kept).await.unwrap();
         let again = copy(&kept, &back).await.unwrap();
-        // With the records of the published powders that it began with.
+        // Including the records of the published powders it began with.
         assert_eq!((made.records, &made.audit_broken, &made.lost), (22, &None, &Vec::new()));
         assert_eq!((&again.last_hash, again.records), (&made.last_hash, 22));
         let restored = Store::open(&back).await.unwrap();
@@ -290,7 +297,7 @@ mod tests {
             let at = written_at(&backup.join(DATABASE)).unwrap().to_string();
             assert!(held.reason.starts_with(&format!("restored from a backup of {at}: look")), "{}", held.reason);
             assert!(held.reason.ends_with(also) && made.held == Some(held.reason), "{:?}", made.held);
-            // What was noted of the backup is in the chain, and the hold comes after it.
+            // The hash noted at the backup is in the chain, and the hold comes after it.
             let verified = restored.verify_audit(Some(&made.last_hash)).await.unwrap();
             assert_eq!((verified.broken, verified.holds_hash), (None, Some(true)));
             assert!(verified.records > made.records);
@@ -356,7 +363,7 @@ mod tests {
         with_powders(&data, 50).await.close().await;
         let path = data.join(DATABASE);
         let mut bytes = fs::read(&path).unwrap();
-        // The second half, but for the last page: trees point to what are no pages any more.
+        // The second half, except the last page: trees point to pages that no longer exist.
         let (from, to) = (bytes.len() / 2, bytes.len() - 4096);
         bytes[from..to].fill(0x5a);
         fs::write(&path, bytes).unwrap();

@@ -1,4 +1,4 @@
-//! The bench's own rows: whether it is latched, and the checks that weighings refer to.
+//! The bench's own rows: its latch, and the checks that weighings refer to.
 
 use super::row::{Columns, json, word};
 use super::{Result, Store, Tx};
@@ -10,23 +10,24 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
-/// A bench that nobody may use until a person has looked at it.
+/// A latched bench, which nobody may use until a person has checked it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Latch {
     /// Since when.
     pub at: Timestamp,
-    /// Why, and what to look at.
+    /// Why, and what to check.
     pub reason: String,
-    /// The weighing that it came from.
+    /// The weighing that caused it.
     pub weighing: Option<String>,
-    /// What the bench is made of: only a process that has such a bench can clear it. Absent where nobody knows.
+    /// Description of the bench: only a process with such a bench can clear the latch. Absent if
+    /// unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<BenchKind>,
 }
 
 /// Topic of the bench's events.
 pub const BENCH_TOPIC: &str = "bench";
-/// The open latch. One from before its bench was kept has that of its weighing.
+/// The open latch. One from before benches were stored has the bench of its weighing.
 const OPEN: &str = "SELECT at, reason, weighing, coalesce(bench, (SELECT bench FROM weighing WHERE id = latch.weighing)) AS bench \
                     FROM latch WHERE cleared_at IS NULL";
 
@@ -36,13 +37,13 @@ impl Store {
         sqlx::query(OPEN).fetch_optional(&self.reader).await?.as_ref().map(latch).transpose()
     }
 
-    /// As [`Store::latch`], on a connection that nobody else waits for.
+    /// As [`Store::latch`], on a separate connection that nobody else waits for.
     pub async fn latch_apart(&self) -> Result<Option<Latch>> {
         let row = sqlx::query("SELECT * FROM latch WHERE cleared_at IS NULL").fetch_optional(&self.apart).await?;
         row.as_ref().map(latch).transpose()
     }
 
-    /// The newest check of this kind, and when it was made.
+    /// The latest check of this kind, and when it was made.
     pub async fn newest_check<T: DeserializeOwned>(&self, kind: CheckKind) -> Result<Option<(Timestamp, T)>> {
         let sql = "SELECT at, body FROM bench_check WHERE kind = ?1 ORDER BY seq DESC LIMIT 1";
         let row = sqlx::query(sql).bind(word(&kind)).fetch_optional(&self.reader).await?;
@@ -51,7 +52,8 @@ impl Store {
 }
 
 impl Tx {
-    /// Latch the bench; where it is latched already the first reason stays. The latch that it now has.
+    /// Latch the bench; if it is latched already, the first reason stays. Returns the current
+    /// latch.
     pub async fn latch_bench(&mut self, latched: &Latch) -> Result<Latch> {
         if let Some(first) = self.latch().await? {
             return Ok(first);
@@ -68,12 +70,13 @@ impl Tx {
         Ok(latched.clone())
     }
 
-    /// Why the bench is latched, if it is, seen from inside the transaction.
+    /// Why the bench is latched, if it is, as seen inside the transaction.
     pub async fn latch(&mut self) -> Result<Option<Latch>> {
         sqlx::query(OPEN).fetch_optional(&mut *self.inner).await?.as_ref().map(latch).transpose()
     }
 
-    /// A person has looked; what was latched, if anything: an arm may be latched where the bench is not.
+    /// Clear the latch after a person has checked the bench; returns the latch, if there was one:
+    /// an arm may be latched while the bench is not.
     pub async fn clear_latch(&mut self, by: &str, note: &str, now: Timestamp) -> Result<Option<Latch>> {
         let latched = self.latch().await?;
         let sql = "UPDATE latch SET cleared_at = ?1, cleared_by = ?2, note = ?3 WHERE cleared_at IS NULL";
@@ -85,7 +88,7 @@ impl Tx {
         Ok(latched)
     }
 
-    /// Keep a check of the bench.
+    /// Store a check of the bench.
     pub async fn insert_check(&mut self, kind: CheckKind, body: &impl Serialize, now: Timestamp) -> Result<()> {
         let sql = "INSERT INTO bench_check (at, kind, body) VALUES (?1, ?2, ?3)";
         sqlx::query(sql).bind(now.unix_ms()).bind(word(&kind)).bind(json(body)?).execute(&mut *self.inner).await?;

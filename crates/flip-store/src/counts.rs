@@ -1,4 +1,4 @@
-//! How much there is of what, for those who watch over the service.
+//! Counts of jobs and weighings, for monitoring.
 
 use super::row::Columns;
 use super::{Result, Store, now};
@@ -6,19 +6,19 @@ use flip_core::domain::job::{JobKind, JobState};
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use sqlx::sqlite::SqliteRow;
 
-/// Jobs and weighings, counted; what there is none of is left out.
+/// Counts of jobs and weighings; zero counts are omitted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Counts {
     /// Jobs by kind and state.
     pub jobs: Vec<((JobKind, JobState), u32)>,
     /// Weighings by state, and outcome once they have one.
     pub weighings: Vec<((WeighingState, Option<Outcome>), u32)>,
-    /// For how long the oldest that waits has waited, s, of `jobs` and of `weighings`; 0 where nothing does.
+    /// Waiting time of the oldest waiting entry, s, of `jobs` and of `weighings`; 0 if none waits.
     pub waits_s: [(&'static str, f64); 2],
 }
 
 impl Store {
-    /// Everything counted.
+    /// All counts.
     pub async fn counts(&self) -> Result<Counts> {
         let sql = "SELECT kind, state, count(*) AS n FROM job GROUP BY kind, state ORDER BY kind, state";
         let jobs = sqlx::query(sql).fetch_all(&self.reader).await?;

@@ -1,4 +1,4 @@
-//! Which version of the simulator is taken where none is named.
+//! The version of the simulator used where none is given.
 
 use super::row::Columns;
 use super::{Result, Store, Tx, now};
@@ -6,7 +6,7 @@ use flip_core::domain::timestamp::Timestamp;
 use serde::Serialize;
 use sqlx::sqlite::SqliteRow;
 
-/// Topic of the event that a choice makes.
+/// Topic of the event emitted by a choice.
 pub const SIMULATOR_TOPIC: &str = "simulator";
 
 /// A choice; `None` is the base.
@@ -18,7 +18,7 @@ pub struct Choice {
     pub chosen_at: Timestamp,
 }
 
-/// What the event of a choice holds.
+/// Contents of the event of a choice.
 #[derive(Serialize)]
 struct Chosen<'a> {
     version: Option<&'a str>,
@@ -26,7 +26,7 @@ struct Chosen<'a> {
 }
 
 impl Store {
-    /// The newest choice, and the one before it; nothing while nobody has chosen.
+    /// The latest choice, and the one before it; empty if there has been none.
     pub async fn simulator_choices(&self) -> Result<Vec<Choice>> {
         let rows = sqlx::query("SELECT * FROM current_simulator ORDER BY seq DESC LIMIT 2").fetch_all(&self.reader);
         rows.await?.iter().map(choice).collect()
@@ -34,7 +34,7 @@ impl Store {
 }
 
 impl Tx {
-    /// Choose a version that exists, or the base. To choose what is current changes nothing.
+    /// Choose an existing version, or the base. Choosing the current version changes nothing.
     pub async fn choose_simulator(&mut self, version: Option<&str>) -> Result<()> {
         let newest = "SELECT * FROM current_simulator ORDER BY seq DESC LIMIT 1";
         let newest = sqlx::query(newest).fetch_optional(&mut *self.inner).await?.as_ref().map(choice).transpose()?;

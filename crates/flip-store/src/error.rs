@@ -1,8 +1,8 @@
-//! Why the store did not do what it was asked, told apart where a person can do something about it.
+//! Errors of the store, distinguished where a person can do something about them.
 
 use std::path::PathBuf;
 
-/// Why the store did not do what it was asked.
+/// Why the store did not carry out a request.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// Another process holds the data folder.
@@ -11,19 +11,19 @@ pub enum Error {
     /// One process at a time moves records into archives.
     #[error("another archiving of the audit trail is under way: wait until it has ended, and ask again")]
     Archiving,
-    /// Somebody else's transaction did not end in time.
+    /// Another program's transaction did not end in time.
     #[error("another program holds the database: close it there (a database browser, a backup) and try again")]
     Locked,
-    /// Too many wait for it already.
+    /// Too many requests are already waiting.
     #[error("the database is busy: try again in a moment")]
     Busy,
-    /// No room to write.
+    /// The disk is full.
     #[error("the disk of the data folder is full: make room there and try again")]
     Full,
     /// The disk fails.
     #[error("the disk does not take it ({0}): make room, or mend it")]
     Disk(String),
-    /// The file that is written is no longer the one at its path.
+    /// The open file is no longer the one at its path.
     #[error(
         "{0} is no longer the database that is being written: it was moved, removed or replaced. Stop FLIP, put it back, and start FLIP again"
     )]
@@ -33,39 +33,39 @@ pub enum Error {
         "flip.db is damaged ({0}): nothing was changed. Put a backup in its place (`flip restore BACKUP --data-dir NEW`), or keep the folder and ask for help"
     )]
     Damaged(String),
-    /// No database beside files that only a database can name.
+    /// There is no database, but there are files that only a database can name.
     #[error(
         "{0} holds files but no database (flip.db is missing or empty): a wrong mount, or half of a restore? Put flip.db back (`flip restore` \
          makes a whole folder of a backup), or name another --data-dir. Nothing was changed"
     )]
     Lost(PathBuf),
-    /// A copy would write over something.
+    /// A copy would overwrite something.
     #[error("{0} is there already and not empty: name a folder that is not there yet")]
     Occupied(PathBuf),
     /// Nothing to copy.
     #[error("{0} holds no flip.db: name a data folder, or a folder that `flip backup` made")]
     Absent(PathBuf),
-    /// Made by a FLIP that knows more.
+    /// Made by a newer FLIP.
     #[error(
         "the database was made by a newer FLIP (it has migration {0}, which this one does not know): use that version, or a backup from before it"
     )]
     Newer(i64),
-    /// Somebody else has the job, or it has ended.
+    /// Another worker has the job, or it has ended.
     #[error("the job has been taken over or has ended")]
     Fenced,
-    /// Opened to read only.
+    /// Opened read-only.
     #[error("the database was opened to read only")]
     ReadOnly,
-    /// The SQLite in this program is older than the one that fixed the reset of the write-ahead log.
+    /// The SQLite in this program predates the fix for the reset of the write-ahead log.
     #[error("SQLite {0} is too old: 3.51.3 or newer is needed")]
     Old(String),
-    /// What was read is not what was written.
+    /// The data read is not what was written.
     #[error("{0}")]
     Corrupt(String),
-    /// The database says no.
+    /// An error of the database.
     #[error(transparent)]
     Database(sqlx::Error),
-    /// The file system says no.
+    /// An error of the file system.
     #[error("{path}: {source}")]
     File {
         /// The file.
@@ -81,12 +81,12 @@ impl Error {
         matches!(self, Self::Database(sqlx::Error::PoolClosed))
     }
 
-    /// What is in the way of a record, and what a person can do about it.
+    /// What prevents recording, and what a person can do about it.
     pub fn remedy(&self) -> String {
         self.to_string()
     }
 
-    /// Bytes that a row names are not there, or are others: that costs the part that they are, and nothing else.
+    /// Whether bytes named by a row are missing or changed: only that part is lost, nothing else.
     pub fn is_lost_part(&self) -> bool {
         matches!(self, Self::File { .. } | Self::Corrupt(_))
     }
@@ -115,11 +115,11 @@ const CORRUPT: i32 = 11;
 const FULL: i32 = 13;
 const NOT_A_DATABASE: i32 = 26;
 
-/// SQLite's code, without what extends it.
+/// SQLite's primary result code, without the extended part.
 fn primary_code(error: &sqlx::Error) -> Option<i32> {
     let sqlx::Error::Database(database) = error else { return None };
     Some(database.code()?.parse::<i32>().ok()? & 0xff)
 }
 
-/// What every function of the store returns.
+/// Result type of the store.
 pub type Result<T> = std::result::Result<T, Error>;

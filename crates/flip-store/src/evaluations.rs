@@ -29,7 +29,7 @@ pub struct EvaluationRow {
     pub zero_share: f64,
     /// Mean number of shakes.
     pub shakes_mean: f64,
-    /// Mean bench time of a weighing, s; absent from evaluations of before it was kept.
+    /// Mean bench time of a weighing, s; absent from older evaluations.
     #[serde(default)]
     pub seconds_mean: Option<f64>,
 }
@@ -47,7 +47,8 @@ pub struct EvaluationSummary {
     pub sd_trials_mg: f64,
     /// Mean over the cells of the standard deviation within each, mg.
     pub sd_within_cells_mg: f64,
-    /// Mean signed error, mg; positive is too much. This and what follows is absent from evaluations of before it was kept.
+    /// Mean signed error, mg; positive is too much. This and the following fields are absent from
+    /// older evaluations.
     #[serde(default)]
     pub bias_mg: Option<f64>,
     /// Share of weighings more than 1 mg above the target.
@@ -65,7 +66,7 @@ pub struct EvaluationSummary {
 }
 
 impl Store {
-    /// The doses of an evaluation that are stored already, by key.
+    /// The doses of an evaluation stored so far, by key.
     pub async fn doses<T: DeserializeOwned>(&self, evaluation: &str) -> Result<HashMap<String, T>> {
         let rows = sqlx::query("SELECT key, body FROM dose WHERE job = ?1").bind(evaluation).fetch_all(&self.reader);
         rows.await?.iter().map(|row| Ok((row.plain("key")?, row.json("body")?))).collect()
@@ -73,15 +74,15 @@ impl Store {
 }
 
 impl Tx {
-    /// Store a dose. The key refuses one that is already stored.
+    /// Store a dose. The key rejects one that is already stored.
     pub async fn insert_dose(&mut self, evaluation: &str, key: &str, dose: &impl Serialize) -> Result<()> {
         let sql = "INSERT INTO dose (job, key, body) VALUES (?1, ?2, ?3)";
         sqlx::query(sql).bind(evaluation).bind(key).bind(json(dose)?).execute(&mut *self.inner).await?;
         Ok(())
     }
 
-    /// Store a row of an evaluation. `policy` is the one that the row counts for; none for other controllers and under
-    /// unusual conditions.
+    /// Store a row of an evaluation. `policy` is the policy the row counts for; `None` for other
+    /// controllers and under unusual conditions.
     pub async fn insert_evaluation_row(
         &mut self,
         evaluation: &str,

@@ -1,4 +1,4 @@
-//! What has happened, in order: the source of every live view.
+//! The event log, in order: the source of every live view.
 
 use super::row::{Columns, json};
 use super::{Result, Store, Tx, now};
@@ -7,16 +7,17 @@ use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 use tokio::sync::watch;
 
-/// Something that happened to a job or a weighing, or a choice of the current simulator.
+/// An event of a job or a weighing, or a choice of the current simulator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Event {
     /// Position in the order of all events; the `id:` of a server-sent event.
     pub seq: i64,
     /// `job:<id>`, `weighing:<id>`, `simulator` or `bench`.
     pub topic: String,
-    /// `state`, `progress`, `trial`, `episode` or `checkpoint_lost` of a job; `state` or `tick` of a weighing; `current` of the simulator; `latched` or `cleared` of the bench.
+    /// `state`, `progress`, `trial`, `episode` or `checkpoint_lost` of a job; `state` or `tick` of
+    /// a weighing; `current` of the simulator; `latched` or `cleared` of the bench.
     pub kind: String,
-    /// What happened; the fields depend on the kind.
+    /// Contents; the fields depend on the kind.
     #[schema(value_type = Object)]
     pub data: serde_json::Value,
     /// When.
@@ -24,7 +25,7 @@ pub struct Event {
 }
 
 impl Store {
-    /// Events after `after`, oldest first, at most `limit`; of one topic when named.
+    /// Events after `after`, oldest first, at most `limit`; of one topic if given.
     pub async fn events_after(&self, topic: Option<&str>, after: i64, limit: u32) -> Result<Vec<Event>> {
         let query = match topic {
             Some(topic) => sqlx::query("SELECT * FROM event WHERE topic = ?3 AND seq > ?1 ORDER BY seq LIMIT ?2")
@@ -36,19 +37,19 @@ impl Store {
         query.fetch_all(&self.reader).await?.iter().map(event).collect()
     }
 
-    /// Number of the newest event, whichever process wrote it; 0 without one.
+    /// Number of the latest event, whichever process wrote it; 0 if there is none.
     pub async fn newest_event(&self) -> Result<i64> {
         Ok(sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM event").fetch_one(&self.reader).await?)
     }
 
-    /// Hears the number of the newest committed event.
+    /// Watches the number of the latest committed event.
     pub fn watch_events(&self) -> watch::Receiver<i64> {
         self.newest_event.subscribe()
     }
 }
 
 impl Tx {
-    /// Say that something happened; followers hear it once the transaction is committed.
+    /// Emit an event; followers are notified once the transaction is committed.
     pub async fn emit(&mut self, topic: &str, kind: &str, data: &impl Serialize) -> Result<()> {
         let sql = "INSERT INTO event (topic, kind, data, at) VALUES (?1, ?2, ?3, ?4) RETURNING seq";
         let seq = sqlx::query_scalar(sql)
@@ -62,7 +63,8 @@ impl Tx {
         Ok(())
     }
 
-    /// Like [`Tx::emit`], but only the newest event of this kind is kept: who resumes needs no old progress.
+    /// Like [`Tx::emit`], but only the latest event of this kind is kept: a client that resumes
+    /// does not need old progress.
     pub async fn emit_latest(&mut self, topic: &str, kind: &str, data: &impl Serialize) -> Result<()> {
         let sql = "DELETE FROM event WHERE topic = ?1 AND kind = ?2";
         sqlx::query(sql).bind(topic).bind(kind).execute(&mut *self.inner).await?;

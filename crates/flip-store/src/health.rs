@@ -1,4 +1,4 @@
-//! Whether the store can do its work now: asked by those who watch over the service.
+//! Health of the store: whether it can work now, for monitoring.
 
 use super::open::connection_that_gives_up;
 use super::{Error, Result, Store};
@@ -6,13 +6,14 @@ use serde::Serialize;
 use sqlx::{ConnectOptions, Connection};
 use std::sync::PoisonError;
 
-/// Room that must be left on the data folder's disk, bytes: a dose writes about 170 kB, so this is room for about fifty.
+/// Minimum free space on the data folder's disk, bytes: a dose writes about 170 kB, so this is
+/// enough for about fifty.
 pub const FREE_MIN: u64 = 8 << 20;
 
-/// One thing that was looked at.
+/// Result of one check.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Check {
-    /// It is as it should be.
+    /// The check passed.
     pub ok: bool,
     /// What is wrong, and what to do.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -20,7 +21,7 @@ pub struct Check {
 }
 
 impl Check {
-    /// From what was found to be wrong, if anything.
+    /// Passed if there is no reason, else failed.
     pub fn of(why: Option<String>) -> Self {
         Self { ok: why.is_none(), why }
     }
@@ -30,12 +31,12 @@ impl Check {
     }
 }
 
-/// What the store needs.
+/// Requirements of the store.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Health {
-    /// Room on the disk.
+    /// Free space on the disk.
     pub disk: Check,
-    /// The database can be written.
+    /// The database is writable.
     pub database: Check,
     /// The data folder is where it was.
     pub folder: Check,
@@ -44,11 +45,13 @@ pub struct Health {
 }
 
 impl Store {
-    /// Look at everything that writing needs. Nobody's work waits for it, and after a quarter of a second it takes a locked database for one.
+    /// Check everything needed for writing. No other work waits for it, and after a quarter of a
+    /// second it treats the database as locked.
     pub async fn health(&self) -> Health {
-        // A database elsewhere would be made anew by its name, or answer for the one that is gone.
+        // A database elsewhere would be created again under its name, or answer in place of the one
+        // that is gone.
         let database = if self.place.check().is_ok() { self.try_to_write().await } else { self.place.check() };
-        // Looked at last: where it went away meanwhile, that is why the database fails.
+        // Checked last: if the folder has disappeared meanwhile, that is why the database fails.
         let folder = self.place.check();
         Health {
             disk: Check::of(self.lack_of_room()),
@@ -60,7 +63,8 @@ impl Store {
 
     async fn try_to_write(&self) -> Result<()> {
         match self.begin_and_end().await {
-            // Our own transaction may be a long one. Another program's lock makes ours fail in the end, and then this is not asked.
+            // Our own transaction may be a long one. Another program's lock makes ours fail in the
+            // end, and then this branch is not reached.
             Err(Error::Locked) if self.writer()?.num_idle() == 0 && !self.failed_last() => Ok(()),
             tried => tried,
         }
@@ -70,7 +74,8 @@ impl Store {
         self.unwritten.lock().unwrap_or_else(PoisonError::into_inner).is_some()
     }
 
-    /// On a connection of its own. Where the last transaction failed one is written, to see whether it still does.
+    /// Uses its own connection. If the last transaction failed, one is written to see whether it
+    /// still fails.
     async fn begin_and_end(&self) -> Result<()> {
         let failed = self.failed_last();
         let mut connection = connection_that_gives_up(self.place.path()).connect().await?;
@@ -81,7 +86,7 @@ impl Store {
         if !failed {
             transaction.rollback().await?;
         } else {
-            // The number that it has: a page is written, and nothing is changed.
+            // Its present value: a page is written, and nothing is changed.
             let version: i64 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *transaction).await?;
             sqlx::query(sqlx::AssertSqlSafe(format!("PRAGMA user_version = {version}")))
                 .execute(&mut *transaction)

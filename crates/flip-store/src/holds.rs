@@ -1,4 +1,4 @@
-//! Holds of the bench: after a stop nothing begins until a person resumes.
+//! Holds of the bench: after a stop nothing starts until a person resumes.
 
 use super::bench::BENCH_TOPIC;
 use super::row::Columns;
@@ -8,14 +8,14 @@ use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
-/// A bench that begins nothing until a person resumes.
+/// A held bench, on which nothing starts until a person resumes.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Held {
     /// Since when.
     pub at: Timestamp,
-    /// What held it.
+    /// Why it is held.
     pub reason: String,
-    /// Who did, where that is known.
+    /// Who held it, if known.
     pub by: Option<String>,
 }
 
@@ -30,7 +30,7 @@ impl Store {
 }
 
 impl Tx {
-    /// Hold the bench; where it is held already the first reason stays.
+    /// Hold the bench; if it is held already, the first reason stays.
     pub async fn hold_bench(&mut self, held: &Held) -> Result<()> {
         let sql = "INSERT INTO bench_hold (at, reason, held_by) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING";
         let row = sqlx::query(sql).bind(held.at.unix_ms()).bind(&held.reason).bind(&held.by);
@@ -41,7 +41,7 @@ impl Tx {
         self.emit(BENCH_TOPIC, "held", held).await
     }
 
-    /// A person lets doses begin again. `false`: the bench was not held.
+    /// Resume the bench, so that doses can start again. `false`: it was not held.
     pub async fn resume_bench(&mut self, by: &str, note: &str, now: Timestamp) -> Result<bool> {
         let Some(open) = sqlx::query(OPEN).fetch_optional(&mut *self.inner).await? else { return Ok(false) };
         let sql = "UPDATE bench_hold SET resumed_at = ?1, resumed_by = ?2, note = ?3 WHERE resumed_at IS NULL";

@@ -1,4 +1,4 @@
-//! Jobs as callers see them: asked for, listed, cancelled. What workers do with them is in `ledger.rs`.
+//! Jobs as seen by callers: created, listed, cancelled. The workers' side is in `ledger.rs`.
 
 use super::page::{Page, Window};
 use super::row::{Columns, word};
@@ -8,24 +8,25 @@ use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
-/// A job as callers see it.
+/// A job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Job {
-    /// Id; a calibration, training, evaluation, investigation or measurement of the angle of repose has the id of its job.
+    /// Id; a calibration, training, evaluation, investigation or measurement of the angle of repose
+    /// has the id of its job.
     pub id: String,
     /// What it computes.
     pub kind: JobKind,
-    /// Where it stands.
+    /// Its state.
     pub state: JobState,
-    /// How far it is.
+    /// Its progress.
     pub progress: Progress,
-    /// Times that a worker has begun or resumed it.
+    /// How often a worker has started or resumed it.
     pub attempts: u32,
-    /// A cancellation was asked for and is not yet carried out.
+    /// A cancellation was requested and has not been carried out yet.
     pub cancelling: bool,
-    /// When it was asked for.
+    /// When it was created.
     pub created_at: Timestamp,
-    /// When a worker first began it.
+    /// When a worker first started it.
     pub started_at: Option<Timestamp>,
     /// When it ended.
     pub finished_at: Option<Timestamp>,
@@ -33,7 +34,7 @@ pub struct Job {
     pub error: Option<String>,
 }
 
-/// A job with what it is to do and what it did, as JSON.
+/// A job with its specification and result, as JSON.
 #[derive(Debug, Clone)]
 pub struct JobRow {
     pub job: Job,
@@ -47,9 +48,9 @@ pub fn job_topic(id: &str) -> String {
 }
 
 impl Store {
-    /// Jobs, newest first; of one kind or state when named.
+    /// Jobs, newest first; of one kind or state if given.
     pub async fn jobs(&self, kind: Option<JobKind>, state: Option<JobState>, window: Window) -> Result<Page<Job>> {
-        // Not what they are to do and did: that may be half a megabyte each.
+        // Without specification and result, which may be half a megabyte each.
         let sql = "SELECT seq, id, kind, state, fraction, message, attempts, cancel_requested, created_at, started_at, finished_at, error \
                    FROM job WHERE seq < ?1 AND (?3 IS NULL OR kind = ?3) AND (?4 IS NULL OR state = ?4) \
                    ORDER BY seq DESC LIMIT ?2";
@@ -63,7 +64,7 @@ impl Store {
         window.page_of(&rows, job)
     }
 
-    /// Jobs of one kind, newest first, with all that is known of them.
+    /// Jobs of one kind, newest first, with all their data.
     pub async fn whole_jobs(&self, kind: JobKind, window: Window) -> Result<Page<JobRow>> {
         let sql = "SELECT * FROM job WHERE seq < ?1 AND kind = ?3 ORDER BY seq DESC LIMIT ?2";
         let rows = sqlx::query(sql)
@@ -81,8 +82,8 @@ impl Store {
         row.as_ref().map(job_row).transpose()
     }
 
-    /// The newest calibration of a powder, or of a bare angle (exactly), that has succeeded under this version of the simulator, none being the
-    /// base.
+    /// The latest successful calibration of a powder, or of a bare angle (exactly), under this
+    /// version of the simulator, `None` being the base.
     pub async fn newest_calibration(
         &self,
         powder: Option<&str>,
@@ -99,7 +100,8 @@ impl Store {
 }
 
 impl Tx {
-    /// Queue a job. `false`: one with the same specification is queued, running or has succeeded, and this is it.
+    /// Queue a job. `false`: a job with the same specification is queued, running or has succeeded,
+    /// and that one is returned.
     pub async fn insert_job(
         &mut self,
         id: &str,
@@ -125,8 +127,8 @@ impl Tx {
         Ok((self.announce_job(&row).await?, true))
     }
 
-    /// Ask a job to end: one that waits is cancelled at once, one that runs when its worker hears of it. `None`: it
-    /// has ended already, or never was.
+    /// Request that a job end: a queued one is cancelled at once, a running one once its worker
+    /// notices. `None`: it has already ended, or never existed.
     pub async fn request_cancel(&mut self, id: &str, now: Timestamp) -> Result<Option<Job>> {
         let sql = "UPDATE job SET cancel_requested = 1,
                        finished_at = CASE state WHEN 'queued' THEN ?2 END,
@@ -139,7 +141,7 @@ impl Tx {
         }
     }
 
-    /// Tell followers how a job now stands.
+    /// Notify followers of a job's new state.
     pub(super) async fn announce_job(&mut self, row: &SqliteRow) -> Result<Job> {
         let job = job(row)?;
         self.emit(&job_topic(&job.id), "state", &job).await?;

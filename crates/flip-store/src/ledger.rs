@@ -1,4 +1,5 @@
-//! The ledger: who computes which job. The queue may lose a delivery or make it twice; this table decides.
+//! The ledger: which worker computes which job. The queue may lose a delivery or deliver twice;
+//! this table decides.
 //!
 //! ```text
 //!            claim                     succeed
@@ -9,13 +10,15 @@
 //!                         +----------------------> [cancelled]
 //! ```
 //!
-//! A claim gives a [`Lease`]: a fence number one above the last. Every later write of that worker names it, and is refused
-//! once somebody else has claimed the job ([`Error::Fenced`]): a worker that was given up for dead and comes back can
-//! change nothing. A lease that is not renewed ends, and the job can be claimed again.
+//! A claim returns a [`Lease`] with a fencing token one above the last. Every later write of that
+//! worker carries it, and is refused once another worker has claimed the job ([`Error::Fenced`]): a
+//! worker that was presumed dead and comes back cannot change anything. A lease that is not renewed
+//! expires, and the job can be claimed again.
 //!
-//! A job gets [`FAILURES_MAX`] attempts that end in an error or a panic. An attempt whose process ends is another matter:
-//! whoever killed it, it was hardly the job, which goes on where it was; only after [`DEATHS_MAX`] such ends it is taken to
-//! be the cause. Both are counted from when something was last saved: what makes progress is not given up.
+//! A job gets [`FAILURES_MAX`] attempts that end in an error or a panic. An attempt whose process
+//! ends is counted separately: the job is rarely the cause and resumes where it was; only after
+//! [`DEATHS_MAX`] such ends is it considered the cause. Both counters restart whenever something is
+//! saved: a job that makes progress is not given up.
 
 use super::jobs::job_topic;
 use super::row::Columns;
@@ -24,46 +27,49 @@ use flip_core::domain::job::{JobKind, JobState, Progress};
 use flip_core::domain::timestamp::Timestamp;
 use sqlx::sqlite::SqliteRow;
 
-/// Attempts that may end in an error or a panic before the job fails for good.
+/// Number of attempts that may end in an error or a panic before the job fails for good.
 pub const FAILURES_MAX: u32 = 3;
-/// Ends of the process, one after the other with nothing saved in between, before the job is taken to be their cause.
+/// Number of consecutive process ends, with nothing saved in between, before the job is considered
+/// their cause.
 pub const DEATHS_MAX: u32 = 12;
 
-/// The right to compute a job, and to write to its row until somebody else claims it.
+/// The right to compute a job, and to write to its row until another worker claims it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Lease {
     /// The job.
     pub job: String,
-    /// Number of the claim.
+    /// Fencing token: the number of the claim.
     pub fence: i64,
 }
 
 /// A job that may be computed now.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Claimed {
-    /// The right to.
+    /// The lease.
     pub lease: Lease,
-    /// What kind.
+    /// Its kind.
     pub kind: JobKind,
-    /// What to compute, as JSON.
+    /// Its specification, as JSON.
     pub spec: String,
     /// SHA-256 of the artifact to resume from.
     pub checkpoint: Option<String>,
 }
 
-/// Answer to a worker that wants a job.
+/// Answer to a worker's claim.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Claim {
-    /// It is yours.
+    /// The claim was granted.
     Granted(Claimed),
-    /// Somebody else's lease lasts until then.
+    /// Another worker's lease lasts until then.
     Held(Timestamp),
-    /// There is nothing to do: it has ended, or ends now because it was cancelled or tried too often.
+    /// There is nothing to do: the job has ended, or ends now because it was cancelled or tried too
+    /// often.
     Ended,
 }
 
 impl Store {
-    /// Jobs that wait for a worker, or whose worker's lease has ended, with their kinds and fences.
+    /// Jobs that are queued, or whose worker's lease has expired, with their kinds and fencing
+    /// tokens.
     pub async fn claimable(&self, now: Timestamp) -> Result<Vec<(JobKind, Lease)>> {
         let sql = "SELECT id, kind, fence FROM job \
                    WHERE state = 'queued' OR (state = 'running' AND lease_until < ?1) ORDER BY seq";
@@ -72,7 +78,8 @@ impl Store {
         rows.iter().map(|row| Ok((row.word("kind")?, lease(row)?))).collect()
     }
 
-    /// What runs waits again, for nobody computes it. Sound only at start: the lock on the data folder proves that no other worker lives.
+    /// Requeue running jobs, since nobody computes them. Sound only at startup: the lock on the
+    /// data folder proves that there is no other worker.
     pub async fn end_leases(&self) -> Result<()> {
         let mut tx = self.write().await?;
         let sql = "UPDATE job SET state = 'queued', message = 'waits to go on: the process ended', deaths = deaths + 1, \
@@ -85,7 +92,7 @@ impl Store {
 }
 
 impl Tx {
-    /// Try to become the worker of a job until `until`.
+    /// Claim a job until `until`.
     pub async fn claim(&mut self, id: &str, owner: &str, now: Timestamp, until: Timestamp) -> Result<Claim> {
         let row = sqlx::query("SELECT * FROM job WHERE id = ?1").bind(id).fetch_optional(&mut *self.inner).await?;
         let Some(row) = row else { return Ok(Claim::Ended) };
@@ -131,7 +138,7 @@ impl Tx {
         }))
     }
 
-    /// The job ends: nothing will resume from its checkpoint.
+    /// Drop the checkpoint of a job that ends: nothing will resume from it.
     async fn unname_checkpoint(&mut self, id: &str) -> Result<()> {
         let old = sqlx::query_scalar("SELECT checkpoint FROM job WHERE id = ?1 AND checkpoint IS NOT NULL");
         let old: Option<String> = old.bind(id).fetch_optional(&mut *self.inner).await?;
@@ -154,21 +161,22 @@ impl Tx {
         Ok(())
     }
 
-    /// Keep a lease until `until`; whether cancellation was asked for.
+    /// Renew a lease until `until`; returns whether cancellation was requested.
     pub async fn renew(&mut self, lease: &Lease, until: Timestamp) -> Result<bool> {
         let sql = "UPDATE job SET lease_until = ?3 WHERE id = ?1 AND fence = ?2 AND state = 'running' RETURNING *";
         let row = sqlx::query(sql).bind(&lease.job).bind(lease.fence).bind(until.unix_ms());
         held(row.fetch_optional(&mut *self.inner).await?)?.plain("cancel_requested")
     }
 
-    /// Refuse to go on unless a lease is good. In a transaction that holds the write lock it stays good to the end.
+    /// Fail unless a lease is valid. In a transaction that holds the write lock it stays valid to
+    /// the end.
     pub async fn prove(&mut self, lease: &Lease) -> Result<SqliteRow> {
         let sql = "SELECT * FROM job WHERE id = ?1 AND fence = ?2 AND state = 'running'";
         let row = sqlx::query(sql).bind(&lease.job).bind(lease.fence);
         held(row.fetch_optional(&mut *self.inner).await?)
     }
 
-    /// Something new is saved: failures and deaths before it no longer count.
+    /// Something new was saved: earlier failures and deaths no longer count.
     pub async fn advance(&mut self, lease: &Lease) -> Result<()> {
         self.prove(lease).await?;
         let sql = "UPDATE job SET failures = 0, deaths = 0, error = NULL WHERE id = ?1";
@@ -176,18 +184,19 @@ impl Tx {
         Ok(())
     }
 
-    /// Say how far a job is.
+    /// Report the progress of a job.
     pub async fn report(&mut self, lease: &Lease, progress: &Progress) -> Result<()> {
         let sql = "UPDATE job SET fraction = ?3, message = ?4 \
                    WHERE id = ?1 AND fence = ?2 AND state = 'running' RETURNING *";
-        // A fraction that is not a number would break the row's check and with it the job.
+        // A fraction that is not a number would violate the row's check constraint and fail the
+        // job.
         let fraction = if progress.fraction.is_finite() { progress.fraction.clamp(0.0, 1.0) } else { 0.0 };
         let row = sqlx::query(sql).bind(&lease.job).bind(lease.fence).bind(fraction).bind(&progress.message);
         held(row.fetch_optional(&mut *self.inner).await?)?;
         self.emit_latest(&job_topic(&lease.job), "progress", progress).await
     }
 
-    /// Name the artifact to resume from.
+    /// Set the artifact to resume from.
     pub async fn set_checkpoint(&mut self, lease: &Lease, sha256: &str) -> Result<()> {
         let old: Option<String> = self.prove(lease).await?.plain("checkpoint")?;
         self.unnamed.extend(old.filter(|old| old != sha256));
@@ -197,7 +206,7 @@ impl Tx {
         Ok(())
     }
 
-    /// The job is done, and this is its result.
+    /// Record that the job succeeded, with its result.
     pub async fn succeed(&mut self, lease: &Lease, result: &str, now: Timestamp) -> Result<()> {
         self.unname_checkpoint(&lease.job).await?;
         let sql = "UPDATE job SET state = 'succeeded', result = ?3, fraction = 1, message = 'done', error = NULL, \
@@ -208,14 +217,14 @@ impl Tx {
         self.announce_job(&row).await.map(drop)
     }
 
-    /// The job ends without a result.
+    /// End the job without a result.
     pub async fn end(&mut self, lease: &Lease, state: JobState, error: Option<&str>, now: Timestamp) -> Result<()> {
         debug_assert!(matches!(state, JobState::Failed | JobState::Cancelled));
         self.prove(lease).await?;
         self.end_unclaimed(&lease.job, state, error, now).await
     }
 
-    /// The attempt came to nothing: back into the queue, or failed when it was the last.
+    /// Record a failed attempt: requeue the job, or fail it if this was the last attempt.
     pub async fn retry(&mut self, lease: &Lease, error: &str, now: Timestamp) -> Result<()> {
         let failures = self.prove(lease).await?.count("failures")? + 1;
         if failures >= FAILURES_MAX {
@@ -228,7 +237,7 @@ impl Tx {
         self.announce_job(&row).await.map(drop)
     }
 
-    /// The worker goes home: back into the queue as if the attempt had not been.
+    /// The worker shuts down: requeue the job as if the attempt had not happened.
     pub async fn release(&mut self, lease: &Lease) -> Result<()> {
         let sql = "UPDATE job SET state = 'queued', message = 'waits for a worker', attempts = attempts - 1, \
                    owner = NULL, lease_until = NULL WHERE id = ?1 AND fence = ?2 AND state = 'running' RETURNING *";

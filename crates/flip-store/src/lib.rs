@@ -1,7 +1,8 @@
-//! The only SQL and the only files: one SQLite database and a folder of content-addressed artifacts.
+//! All SQL and all stored files: one SQLite database and a folder of content-addressed artifacts.
 //!
-//! One connection writes and four read; two more read for answers that grow with all that was ever done. A transaction that writes begins with `BEGIN IMMEDIATE`: a deferred one that
-//! read first and writes later can fail with a snapshot conflict that the busy time-out does not wait for.
+//! One connection writes and four read; two more read for answers that grow with the whole history.
+//! A transaction that writes begins with `BEGIN IMMEDIATE`: a deferred one that reads first and
+//! writes later can fail with a snapshot conflict, which the busy timeout does not cover.
 
 pub mod archive;
 pub mod archiving;
@@ -51,33 +52,34 @@ use sqlx::{Sqlite, SqliteConnection, SqlitePool, Transaction};
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
 
-/// One opened data folder. Cheap to clone.
+/// An open data folder. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Store {
     reader: SqlitePool,
-    /// One more connection that reads, for what must not wait behind other readers.
+    /// One more read connection, for queries that must not wait behind other readers.
     apart: SqlitePool,
-    /// For answers that grow with all that was ever done: nobody else waits for these.
+    /// For answers that grow with the whole history: nobody else waits for these.
     long: SqlitePool,
-    /// `None` when opened to read only.
+    /// `None` when opened read-only.
     writer: Option<SqlitePool>,
     artifacts: Artifacts,
     archives: Archives,
-    /// Number of the newest event that is committed.
+    /// Number of the latest committed event.
     newest_event: watch::Sender<i64>,
-    /// The database that was opened: its name, and which file that led to.
+    /// The open database: its path, and the file found there.
     place: Place,
-    /// Why the last transaction that was to be written was not, if it was not.
+    /// Error of the last write transaction, if it failed.
     unwritten: Arc<Mutex<Option<String>>>,
     /// Held until the last clone is gone.
     lock: Option<Arc<DataLock>>,
 }
 
 impl Store {
-    /// Begin a transaction that writes.
+    /// Begin a write transaction.
     ///
     /// # Errors
-    /// [`Error::ReadOnly`]; [`Error::Locked`] when the write lock is not free within the time-outs; [`Error::Gone`].
+    /// [`Error::ReadOnly`]; [`Error::Locked`] when the write lock is not free within the timeouts;
+    /// [`Error::Gone`].
     pub async fn write(&self) -> Result<Tx> {
         let writer = self.writer()?;
         self.place.check()?;
@@ -86,7 +88,7 @@ impl Store {
         Ok(Tx { inner, store: self.clone(), newest_event: None, unnamed: Vec::new() })
     }
 
-    /// The connection that writes, for the queue library, which brings its own statements.
+    /// The write connection, for the queue library, which brings its own statements.
     ///
     /// # Errors
     /// [`Error::ReadOnly`].
@@ -94,19 +96,19 @@ impl Store {
         self.writer.as_ref().ok_or(Error::ReadOnly)
     }
 
-    /// Connections that read, for statements about the queue library's tables.
+    /// Read connections, for statements about the queue library's tables.
     pub fn reader(&self) -> &SqlitePool {
         &self.reader
     }
 
-    /// Remember whether a transaction was written, for those who ask whether the store is well.
+    /// Remember whether a transaction was written, for health checks.
     fn note_written(&self, error: Option<&Error>) {
         let mut unwritten = self.unwritten.lock().unwrap_or_else(PoisonError::into_inner);
-        // Closing is no trouble.
+        // Closing is not an error.
         *unwritten = error.filter(|error| !error.is_closed()).map(ToString::to_string);
     }
 
-    /// The database is still where it was opened.
+    /// Check that the database is still where it was opened.
     ///
     /// # Errors
     /// [`Error::Gone`]
@@ -119,9 +121,10 @@ impl Store {
         &self.artifacts
     }
 
-    /// Close every connection, after moving the write-ahead log into the database. Once is enough; more does no harm.
+    /// Close every connection, after checkpointing the write-ahead log into the database.
+    /// Idempotent.
     pub async fn close(&self) {
-        // Readers would keep the log from being moved.
+        // Readers would block the checkpoint.
         self.reader.close().await;
         self.apart.close().await;
         self.long.close().await;
@@ -134,18 +137,19 @@ impl Store {
     }
 }
 
-/// A transaction that writes. Dropping it undoes everything.
+/// A write transaction. Dropping it rolls everything back.
 #[derive(Debug)]
 pub struct Tx {
     inner: Transaction<'static, Sqlite>,
     store: Store,
     newest_event: Option<i64>,
-    /// Artifacts that rows named until this transaction.
+    /// Artifacts that this transaction's rows no longer name.
     unnamed: Vec<String>,
 }
 
 impl Tx {
-    /// Make it durable, then wake whoever follows events, and remove files that no row names any more.
+    /// Commit durably, then notify followers of events, and remove files that no row names any
+    /// more.
     ///
     /// # Errors
     /// [`Error::Database`], [`Error::Gone`]: nothing was written.
@@ -171,13 +175,13 @@ impl Tx {
     }
 }
 
-/// The wall clock.
+/// Current wall-clock time.
 pub fn now() -> Timestamp {
     let since_1970 = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
     Timestamp::from_unix_ms(since_1970.as_millis() as i64)
 }
 
-/// A new id: 48 bits of time, then randomness, so that ids sort by age.
+/// A new id: 48 bits of time, then random bits, so that ids sort by age.
 pub fn new_id() -> String {
     uuid::Uuid::now_v7().to_string()
 }

@@ -1,16 +1,18 @@
-//! One process at a time: SQLite would let a second one in, but two benches or two ledgers' workers must not be.
+//! One process at a time: SQLite would let a second one in, but there must never be two benches or
+//! two ledgers' workers.
 
 use super::{Error, Result};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
-/// The operating system's locks on a data folder; they end with the process, however that ends.
+/// OS locks on a data folder; they end with the process, however that ends.
 #[derive(Debug)]
 pub struct DataLock {
     path: PathBuf,
     file: File,
-    /// The folder itself, where its file system can lock one: a lock file can be deleted by hand, and then says nothing.
+    /// The folder itself, if its file system can lock one: a lock file can be deleted by hand, and
+    /// then proves nothing.
     _folder: Option<File>,
 }
 
@@ -34,7 +36,7 @@ impl DataLock {
         let folder = match folder.try_lock() {
             Ok(()) => Some(folder),
             Err(TryLockError::WouldBlock) => return Err(held()),
-            // Not every file system can (NFS): the file's lock has to do.
+            // Not every file system can (NFS): the lock on the file has to do.
             Err(TryLockError::Error(_)) => None,
         };
         Ok(Self { path, file, _folder: folder })
@@ -47,17 +49,18 @@ impl DataLock {
     }
 }
 
-/// The lock of whoever moves records into archives, which a server beside it does not hold; it ends with the process.
+/// Lock for moving records into archives, which a server running alongside does not hold; it ends
+/// with the process.
 #[derive(Debug)]
 pub(super) struct ArchivingLock {
     _file: File,
 }
 
 impl ArchivingLock {
-    /// Take the lock of the folder of this database without waiting.
+    /// Take the archiving lock in the folder of this database, without waiting.
     ///
     /// # Errors
-    /// [`Error::Archiving`] while another has it; [`Error::File`].
+    /// [`Error::Archiving`] while another process has it; [`Error::File`].
     pub(super) fn beside(database: &Path) -> Result<Self> {
         let path = database.with_file_name("audit.lock");
         let mut options = OpenOptions::new();
@@ -65,13 +68,14 @@ impl ArchivingLock {
         let file = opened.map_err(|source| Error::File { path, source })?;
         match file.try_lock() {
             Err(TryLockError::WouldBlock) => Err(Error::Archiving),
-            // Not every file system can (NFS): the transaction that moves records looks whether they are still there.
+            // Not every file system can (NFS): the transaction that moves records checks whether
+            // they are still there.
             Ok(()) | Err(TryLockError::Error(_)) => Ok(Self { _file: file }),
         }
     }
 }
 
-/// Which file this name leads to: device and inode.
+/// Identity of the file at this path: device and inode.
 fn inode(path: &Path) -> Option<(u64, u64)> {
     std::fs::metadata(path).ok().map(|it| (it.dev(), it.ino()))
 }

@@ -1,4 +1,4 @@
-//! What powders were measured by beside their angle of repose.
+//! Measurements of powders other than the angle of repose.
 
 use super::page::{LONG_BATCH, Page, Window};
 use super::row::{Columns, json};
@@ -41,13 +41,14 @@ impl Store {
         window.page_of(&rows, observation)
     }
 
-    /// Every observation, oldest first; of one powder when named.
+    /// Every observation, oldest first; of one powder if given.
     pub async fn all_observations(&self, powder: Option<&str>) -> Result<Vec<PowderObservation>> {
         let sql = "SELECT * FROM observation WHERE ?1 IS NULL OR powder = ?1 ORDER BY seq";
         sqlx::query(sql).bind(powder).fetch_all(&self.reader).await?.iter().map(observation).collect()
     }
 
-    /// Observations after a position, oldest first, at most some thousands, and the position of the last one; of one powder when named.
+    /// Observations after a position, oldest first, at most a few thousand, and the position of the
+    /// last one; of one powder if given.
     pub async fn observations_after(&self, powder: Option<&str>, after: i64) -> Result<(Vec<PowderObservation>, i64)> {
         let sql = "SELECT * FROM observation WHERE seq > ?2 AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
         let rows = sqlx::query(sql).bind(powder).bind(after).bind(LONG_BATCH).fetch_all(&self.long).await?;
@@ -55,8 +56,8 @@ impl Store {
         Ok((rows.iter().map(observation).collect::<Result<_>>()?, last))
     }
 
-    /// What is known of a powder now: the newest observation of each equal observable, in the order of their JSON, which does not depend on
-    /// when they were registered.
+    /// Current observations of a powder: the latest of each equal observable, sorted by their JSON,
+    /// so that the order does not depend on when they were registered.
     pub async fn observations_now(&self, powder: &str) -> Result<Vec<Observation>> {
         let mut newest: Vec<Observation> = Vec::new();
         for PowderObservation { observable, mean, sd, n, .. } in

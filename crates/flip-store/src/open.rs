@@ -17,23 +17,25 @@ use tokio::sync::watch;
 pub(super) const DATABASE: &str = "flip.db";
 /// How long a statement waits for another connection's lock.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
-/// How long the connection that writes is waited for: longer than two others wait for another program's lock.
+/// How long to wait for the write connection: longer than two other users wait for another
+/// program's lock.
 const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(10);
-/// How long whoever only asks whether the database is well waits for a lock.
+/// How long a health check waits for a lock.
 const GIVES_UP: Duration = Duration::from_millis(250);
-/// Connections that read.
+/// Number of read connections.
 const READERS: u32 = 4;
-/// Connections that read for long answers alone.
+/// Number of read connections for long answers only.
 const LONG_READERS: u32 = 2;
-/// The first SQLite whose write-ahead log cannot be reset under a reader (3.7.0 to 3.51.2 can corrupt the file).
+/// The first SQLite version whose write-ahead log cannot be reset under a reader (3.7.0 to 3.51.2
+/// can corrupt the file).
 const SQLITE_MIN: [u32; 3] = [3, 51, 3];
 
 impl Store {
     /// Open a data folder for reading and writing; create, migrate and seed it when needed.
     ///
     /// # Errors
-    /// [`Error::Held`] while another process has it; [`Error::Lost`], [`Error::Damaged`], [`Error::Newer`]: nothing was changed;
-    /// [`Error::Old`], [`Error::Database`], [`Error::File`].
+    /// [`Error::Held`] while another process has it; [`Error::Lost`], [`Error::Damaged`],
+    /// [`Error::Newer`]: nothing was changed; [`Error::Old`], [`Error::Database`], [`Error::File`].
     pub async fn open(data_dir: &Path) -> Result<Self> {
         sound::make_folder(data_dir)?;
         let lock = DataLock::take(data_dir)?;
@@ -51,7 +53,7 @@ impl Store {
         Ok(store)
     }
 
-    /// Open an existing data folder to read, also while another process writes.
+    /// Open an existing data folder read-only, even while another process writes.
     ///
     /// # Errors
     /// [`Error::Database`] when there is none.
@@ -59,10 +61,11 @@ impl Store {
         Self::assemble(data_dir, None, None).await
     }
 
-    /// As [`Self::open_to_read`], after the look that each start takes at a database; none where there is nothing yet.
+    /// As [`Self::open_to_read`], after the checks made at every startup; `None` if there is no
+    /// database yet.
     ///
     /// # Errors
-    /// As a start's: [`Error::Lost`], [`Error::Damaged`], [`Error::Newer`].
+    /// Those of a startup: [`Error::Lost`], [`Error::Damaged`], [`Error::Newer`].
     pub async fn examine(data_dir: &Path) -> Result<Option<Self>> {
         let database = data_dir.join(DATABASE);
         if !sound::is_there(data_dir, &database, (&artifacts(data_dir), &archives(data_dir)))? {
@@ -73,7 +76,8 @@ impl Store {
         Ok(Some(store))
     }
 
-    /// Open an existing data folder beside the process that holds it: for short transactions that need no worker.
+    /// Open an existing data folder alongside the process that holds it: for short transactions
+    /// that need no worker.
     ///
     /// # Errors
     /// [`Error::Database`] when there is none.
@@ -108,12 +112,12 @@ fn connection(data_dir: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new().filename(data_dir.join(DATABASE)).foreign_keys(true).busy_timeout(BUSY_TIMEOUT)
 }
 
-/// A connection to an existing database that waits for nobody for long.
+/// A connection to an existing database with short waits.
 pub(super) fn connection_that_gives_up(database: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new().filename(database).busy_timeout(GIVES_UP)
 }
 
-/// The one connection of a process that writes.
+/// The only write connection of a process.
 async fn write_connection(options: SqliteConnectOptions) -> Result<SqlitePool> {
     let options = options
         .journal_mode(SqliteJournalMode::Wal)
@@ -124,7 +128,7 @@ async fn write_connection(options: SqliteConnectOptions) -> Result<SqlitePool> {
     Ok(connections(1).acquire_timeout(ACQUIRE_TIMEOUT).connect_with(options).await?)
 }
 
-/// Connections are kept: one that is made anew may lead to another file.
+/// Connections are kept: one that is reopened may lead to another file.
 fn connections(max: u32) -> SqlitePoolOptions {
     SqlitePoolOptions::new().max_connections(max).max_lifetime(None).idle_timeout(None)
 }
@@ -137,7 +141,8 @@ pub(super) fn archives(data_dir: &Path) -> Archives {
     Archives::in_folder(data_dir.join(archive::FOLDER))
 }
 
-/// FLIP's migrations. The queue library keeps its own in the same table, so each ignores the other's.
+/// FLIP's migrations. The queue library keeps its own in the same table, so each ignores the
+/// other's.
 fn migrations() -> Migrator {
     let mut migrations = sqlx::migrate!("../../migrations");
     migrations.set_ignore_missing(true);
@@ -233,7 +238,7 @@ mod tests {
         let insert_kind = async |kind| sqlx::query(insert).bind(kind).execute(writer).await;
         assert!(insert_kind("investigation").await.is_ok() && insert_kind("repose").await.is_ok());
         assert!(insert_kind("seance").await.is_err());
-        // References hold again.
+        // References are enforced again.
         assert!(sqlx::query("DELETE FROM job WHERE id = 'c'").execute(writer).await.is_err());
         assert!(
             sqlx::query("INSERT INTO trial (job, position, body) VALUES ('x', 0, '{}')").execute(writer).await.is_err()

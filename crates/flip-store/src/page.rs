@@ -1,4 +1,4 @@
-//! Keyset paging: a list continues after the row that the last page ended with.
+//! Keyset paging: a list continues after the last row of the previous page.
 
 use super::Result;
 use super::row::Columns;
@@ -8,26 +8,27 @@ use flip_core::domain::FieldError;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
-/// Most items on a page of a list.
+/// Maximum number of items on a page of a list.
 pub const LIST_LIMIT_MAX: u32 = 200;
-/// Most items on a page of a series (trials, episodes), which are drawn as curves.
+/// Maximum number of items on a page of a series (trials, episodes), which are drawn as curves.
 pub const SERIES_LIMIT_MAX: u32 = 5000;
-/// Items on a page when the caller names no limit.
+/// Number of items on a page when the caller sets no limit.
 pub const LIMIT_DEFAULT: u32 = 50;
 
-/// Rows read at once for an answer that grows with all that was ever done.
+/// Rows read at once for an answer that grows with the whole history.
 pub(super) const LONG_BATCH: i64 = 2000;
 
-/// Which page a caller wants.
+/// Requested page.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct PageQuery {
-    /// Most items to return; 1 to [`LIST_LIMIT_MAX`] for lists, to [`SERIES_LIMIT_MAX`] for series.
+    /// Maximum number of items to return; 1 to [`LIST_LIMIT_MAX`] for lists, to
+    /// [`SERIES_LIMIT_MAX`] for series.
     pub limit: Option<u32>,
-    /// `next` of the page before.
+    /// `next` of the previous page.
     pub after: Option<String>,
 }
 
-/// A page of a list, and where the next one begins.
+/// A page of a list, and the cursor of the next one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Page<T> {
     /// The items, in the list's order.
@@ -39,14 +40,14 @@ pub struct Page<T> {
 /// A checked [`PageQuery`], in rows.
 #[derive(Debug, Clone, Copy)]
 pub struct Window {
-    /// Sequence number of the last row of the page before.
+    /// Sequence number of the last row of the previous page.
     pub after: Option<i64>,
     /// Rows to return.
     pub limit: u32,
 }
 
 impl PageQuery {
-    /// The first `limit` items.
+    /// A window of the first `limit` items.
     pub fn first(limit: u32) -> Self {
         Self { limit: Some(limit), after: None }
     }
@@ -76,12 +77,12 @@ impl Window {
         self.after.unwrap_or(i64::MIN)
     }
 
-    /// Rows to ask for: one more than the page holds tells whether there is a next page.
+    /// Number of rows to query: one more than the page holds, to see whether there is a next page.
     pub fn rows(&self) -> i64 {
         i64::from(self.limit) + 1
     }
 
-    /// The page made of up to [`Window::rows`] rows that have a `seq`.
+    /// The page made of up to [`Window::rows`] rows with a `seq` column.
     pub(super) fn page_of<T>(&self, rows: &[SqliteRow], item: impl Fn(&SqliteRow) -> Result<T>) -> Result<Page<T>> {
         let numbered: Result<Vec<_>> = rows.iter().map(|row| Ok((row.plain("seq")?, item(row)?))).collect();
         Ok(self.page(numbered?))

@@ -1,4 +1,4 @@
-//! What is known of the pan, and who has the bench for himself: one row each.
+//! State of the pan, and the reservation of the bench: one row each.
 
 use super::bench::BENCH_TOPIC;
 use super::row::{Columns, json};
@@ -9,30 +9,30 @@ use flip_core::domain::vial::Pan;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
-/// Somebody has the bench for himself.
+/// A reservation: exclusive use of the bench.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Reservation {
-    /// Names it in requests: `rs-…`.
+    /// Id used in requests: `rs-…`.
     pub id: String,
-    /// Who has it.
+    /// Who holds it.
     pub owner: String,
-    /// It ends by itself then.
+    /// When it expires.
     pub until: Timestamp,
 }
 
-/// Why the bench is not somebody's to use.
+/// Why the bench may not be used.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Refused {
-    /// Somebody else has it for himself.
+    /// Someone else has reserved it.
     Reserved(Reservation),
-    /// The reservation that was named, by its id, has ended or never was.
+    /// The given reservation, by its id, has ended or never existed.
     Ended(String),
-    /// This weighing was asked for before.
+    /// This weighing was requested before.
     InUse(String),
 }
 
 impl Store {
-    /// What is known of the pan.
+    /// State of the pan.
     pub async fn pan(&self) -> Result<Pan> {
         let row = sqlx::query("SELECT body FROM bench_pan").fetch_optional(&self.reader).await?;
         row.map_or_else(|| Ok(Pan::default()), |row| row.json("body"))
@@ -46,7 +46,7 @@ impl Store {
 }
 
 impl Tx {
-    /// Something else is known of the pan.
+    /// Update the state of the pan.
     pub async fn set_pan(&mut self, pan: &Pan) -> Result<()> {
         let sql =
             "INSERT INTO bench_pan (one, body) VALUES (1, ?1) ON CONFLICT (one) DO UPDATE SET body = excluded.body";
@@ -54,7 +54,7 @@ impl Tx {
         self.emit(BENCH_TOPIC, "vial", &serde_json::json!({ "vial": pan.vial })).await
     }
 
-    /// Somebody says that the vial of a weighing is in.
+    /// Someone confirms that the vial of a weighing is in.
     pub async fn vial_is_in(
         &mut self,
         weighing: &str,
@@ -66,14 +66,15 @@ impl Tx {
         self.audit(About { weighing: Some(weighing), kind: "person" }, &said, now).await
     }
 
-    /// Why a weighing or a measurement that names this reservation, or none, may not be asked for now; seen from inside the transaction that is to ask.
+    /// Why a weighing or a measurement with this reservation, or none, may not be requested now, as
+    /// seen inside the requesting transaction.
     pub async fn may_use_bench(&mut self, named: Option<&str>, now: Timestamp) -> Result<Option<Refused>> {
         let row = sqlx::query("SELECT * FROM bench_reservation").fetch_optional(&mut *self.inner).await?;
         let reserved = row.as_ref().map(reservation).transpose()?;
         Ok(refusal(reserved.filter(|it| it.until > now), named))
     }
 
-    /// Why the bench cannot be reserved now: under this id for longer, or without one anew.
+    /// Why the bench cannot be reserved now: extended under this id, or newly without one.
     pub async fn may_reserve(&mut self, id: Option<&str>, now: Timestamp) -> Result<Option<Refused>> {
         let refused = self.may_use_bench(id, now).await?;
         if refused.is_some() || id.is_some() {
@@ -84,7 +85,7 @@ impl Tx {
         Ok(first.map(Refused::InUse))
     }
 
-    /// Somebody has the bench for himself, in place of whoever had it before.
+    /// Reserve the bench, replacing any earlier reservation.
     pub async fn reserve_bench(&mut self, reserved: &Reservation, now: Timestamp) -> Result<()> {
         let sql = "INSERT INTO bench_reservation (one, id, owner, until) VALUES (1, ?1, ?2, ?3) \
                    ON CONFLICT (one) DO UPDATE SET id = excluded.id, owner = excluded.owner, until = excluded.until";
@@ -95,7 +96,7 @@ impl Tx {
         self.emit(BENCH_TOPIC, "reserved", reserved).await
     }
 
-    /// Whoever has the bench gives it back. `false`: it is not his.
+    /// Release a reservation. `false`: it is not the current one.
     pub async fn release_bench(&mut self, id: &str, now: Timestamp) -> Result<bool> {
         let deleted =
             sqlx::query("DELETE FROM bench_reservation WHERE id = ?1").bind(id).execute(&mut *self.inner).await?;
@@ -109,7 +110,7 @@ impl Tx {
     }
 }
 
-/// Why whoever names this reservation, or none, may not use a bench that is reserved like this.
+/// Why a request with this reservation, or none, may not use a bench that is reserved like this.
 pub fn refusal(reserved: Option<Reservation>, named: Option<&str>) -> Option<Refused> {
     match (reserved, named) {
         (Some(reserved), Some(id)) if reserved.id == id => None,

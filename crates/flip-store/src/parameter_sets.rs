@@ -8,14 +8,14 @@ use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
-/// A parameter set that a calibration kept: the simulated twin of a powder. Never changes.
+/// A parameter set kept by a calibration: the simulated twin of a powder. Never changes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CalibratedSet {
     /// Content address: `ps-` and 16 hexadecimal digits.
     pub id: String,
     /// Powder id; absent for a calibration to a bare angle.
     pub powder: Option<String>,
-    /// The calibration that kept it.
+    /// The calibration that produced it.
     pub calibration: String,
     /// The nine values.
     pub parameters: ParameterSet,
@@ -23,18 +23,19 @@ pub struct CalibratedSet {
     pub repose_deg: f64,
     /// Standard deviation over its runs, degrees; absent for a single run.
     pub repose_sd_deg: Option<f64>,
-    /// Simulations behind the mean.
+    /// Number of simulations behind the mean.
     pub runs: u32,
     /// Simulated minus measured angle, absolute, degrees.
     pub error_deg: f64,
-    /// The extended version of the simulator at whose reference it piles so; absent for the base.
+    /// The extended version of the simulator at whose reference conditions it piles at this angle;
+    /// absent for the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulator: Option<String>,
     /// When it was stored.
     pub created_at: Timestamp,
 }
 
-/// What a calibration hands over to be stored.
+/// A set to be stored by a calibration.
 #[derive(Debug, Clone)]
 pub struct NewSet {
     pub parameters: ParameterSet,
@@ -46,7 +47,7 @@ pub struct NewSet {
 }
 
 impl Store {
-    /// Calibrated sets, newest first; of one powder when named.
+    /// Calibrated sets, newest first; of one powder if given.
     pub async fn parameter_sets(&self, powder: Option<&str>, window: Window) -> Result<Page<CalibratedSet>> {
         let query = match powder {
             Some(powder) => {
@@ -61,7 +62,8 @@ impl Store {
         window.page_of(&query.fetch_all(&self.reader).await?, calibrated_set)
     }
 
-    /// Sets of a powder that were calibrated under a version of the simulator, none being the base, newest first.
+    /// Sets of a powder calibrated under a version of the simulator, `None` being the base, newest
+    /// first.
     pub async fn sets_under(
         &self,
         powder: &str,
@@ -74,7 +76,7 @@ impl Store {
         window.page_of(&query.fetch_all(&self.reader).await?, calibrated_set)
     }
 
-    /// One calibrated set; of several calibrations that kept the same values, the newest.
+    /// One calibrated set; if several calibrations kept the same values, the latest.
     pub async fn parameter_set(&self, id: &str) -> Result<Option<CalibratedSet>> {
         let row = sqlx::query("SELECT * FROM parameter_set WHERE id = ?1 ORDER BY seq DESC LIMIT 1")
             .bind(id)
@@ -83,7 +85,7 @@ impl Store {
         row.as_ref().map(calibrated_set).transpose()
     }
 
-    /// The sets that a calibration kept, in its order.
+    /// The sets kept by a calibration, in its order.
     pub async fn sets_of_calibration(&self, calibration: &str) -> Result<Vec<CalibratedSet>> {
         let sql = "SELECT * FROM parameter_set WHERE calibration = ?1 ORDER BY position";
         sqlx::query(sql).bind(calibration).fetch_all(&self.reader).await?.iter().map(calibrated_set).collect()

@@ -1,4 +1,4 @@
-//! Piles that were photographed for a powder's angle of repose, with their raw frames.
+//! Piles imaged for a powder's angle of repose, with their raw frames.
 
 use super::row::{Columns, json};
 use super::{Result, Store, Tx};
@@ -10,24 +10,24 @@ use sqlx::sqlite::SqliteRow;
 /// One pile.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Pile {
-    /// From 1 within its measurement.
+    /// Number within its measurement, from 1.
     pub number: u32,
-    /// When its frames had come.
+    /// When its frames had arrived.
     pub at: Timestamp,
-    /// What the frames say of it; absent when they say nothing.
+    /// Result from the frames; absent if they were refused.
     pub measured: Option<Measurement>,
-    /// Why they say nothing.
+    /// Why they were refused.
     pub refusal: Option<String>,
-    /// Its raw frames, in the order of their coming.
+    /// Its raw frames, in order of arrival.
     pub frames: Vec<FrameFiles>,
 }
 
-/// The three files of a frame as they came, each by its SHA-256.
+/// The three files of a frame as received, each by its SHA-256.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct FrameFiles {
-    /// A PNG of 16 bit grey, or bare Z16.
+    /// A 16-bit grey PNG, or raw Z16.
     pub depth: String,
-    /// A PNG of 8 bit RGB.
+    /// An 8-bit RGB PNG.
     pub colour: String,
     /// JSON: intrinsics, unit of depth, time.
     pub description: String,
@@ -52,7 +52,7 @@ impl Store {
         rows.bind(job).fetch_all(&self.reader).await?.iter().map(|row: &SqliteRow| row.json("body")).collect()
     }
 
-    /// How many measurements by camera were asked for of a powder.
+    /// Number of camera measurements requested for a powder.
     pub async fn repose_runs(&self, powder: &str) -> Result<u32> {
         let sql = "SELECT coalesce(max(spec ->> '$.repose.run'), 0) AS runs FROM job \
                    WHERE kind = 'repose' AND spec ->> '$.repose.powder' = ?1";
@@ -61,7 +61,7 @@ impl Store {
 }
 
 impl Tx {
-    /// Add the next pile of a measurement; its files are there already.
+    /// Add the next pile of a measurement; its files are already stored.
     pub async fn insert_pile(&mut self, job: &str, pile: &Pile) -> Result<()> {
         let insert = sqlx::query("INSERT INTO pile (job, number, body) VALUES (?1, ?2, ?3)");
         insert.bind(job).bind(pile.number).bind(json(pile)?).execute(&mut *self.inner).await?;

@@ -1,10 +1,11 @@
-//! Whether the database that is written is still the one at its path: what is written into a file that nobody can find is no record.
+//! Checks that the open database is still the one at its path: data written into a file that nobody
+//! can find is not a record.
 
 use super::{Error, Result};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-/// A file, by its path and by what the file system calls it.
+/// A file, by its path and by its identity in the file system.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Place {
     path: PathBuf,
@@ -12,18 +13,18 @@ pub(super) struct Place {
 }
 
 impl Place {
-    /// Of a file that is open.
+    /// The place of a file that is open.
     pub fn of(path: &Path) -> Result<Self> {
         let failed = |source| Error::File { path: path.to_owned(), source };
         Ok(Self { path: path.to_owned(), file: identity(path).map_err(failed)? })
     }
 
-    /// Where it was when it was opened.
+    /// Its path when it was opened.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The file is still there.
+    /// Check that the file is still there.
     ///
     /// # Errors
     /// [`Error::Gone`]

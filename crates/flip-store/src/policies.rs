@@ -1,4 +1,4 @@
-//! Policies: the trained weights as bytes, and what is known about them.
+//! Policies: the trained weights as bytes, and their metadata.
 
 use super::artifacts::sha256_hex;
 use super::page::{Page, Window};
@@ -24,13 +24,13 @@ pub struct Policy {
     pub sha256: String,
     /// Length of the bytes.
     pub size_bytes: u64,
-    /// Mean absolute errors found by evaluations, one entry for each powder that any has weighed.
+    /// Mean absolute errors from evaluations, one entry for each powder weighed in any.
     pub evaluated: Vec<PolicyError>,
     /// When it was stored.
     pub created_at: Timestamp,
 }
 
-/// What evaluations say about a policy on one powder.
+/// Evaluation results of a policy on one powder.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct PolicyError {
     /// Powder id.
@@ -77,7 +77,8 @@ impl Store {
         }
     }
 
-    /// The policy with the smallest evaluated error on the powder; none as long as `known`, which a rival has to beat, was not evaluated on it.
+    /// The policy with the smallest evaluated error on the powder; `None` unless `known`, which a
+    /// rival has to beat, was evaluated on it.
     pub async fn best_policy(&self, powder: &str, known: &str) -> Result<Option<String>> {
         let sql = "SELECT policy FROM evaluation_row WHERE powder = ?1 AND policy IS NOT NULL
                    AND EXISTS (SELECT 1 FROM evaluation_row WHERE powder = ?1 AND policy = ?2)
@@ -97,7 +98,8 @@ impl Store {
 }
 
 impl Tx {
-    /// Store a policy. The same bytes may have come out of another training before: the first row stays.
+    /// Store a policy. If another training has already produced the same bytes, the first row
+    /// stays.
     pub async fn insert_policy(
         &mut self,
         id: &str,

@@ -13,9 +13,10 @@ use sqlx::sqlite::SqliteRow;
 pub struct Powder {
     /// Short name in lower case, e.g. `sodium_bicarbonate`.
     pub id: String,
-    /// Name for people.
+    /// Display name.
     pub name: String,
-    /// The flowability that calibrations aim at: the newest automated measurement, else the newest manual one.
+    /// The flowability that calibrations target: the latest automated measurement, else the latest
+    /// manual one.
     pub flowability: Option<Flowability>,
     /// When it was registered.
     pub created_at: Timestamp,
@@ -34,7 +35,7 @@ pub struct Measurement {
     pub repose_deg: f64,
     /// Standard deviation over the repeats, degrees.
     pub sd_deg: f64,
-    /// Of a single value nobody knows the spread: `sd_deg` is 0 then, and says nothing.
+    /// A single value has no known spread: `sd_deg` is 0 then, and carries no information.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub sd_unknown: bool,
     /// Number of repeats.
@@ -78,13 +79,14 @@ impl Store {
         window.page_of(&rows, measurement)
     }
 
-    /// Every measurement, oldest first; of one powder when named.
+    /// Every measurement, oldest first; of one powder if given.
     pub async fn all_measurements(&self, powder: Option<&str>) -> Result<Vec<Measurement>> {
         let sql = "SELECT * FROM measurement WHERE ?1 IS NULL OR powder = ?1 ORDER BY seq";
         sqlx::query(sql).bind(powder).fetch_all(&self.reader).await?.iter().map(measurement).collect()
     }
 
-    /// Measurements after a position, oldest first, at most some thousands, and the position of the last one; of one powder when named.
+    /// Measurements after a position, oldest first, at most a few thousand, and the position of the
+    /// last one; of one powder if given.
     pub async fn measurements_after(&self, powder: Option<&str>, after: i64) -> Result<(Vec<Measurement>, i64)> {
         let sql = "SELECT * FROM measurement WHERE seq > ?2 AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
         let rows = sqlx::query(sql).bind(powder).bind(after).bind(LONG_BATCH).fetch_all(&self.long).await?;
@@ -92,7 +94,8 @@ impl Store {
         Ok((rows.iter().map(measurement).collect::<Result<_>>()?, last))
     }
 
-    /// Register the published powders, once: what a user has removed or renamed later is left alone.
+    /// Register the published powders, once: any that a user later removes or renames are left
+    /// alone.
     pub(super) async fn seed_published_powders(&self) -> Result<()> {
         let mut tx = self.write().await?;
         let seeded: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM powder)").fetch_one(&mut *tx.inner).await?;
@@ -110,7 +113,7 @@ impl Store {
 }
 
 impl Tx {
-    /// Add a powder; when. `None`: the id is taken.
+    /// Add a powder; returns when. `None`: the id is taken.
     pub async fn insert_powder(&mut self, id: &str, name: &str) -> Result<Option<Timestamp>> {
         let at = now();
         let sql = "INSERT INTO powder (id, name, created_at) VALUES (?1, ?2, ?3) ON CONFLICT (id) DO NOTHING";

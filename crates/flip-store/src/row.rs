@@ -15,13 +15,13 @@ pub(super) trait Columns {
     fn count(&self, column: &str) -> Result<u32>;
     /// A time.
     fn time(&self, column: &str) -> Result<Timestamp>;
-    /// A time, where there is one.
+    /// An optional time.
     fn maybe_time(&self, column: &str) -> Result<Option<Timestamp>>;
-    /// One of an enum's names.
+    /// An enum, by its name.
     fn word<T: DeserializeOwned>(&self, column: &str) -> Result<T>;
     /// A JSON document.
     fn json<T: DeserializeOwned>(&self, column: &str) -> Result<T>;
-    /// A JSON document, where there is one.
+    /// An optional JSON document.
     fn maybe_json<T: DeserializeOwned>(&self, column: &str) -> Result<Option<T>>;
 }
 
@@ -59,7 +59,7 @@ impl Columns for SqliteRow {
     }
 }
 
-/// The name of an enum's variant, as JSON writes it.
+/// The name of an enum's variant, as in JSON.
 pub(super) fn word<T: Serialize>(value: &T) -> String {
     match serde_json::to_value(value) {
         Ok(serde_json::Value::String(name)) => name,

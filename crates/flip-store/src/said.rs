@@ -1,8 +1,9 @@
-//! What the record says of rows other than weighings, and whether they still say it: tokens, powders, what was measured of them, checks of the bench,
-//! whether it is latched or held, and which simulator is taken.
+//! Compares rows other than weighings with the record: tokens, powders, their measurements, checks
+//! of the bench, whether it is latched or held, and the current simulator.
 //!
-//! A deed's record holds the row that it made; records of kind `rows` hold rows whose deed made many, or none. What a row is compared by is in
-//! [`row_says`]; a field that no record mentions is compared with nothing.
+//! The record of an action holds the row it made; records of kind `rows` hold rows whose action
+//! made many, or none. The compared fields are listed in [`row_says`]; a field that no record
+//! mentions is not compared.
 
 use super::audit::Written;
 use super::row::Columns;
@@ -13,29 +14,29 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{Sqlite, Transaction};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What a row is of.
+/// Type of a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RowOf {
-    /// A token: all but when it was last used.
+    /// A token, except when it was last used.
     Token,
     /// A powder.
     Powder,
     /// A measurement of an angle of repose.
     Measurement,
-    /// An observation beside the angle.
+    /// An observation other than the angle.
     Observation,
     /// A check of the bench.
     Check,
-    /// A latch of the bench: that it is open, or not.
+    /// A latch of the bench: whether it is open.
     Latch,
-    /// A hold of the bench: that it is open, or not.
+    /// A hold of the bench: whether it is open.
     Hold,
-    /// Which version of the simulator is taken.
+    /// The current version of the simulator.
     Simulator,
-    /// A calibrated set, which is named by its values.
+    /// A calibrated set, whose id derives from its values.
     ParameterSet,
-    /// The mark that rows without a record were looked for, and when.
+    /// The mark that a stock-taking of rows without a record was done, and when.
     Stock,
 }
 
@@ -57,20 +58,20 @@ impl RowOf {
     }
 }
 
-/// A row that is not what the record says.
+/// A row that does not match the record.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ChangedOther {
-    /// What it is.
+    /// Its type.
     pub what: RowOf,
-    /// Which one.
+    /// Its id.
     pub id: String,
-    /// Position of the record that says otherwise; absent if there is none.
+    /// Position of the record that contradicts it; absent if there is none.
     pub seq: Option<i64>,
-    /// What is different.
+    /// What differs.
     pub why: String,
 }
 
-/// A row as the record holds it, in a record of kind `rows`.
+/// A row as stored in a record of kind `rows`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     pub what: RowOf,
@@ -79,7 +80,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// A row with what callers see of it.
+    /// A row with the fields that callers see.
     pub fn of(what: RowOf, id: &str, row: &impl Serialize) -> Self {
         let row = match serde_json::to_value(row) {
             Ok(Value::Object(fields)) => fields,
@@ -89,13 +90,13 @@ impl Row {
     }
 }
 
-/// Everything that was said so far.
+/// Everything recorded so far.
 #[derive(Debug, Default)]
 pub(super) struct Said {
     rows: BTreeMap<(RowOf, String), (i64, Map<String, Value>)>,
 }
 
-/// All of them that have a table to be compared with, and the table.
+/// All types with a table to compare with, and the table.
 const TABLES: [(RowOf, &str); 10] = [
     (RowOf::Token, "SELECT * FROM token ORDER BY seq"),
     (RowOf::Powder, "SELECT * FROM powder ORDER BY seq"),
@@ -110,7 +111,7 @@ const TABLES: [(RowOf, &str); 10] = [
 ];
 
 impl Said {
-    /// What a record says of a row, if it says anything.
+    /// Note the state of a row given by a record, if any.
     pub(super) fn hear(&mut self, record: &Written) {
         if !matches!(record.kind.as_str(), "person" | "rows" | "check" | "latch" | "hold" | "stock") {
             return;
@@ -133,7 +134,7 @@ impl Said {
         let named = |field: &str| body[field]["id"].as_str().unwrap_or_default().to_owned();
         match body["action"].as_str().unwrap_or_default() {
             "new token" => self.say(RowOf::Token, named("token"), seq, &body["token"]),
-            // Of everything else its first record counts.
+            // For all others the first record counts.
             "revoke token" => {
                 let ended = json!({ "revoked_at": body["token"]["revoked_at"] });
                 self.say(RowOf::Token, named("token"), seq, &ended);
@@ -151,7 +152,7 @@ impl Said {
         }
     }
 
-    /// Rows that were found fill in what was not said before, and change nothing of it.
+    /// Rows found by the stock-taking fill in fields not recorded before, and change none.
     fn hear_rows(&mut self, seq: i64, body: &Value) {
         let rows = body["rows"].as_array().into_iter().flatten();
         for Row { what, id, row } in rows.filter_map(|row| Row::deserialize(row).ok()) {
@@ -163,7 +164,7 @@ impl Said {
     }
 
     fn say(&mut self, what: RowOf, id: String, seq: i64, row: &Value) {
-        // A deed of another kind that has the same name says nothing of a row.
+        // A different kind of action with the same name does not concern a row.
         if id.is_empty() {
             return;
         }
@@ -180,7 +181,7 @@ impl Said {
         self.say(what, id, seq, &row);
     }
 
-    /// What a row says that no record has said, if that is anything.
+    /// The fields of a row that no record has mentioned, if any.
     pub(super) fn unsaid(&self, what: RowOf, id: &str, row: Map<String, Value>) -> Option<Row> {
         let said = self.rows.get(&(what, id.to_owned())).map(|(_, said)| said);
         let is_new = |name: &String| said.is_none_or(|said| !said.contains_key(name));
@@ -188,7 +189,7 @@ impl Said {
         (!row.is_empty() && what != RowOf::ParameterSet).then(|| Row { what, id: id.to_owned(), row })
     }
 
-    /// Rows that are not what was said, in the order of what they are.
+    /// Rows that do not match the record, ordered by type.
     pub(super) async fn compare(&self, tx: &mut Transaction<'_, Sqlite>, most: usize) -> Result<Vec<ChangedOther>> {
         let (mut changed, mut seen) = (Vec::new(), BTreeSet::new());
         for (what, id, row) in every_row(tx).await? {
@@ -212,17 +213,17 @@ impl Said {
     }
 }
 
-/// Id of the choice that counts.
+/// Id of the current choice.
 const CHOSEN: &str = "current";
-/// Id of the one mark that there is.
+/// Id of the only mark.
 const TAKEN: &str = "taken";
 
-/// What the record of the stock-taking says of its mark: older ones not when it was made.
+/// The mark as given by the record of the stock-taking: older ones do not state when it was made.
 fn stock_taken(body: &Value) -> Value {
     body.get("at").map_or_else(|| json!({}), |at| json!({ "at": at }))
 }
 
-/// What it is, which one, and what it says or why it says nothing.
+/// Type, id, and the fields or why they cannot be read.
 type Found = (RowOf, String, std::result::Result<Map<String, Value>, String>);
 
 /// Every row that is compared.
@@ -257,7 +258,7 @@ fn check_id(kind: &Value, at_ms: i64) -> String {
     format!("{} of {at}", kind.as_str().unwrap_or_default())
 }
 
-/// What a row says, by the names that records use.
+/// The fields of a row, by the names used in records.
 fn row_says(what: RowOf, row: &SqliteRow) -> Result<Value> {
     let text = |column: &str| row.plain::<Option<String>>(column);
     Ok(match what {
@@ -282,7 +283,7 @@ fn row_says(what: RowOf, row: &SqliteRow) -> Result<Value> {
     })
 }
 
-/// A set's id is made of its values, so no record is needed to see that they were changed.
+/// A set's id derives from its values, so changes show without a record.
 fn named_by_content(what: RowOf, said: Map<String, Value>) -> std::result::Result<Map<String, Value>, String> {
     use flip_core::domain::parameters::ParameterSet;
     let values = said.get("parameters").filter(|_| what == RowOf::ParameterSet);
@@ -296,7 +297,8 @@ fn named_by_content(what: RowOf, said: Map<String, Value>) -> std::result::Resul
     }
 }
 
-/// The names of what differs, with both values; a field that no record mentions is compared with nothing.
+/// The names of differing fields, with both values; a field that no record mentions is not
+/// compared.
 fn differs(row: &Map<String, Value>, said: &Map<String, Value>) -> Option<String> {
     let one = |(name, now): (&String, &Value)| {
         let said = said.get(name)?;

@@ -1,4 +1,4 @@
-//! Versions of the simulator that investigations made.
+//! Versions of the simulator made by investigations.
 
 use super::page::{Page, Window};
 use super::row::Columns;
@@ -7,16 +7,17 @@ use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
-/// A version of the simulator: what it extends, by what, and where that comes from. Never changes.
+/// A version of the simulator: its base, its extensions, and their origin. Never changes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct SimulatorVersion {
-    /// `sv-` and 16 hexadecimal digits of the SHA-256 of what it was made from: campaign, settings and base.
+    /// `sv-` and 16 hexadecimal digits of the SHA-256 of its inputs: campaign, settings and base.
     pub id: String,
     /// The version that it extends.
     pub base: String,
     /// The investigation that made it.
     pub investigation: String,
-    /// Causes with fitted parameters, what they are worth on days left out, and whether simulations confirmed it.
+    /// Causes with fitted parameters, their benefit on held-out days, and whether simulations
+    /// confirmed it.
     #[schema(value_type = Object)]
     pub body: serde_json::Value,
     /// When it was stored.
@@ -42,7 +43,7 @@ impl Store {
 }
 
 impl Tx {
-    /// Store a version; one that is there stays as it is.
+    /// Store a version; an existing one is left unchanged.
     pub async fn insert_simulator(&mut self, id: &str, base: &str, investigation: &str, body: &str) -> Result<()> {
         let sql = "INSERT INTO simulator_version (id, base, investigation, body, created_at) \
                    VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT (id) DO NOTHING";

@@ -1,4 +1,5 @@
-//! What is looked at before a data folder is used: is its database there, whole, and of a version that this program knows?
+//! Checks before a data folder is used: is its database present, intact, and of a version that this
+//! program knows?
 
 use super::archive::Archives;
 use super::artifacts::Artifacts;
@@ -10,12 +11,14 @@ use std::io::ErrorKind;
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::Path;
 
-/// Up to here a database is looked at in full at each start, bytes; a larger one without its indexes, which takes a tenth of the time.
+/// Up to this size a database is checked in full at each startup, bytes; a larger one without its
+/// indexes, which takes a tenth of the time.
 const CHECKED_IN_FULL: u64 = 64 << 20;
-/// FLIP numbers its migrations from 1; the queue library's, in the same table, are numbered by the day, in 14 digits.
+/// FLIP numbers its migrations from 1; those of the queue library, in the same table, are numbered
+/// by date, in 14 digits.
 const OWN_MAX: i64 = 10_000_000_000;
 
-/// Make the folder and an empty database, for this user alone, where there is nothing yet.
+/// Create the folder and an empty database, accessible to this user only, if there is nothing yet.
 ///
 /// # Errors
 /// [`Error::Lost`]: no database, but files that one names; [`Error::File`].
@@ -44,16 +47,16 @@ pub(super) fn is_there(data_dir: &Path, database: &Path, files: (&Artifacts, &Ar
     Ok(!is_empty)
 }
 
-/// Make the folder, for this user alone; one that is there stays as it is.
+/// Create the folder, accessible to this user only; an existing one is left unchanged.
 pub(super) fn make_folder(data_dir: &Path) -> Result<()> {
     let made = DirBuilder::new().recursive(true).mode(0o700).create(data_dir);
     made.map_err(|source| Error::File { path: data_dir.to_owned(), source })
 }
 
-/// Read the database and see whether it hangs together.
+/// Read the database and check its integrity.
 ///
 /// # Errors
-/// [`Error::Damaged`] with the first thing found.
+/// [`Error::Damaged`] with the first problem found.
 pub(super) async fn check(pool: &SqlitePool, database: &Path) -> Result<()> {
     let large = fs::metadata(database).is_ok_and(|it| it.len() > CHECKED_IN_FULL);
     let pragma = if large { "PRAGMA quick_check(1)" } else { "PRAGMA integrity_check(1)" };
@@ -61,7 +64,8 @@ pub(super) async fn check(pool: &SqlitePool, database: &Path) -> Result<()> {
     if found == "ok" { Ok(()) } else { Err(Error::Damaged(found)) }
 }
 
-/// Whatever stops the check says that the file is not what it should be, except what says that it cannot be read now.
+/// Any error that stops the check means a damaged file, except those that mean it cannot be read
+/// now.
 fn damaged(error: sqlx::Error) -> Error {
     match Error::from(error) {
         Error::Database(sqlx::Error::Database(error)) => Error::Damaged(error.to_string()),
@@ -69,7 +73,7 @@ fn damaged(error: sqlx::Error) -> Error {
     }
 }
 
-/// Refuse what a newer FLIP has migrated: this one would not know what its columns mean.
+/// Refuse a database migrated by a newer FLIP: this one would not know what its columns mean.
 ///
 /// # Errors
 /// [`Error::Newer`]

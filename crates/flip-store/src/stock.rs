@@ -1,6 +1,7 @@
-//! Rows from before each had a record of its own: the first start that compares rows with the record writes those that it finds into it, once.
+//! Stock-taking of rows that predate their own records: the first startup that compares rows with
+//! the record writes the rows it finds into the record, once.
 //!
-//! From then on a row without a record is one that was slipped in.
+//! From then on, a row without a record was inserted from outside.
 
 use super::audit::{About, OutcomeRecord, Written};
 use super::page::LONG_BATCH;
@@ -16,10 +17,10 @@ use sqlx::sqlite::SqliteConnection;
 const STOCK: &str = "stock";
 /// Kind of records that hold rows.
 const ROWS: &str = "rows";
-/// Most rows in a record.
+/// Maximum number of rows in a record.
 const ROWS_MAX: usize = 200;
 
-/// What a record of kind `rows` holds.
+/// Contents of a record of kind `rows`.
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct Rows {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -28,18 +29,18 @@ pub(super) struct Rows {
     pub rows: Vec<Row>,
 }
 
-/// Since when each row has a record, as far as the database and its record say it.
+/// Whether each row has a record, according to the database and its record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Stock {
-    /// Nobody has looked: a database from before, opened to read.
+    /// Not done: an older database, opened read-only.
     NotTaken,
     Taken,
-    /// It was taken, and its record is gone.
+    /// It was done, and its record is gone.
     Gone,
 }
 
 impl Store {
-    /// Write rows that no record knows into the record, the first time.
+    /// Record rows that no record knows, the first time.
     pub(super) async fn take_stock(&self) -> Result<()> {
         let mut tx = self.write().await?;
         let marked: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM stock)").fetch_one(&mut *tx.inner).await?;
@@ -81,7 +82,7 @@ impl Tx {
         self.audit(About { weighing: None, kind: STOCK }, &body, at).await
     }
 
-    /// Rows as they were written: for a deed that makes many, or none.
+    /// Record rows as written: for an action that makes many, or none.
     pub async fn audit_rows(&mut self, rows: Vec<Row>) -> Result<()> {
         let mut rows = rows.into_iter().peekable();
         while rows.peek().is_some() {
@@ -95,26 +96,27 @@ impl Tx {
         self.audit(About { weighing: None, kind: ROWS }, rows, now()).await
     }
 
-    /// Weighings from before there was a record: made after the database was, and before the migration that brought the record (14).
+    /// Weighings that predate the record: made after the database was, and before the migration
+    /// that introduced the record (14).
     async fn unrecorded_weighings(&mut self) -> Result<Vec<OutcomeRecord>> {
         let sql = "SELECT * FROM weighing WHERE id NOT IN \
                    (SELECT weighing FROM audit WHERE weighing IS NOT NULL AND kind IN ('intent', 'outcome')) \
                    AND created_at >= 1000 * (SELECT min(unixepoch(installed_on)) FROM _sqlx_migrations) \
                    AND created_at < 1000 * (SELECT 1 + unixepoch(installed_on) FROM _sqlx_migrations WHERE version = 14) ORDER BY seq";
         let rows = sqlx::query(sql).fetch_all(&mut *self.inner).await?;
-        // What does not read as a weighing has no place in a record of weighings.
+        // A row that cannot be parsed as a weighing has no place in a record of weighings.
         let found = rows.iter().filter_map(|row| weighing_row(row).ok());
         Ok(found.map(|it| OutcomeRecord { key: it.key(), weighing: it.weighing, trace: it.trace }).collect())
     }
 }
 
-/// Whether the record says that stock was taken.
+/// Whether the record contains a stock-taking.
 pub(super) async fn is_recorded(connection: &mut SqliteConnection) -> Result<bool> {
     let sql = "SELECT EXISTS (SELECT 1 FROM audit WHERE weighing IS NULL AND kind = 'stock')";
     Ok(sqlx::query_scalar(sql).fetch_one(connection).await?)
 }
 
-/// Whether stock was taken here.
+/// State of the stock-taking in this database.
 pub(super) async fn stock(connection: &mut SqliteConnection) -> Result<Stock> {
     if is_recorded(connection).await? {
         return Ok(Stock::Taken);
@@ -127,7 +129,7 @@ pub(super) async fn stock(connection: &mut SqliteConnection) -> Result<Stock> {
     Ok(if marked { Stock::Gone } else { Stock::NotTaken })
 }
 
-/// A weighing as it was found at the stock-taking, and the record that holds it.
+/// A weighing as found by the stock-taking, and the record that holds it.
 pub(super) async fn found_weighing(
     connection: &mut SqliteConnection,
     id: &str,
@@ -143,7 +145,7 @@ pub(super) async fn found_weighing(
     Ok(None)
 }
 
-/// The rows that a record holds, if it holds any.
+/// The rows held by a record, if any.
 pub(super) fn rows_of(record: &Written) -> Option<Rows> {
     (record.kind == ROWS).then(|| serde_json::from_str(&record.body).ok()).flatten()
 }
@@ -157,7 +159,8 @@ mod tests {
          parameter_set, seed, state, outcome, reading_mg, created_at, finished_at) \
          VALUES (?1, ?1, zeroblob(32), 'salt', 10, 1, 1, 'p-1', 'ps-1', 1, 'done', 'within', 10.2, 1000, 2000)";
 
-    /// A folder from before each row had a record: nothing is in the record, and these weighings and a token are there.
+    /// A folder from before each row had a record: the record is empty, and these weighings and a
+    /// token exist.
     async fn from_before(folder: &std::path::Path, weighings: usize) {
         let store = Store::open(folder).await.unwrap();
         let writer = store.writer().unwrap();
@@ -167,7 +170,7 @@ mod tests {
             "DELETE FROM stock",
             "INSERT INTO policy (id, kind, manifest, bytes, sha256, created_at) VALUES ('p-1', 'fixed', '{}', x'00', hex(zeroblob(32)), 0)",
             "INSERT INTO token (id, name, role, sha256, created_at) VALUES ('aa', 'Ada', 'operator', zeroblob(32), 1)",
-            // Made at 1970-01-01 00:00:01, and brought the record a minute later.
+            // Made at 1970-01-01 00:00:01; the record was introduced a minute later.
             "UPDATE _sqlx_migrations SET installed_on = '1970-01-01 00:00:01' WHERE version < 14",
             "UPDATE _sqlx_migrations SET installed_on = '1970-01-01 00:01:01' WHERE version = 14",
         ] {
@@ -216,7 +219,8 @@ mod tests {
         assert_eq!(changed[0].weighing, "forged");
         store.close().await;
         drop(store);
-        // Another start takes no stock again, whatever the mark beside the record says.
+        // Another startup does not repeat the stock-taking, whatever the mark next to the record
+        // states.
         let store = Store::open(folder.path()).await.unwrap();
         let (changed, _) = after(&store, "DELETE FROM stock").await;
         assert_eq!(changed[0].weighing, "forged");

@@ -1,4 +1,5 @@
-//! API tokens: only their hashes are stored, and they are never deleted, because records name them.
+//! API tokens: only their hashes are stored, and they are never deleted, because records refer to
+//! them.
 
 use super::page::{Page, Window};
 use super::row::{Columns, word};
@@ -8,7 +9,7 @@ use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
-/// What the holder of a token may do; each role may do what the ones before it may.
+/// Permissions of a token's holder; each role includes the ones before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
@@ -20,28 +21,28 @@ pub enum Role {
     Admin,
 }
 
-/// What is known of a token; never its secret.
+/// Metadata of a token; never its secret.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct TokenEntry {
-    /// Id: the first part of the secret, and how records name it.
+    /// Id: the first part of the secret, used in records.
     pub id: String,
     /// Who holds it.
     pub name: String,
-    /// What its holder may do.
+    /// Role of its holder.
     pub role: Role,
     /// Whether its holder may clear a latched bench; an admin always may.
     pub may_clear: bool,
-    /// When it was made.
+    /// When it was created.
     pub created_at: Timestamp,
-    /// When it ends by itself; absent if it does not.
+    /// When it expires; absent if it does not.
     pub expires_at: Option<Timestamp>,
-    /// When a person ended it.
+    /// When a person revoked it.
     pub revoked_at: Option<Timestamp>,
     /// When it was last used, to about a minute; absent if it never was.
     pub last_used_at: Option<Timestamp>,
 }
 
-/// A token with the hash that its secret must have.
+/// A token with the hash of its secret.
 #[derive(Debug, Clone)]
 pub struct HashedToken {
     pub entry: TokenEntry,
@@ -62,7 +63,7 @@ impl Store {
         window.page_of(&query.fetch_all(&self.reader).await?, entry)
     }
 
-    /// Whether there is any token.
+    /// Whether there are any tokens.
     pub async fn has_tokens(&self) -> Result<bool> {
         Ok(sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM token)").fetch_one(&self.reader).await?)
     }
@@ -88,7 +89,7 @@ impl Tx {
         self.audit_deed(None, "new token", said, now()).await
     }
 
-    /// End a token; one that has ended stays as it was. `None`: there is none.
+    /// Revoke a token; one that has ended stays as it was. `None`: there is none.
     pub async fn revoke_token(&mut self, id: &str, now: Timestamp) -> Result<Option<TokenEntry>> {
         let sql = "UPDATE token SET revoked_at = ?2 WHERE id = ?1 AND revoked_at IS NULL RETURNING *";
         let row = sqlx::query(sql).bind(id).bind(now.unix_ms()).fetch_optional(&mut *self.inner).await?;
@@ -101,7 +102,7 @@ impl Tx {
         row.as_ref().map(entry).transpose()
     }
 
-    /// Remember when tokens were last used.
+    /// Store when tokens were last used.
     pub async fn note_uses(&mut self, uses: &[(String, Timestamp)]) -> Result<()> {
         let sql = "UPDATE token SET last_used_at = max(coalesce(last_used_at, 0), ?2) WHERE id = ?1";
         for (id, at) in uses {
@@ -111,12 +112,13 @@ impl Tx {
     }
 }
 
-/// What the record keeps of a secret's hash: its own hash, by which it can be told from another and nothing be opened.
+/// The mark of a secret's hash kept in the record: the hash of the hash, which identifies it
+/// without granting access.
 fn mark(sha256: &[u8]) -> String {
     sha256_hex(sha256)
 }
 
-/// What a row says, by the names of its record.
+/// The fields of a row, by the names used in its record.
 pub(super) fn says(row: &SqliteRow) -> Result<serde_json::Value> {
     let mut said = serde_json::to_value(entry(row)?).map_err(|error| Error::Corrupt(error.to_string()))?;
     said["secret"] = mark(&row.plain::<Vec<u8>>("sha256")?).into();

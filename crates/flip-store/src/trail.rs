@@ -1,6 +1,6 @@
-//! Reading the audit trail out: what stands in the table and what lies in archives, as one.
+//! Reading the audit trail: records in the table and in archives, as one sequence.
 //!
-//! A record of kind `lost` stands in the place of those that an archive held which is gone; it says which.
+//! A record of kind `lost` stands in for those in a missing archive, and names it.
 
 use super::archive::{Order, aways};
 use super::audit::{AuditRecord, Written};
@@ -8,9 +8,9 @@ use super::page::{LONG_BATCH, Page, Window};
 use super::{Result, Store};
 
 impl Store {
-    /// Records, newest first; of one weighing when named.
+    /// Records, newest first; of one weighing if given.
     pub async fn audit_records(&self, weighing: Option<&str>, window: Window) -> Result<Page<AuditRecord>> {
-        // One snapshot: what is archived meanwhile would be missing, or there twice.
+        // One snapshot: records archived meanwhile would be missing, or appear twice.
         let mut tx = self.reader.begin().await?;
         let sql = "SELECT * FROM audit WHERE seq < ?1 AND (?3 IS NULL OR weighing = ?3) ORDER BY seq DESC LIMIT ?2";
         let query = sqlx::query(sql).bind(window.before()).bind(window.rows()).bind(weighing);
@@ -32,7 +32,7 @@ impl Store {
         Ok(window.page(found.into_iter().map(|it| (it.seq, it)).collect()))
     }
 
-    /// Every record after `after`, oldest first, at most some thousands; of one weighing when named.
+    /// Every record after `after`, oldest first, at most a few thousand; of one weighing if given.
     pub async fn audit_after(&self, weighing: Option<&str>, after: i64) -> Result<Vec<AuditRecord>> {
         let mut tx = self.long.begin().await?;
         let sql = "SELECT * FROM audit WHERE seq > ?1 AND (?3 IS NULL OR weighing = ?3) ORDER BY seq LIMIT ?2";

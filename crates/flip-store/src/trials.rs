@@ -24,13 +24,13 @@ pub struct Trial {
     pub index: u32,
     /// Why it was simulated.
     pub phase: TrialPhase,
-    /// Index of the search trial whose parameters these are; its own for a search trial.
+    /// Index of the search trial with these parameters; its own for a search trial.
     pub candidate: u32,
     /// The nine values.
     pub parameters: ParameterSet,
     /// Seed of the simulation.
     pub seed: u64,
-    /// Readings of the heap, over which its angles are means.
+    /// Number of readings of the heap, over which its angles are averaged.
     #[serde(default = "one")]
     pub readings: u32,
     /// Angle of repose by the tip formula, degrees; absent when the heap has none.
@@ -46,7 +46,8 @@ pub struct Trial {
     pub refusal: Option<String>,
     /// Absolute difference to the target, degrees.
     pub error_deg: Option<f64>,
-    /// Wall time of the simulation, s; the one number here that another run of the same calibration has differently.
+    /// Wall-clock time of the simulation, s; the only value here that differs between two runs of
+    /// the same calibration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,
 }
@@ -64,7 +65,7 @@ pub struct Episode {
     pub level: u32,
     /// Powder of the level.
     pub powder: String,
-    /// Id of the parameter set it was played on.
+    /// Id of the parameter set it was simulated with.
     pub parameter_set: String,
     /// Target mass, mg.
     pub target_mg: f64,
@@ -123,29 +124,29 @@ impl Store {
 }
 
 impl Tx {
-    /// Append a trial. The key refuses one that is already stored.
+    /// Append a trial. The key rejects one that is already stored.
     pub async fn insert_trial(&mut self, job: &str, trial: &Trial) -> Result<()> {
         let sql = "INSERT INTO trial (job, position, body) VALUES (?1, ?2, ?3)";
         sqlx::query(sql).bind(job).bind(trial.index).bind(json(trial)?).execute(&mut *self.inner).await?;
         Ok(())
     }
 
-    /// Append a heap to an emulator. The key refuses one that is already stored.
+    /// Append a heap to an emulator. The key rejects one that is already stored.
     pub async fn insert_emulator_run(&mut self, emulator: &str, run: &Trial) -> Result<()> {
         let sql = "INSERT INTO emulator_run (emulator, position, body) VALUES (?1, ?2, ?3)";
         sqlx::query(sql).bind(emulator).bind(run.index).bind(json(run)?).execute(&mut *self.inner).await?;
         Ok(())
     }
 
-    /// Append a simulation of an observable. The key refuses one that is already stored.
+    /// Append a simulation of an observable. The key rejects one that is already stored.
     pub async fn insert_probe<T: Serialize>(&mut self, owner: &str, position: u32, body: &T) -> Result<()> {
         let sql = "INSERT INTO probe (owner, position, body) VALUES (?1, ?2, ?3)";
         sqlx::query(sql).bind(owner).bind(position).bind(json(body)?).execute(&mut *self.inner).await?;
         Ok(())
     }
 
-    /// Append an episode; `false` when it is stored already, as those after the last checkpoint are when a training
-    /// resumes and plays them again.
+    /// Append an episode; `false` if it is already stored, as happens when a training resumes and
+    /// replays the episodes after its last checkpoint.
     pub async fn insert_episode(&mut self, job: &str, episode: &Episode) -> Result<bool> {
         let sql = "INSERT INTO episode (job, position, body) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING";
         let done =

@@ -1,8 +1,10 @@
-//! Is the record what was written, and are the rows what the record says?
+//! Verification: is the record what was written, and do the rows match the record?
 //!
-//! A chain alone proves the records, not the rows that lists and tables show. So each weighing's row is compared with the record of its outcome, or
-//! while it has none with the record of its intent, and what a retry is known by always with the latter; `said.rs` compares other rows. A row that no record knows was slipped in, whenever it says it was
-//! made: those from before there were records are in the record of the stock-taking (`stock.rs`).
+//! A chain alone proves the records, not the rows shown in lists and tables. So each weighing's row
+//! is compared with the record of its outcome, or, until it has one, with the record of its intent;
+//! the fields that identify a retry are always compared with the latter. `said.rs` compares other
+//! rows. A row that no record knows was inserted from outside, whatever creation time it claims:
+//! rows that predate the record are in the record of the stock-taking (`stock.rs`).
 
 use super::archive::{self, Away, LostArchive, Named, Order, aways, hash_at, why_lost};
 use super::audit::{AuditBreak, AuditVerification, OutcomeRecord, Written, beginning};
@@ -15,52 +17,52 @@ use serde::{Deserialize, Serialize};
 use sqlx::{Sqlite, Transaction};
 use std::collections::HashMap;
 
-/// Changed rows that are named; there may be more.
+/// Maximum number of changed rows listed; there may be more.
 const NAMED_MAX: usize = 100;
 
-/// A weighing's row that is not what the record says.
+/// A weighing's row that does not match the record.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ChangedRow {
     /// The weighing.
     pub weighing: String,
-    /// Position of the record that says otherwise; absent if there is none.
+    /// Position of the record that contradicts it; absent if there is none.
     pub seq: Option<i64>,
-    /// What is different.
+    /// What differs.
     pub why: String,
 }
 
-/// What was found so far.
+/// Findings so far.
 struct Walk<'a> {
     store: &'a Store,
     wanted: Option<&'a str>,
     records: i64,
     last_hash: String,
     holds: bool,
-    /// Weighings whose outcome is not recorded yet: where their intent is, and what it says.
+    /// Weighings whose outcome is not recorded yet: position and content of their intent.
     open: HashMap<String, (i64, Intent)>,
-    /// Weighings that the record knows.
+    /// Weighings known to the record.
     known: std::collections::HashSet<String>,
     /// When the record begins.
     since_ms: i64,
     changed: Vec<ChangedRow>,
-    /// What it says of other rows.
+    /// The recorded state of other rows.
     said: Said,
     others: Vec<ChangedOther>,
     archives: Vec<LostArchive>,
-    /// Members of archives that were gone through.
+    /// Archive members verified.
     members: i64,
 }
 
-/// What the record says of a weighing that has no outcome there.
+/// Record of a weighing that has no recorded outcome.
 enum Intent {
     /// The record of its intent.
     Asked(String),
-    /// As it was found when stock was taken.
+    /// As found by the stock-taking.
     Found(Box<OutcomeRecord>),
 }
 
 impl Intent {
-    /// The names of what a retry is known by, where the row has another.
+    /// The names of retry-identifying fields in which the row differs.
     fn key_differs(&self, row: &WeighingRow) -> Vec<&'static str> {
         let said = match self {
             Self::Asked(body) => serde_json::from_str(body).unwrap_or_default(),
@@ -71,7 +73,8 @@ impl Intent {
 }
 
 impl Store {
-    /// Go through the whole chain and all rows, as they are at this moment; `wanted` is a hash that the chain should hold.
+    /// Verify the whole chain and all rows, as of this moment; `wanted` is a hash that the chain
+    /// should hold.
     pub async fn verify_audit(&self, wanted: Option<&str>) -> Result<AuditVerification> {
         // One snapshot: a dose that ends meanwhile would look like a changed row.
         let mut tx = self.long.begin().await?;
@@ -91,9 +94,10 @@ impl Store {
         })
     }
 
-    /// How a weighing's row differs from what the record says of its outcome. The second is what it says, where it says anything.
+    /// How a weighing's row differs from the record of its outcome. The second value is the
+    /// recorded outcome, if any.
     ///
-    /// The row of a weighing from before there was a record must be as it was found when stock was taken.
+    /// The row of a weighing that predates the record must be as found by the stock-taking.
     pub async fn outcome_on_record(&self, row: &WeighingRow) -> Result<(Option<ChangedRow>, Option<Weighing>)> {
         let id = &row.weighing.id;
         let mut tx = self.long.begin().await?;
@@ -113,7 +117,8 @@ impl Store {
     }
 }
 
-/// How the row of a weighing that has no outcome on record differs from what was found when stock was taken.
+/// How the row of a weighing without a recorded outcome differs from the one found by the
+/// stock-taking.
 async fn not_as_found(tx: &mut Transaction<'_, Sqlite>, row: &WeighingRow) -> Result<Option<ChangedRow>> {
     let id = &row.weighing.id;
     let missing = || ChangedRow { weighing: id.clone(), seq: None, why: "the record has no outcome of it".to_owned() };
@@ -149,7 +154,8 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Go through the chain up to the first record that is not what was written; of what lies in archives that are lost nothing is known.
+    /// Verify the chain up to the first record that is not what was written; nothing is known about
+    /// records in lost archives.
     async fn go_through_records(&mut self, tx: &mut Transaction<'_, Sqlite>) -> Result<Option<AuditBreak>> {
         loop {
             let sql = "SELECT * FROM audit WHERE seq > ?1 ORDER BY seq LIMIT ?2";
@@ -169,7 +175,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// What lies in archives and comes before this position.
+    /// Process archived records before this position.
     async fn go_through_archived(&mut self, tx: &mut Transaction<'_, Sqlite>, before: i64) -> Result<()> {
         while before > self.records + 1 {
             let next = aways(tx, None, (self.records, self.records + 2), Order::Oldest, 1).await?.into_iter().next();
@@ -201,7 +207,7 @@ impl<'a> Walk<'a> {
         self.since_ms = self.since_ms.min(record.at);
     }
 
-    /// An archive is gone or damaged; it is named once.
+    /// Note a missing or damaged archive; each is listed once.
     fn lose(&mut self, file: &str, (first, last): (i64, i64), error: &Error) {
         match self.archives.iter_mut().find(|lost| lost.file == file) {
             Some(lost) => (lost.first, lost.last) = (lost.first.min(first), lost.last.max(last)),
@@ -209,7 +215,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// What a record says of a weighing or another row, or of an archive.
+    /// Process a record about a weighing, another row, or an archive.
     async fn hear(&mut self, tx: &mut Transaction<'_, Sqlite>, record: Written) -> Result<()> {
         self.said.hear(&record);
         self.look_at_archive(tx, &record).await?;
@@ -237,7 +243,7 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    /// Weighings that were found when stock was taken.
+    /// Note weighings found by the stock-taking.
     fn find(&mut self, seq: i64, weighings: Vec<OutcomeRecord>) {
         for found in weighings {
             let id = found.weighing.id.clone();
@@ -246,7 +252,8 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// A file that a record names must be what was archived, to the byte, and the table must say of it what the record says.
+    /// Check that a file named by a record is what was archived, byte for byte, and that the
+    /// table's entry for it matches the record.
     async fn look_at_archive(&mut self, tx: &mut Transaction<'_, Sqlite>, record: &Written) -> Result<()> {
         if record.kind != "person" || !record.body.contains(archive::DEED) {
             return Ok(());
@@ -263,7 +270,7 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
-    /// One more thing that is wrong with an archive.
+    /// Add another problem of an archive.
     fn say_too(&mut self, file: &str, why: &str) {
         let lost = self.archives.iter_mut().find(|lost| lost.file == file && lost.why != why);
         if let Some(lost) = lost {
@@ -271,7 +278,8 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Weighings that have not ended, rows that the record does not know, and rows of other kinds.
+    /// Check weighings that have not ended, rows that the record does not know, and rows of other
+    /// types.
     async fn go_through_rows(&mut self, tx: &mut Transaction<'_, Sqlite>) -> Result<Option<AuditBreak>> {
         let stock = stock(tx).await?;
         if stock == Stock::Gone {
@@ -286,7 +294,7 @@ impl<'a> Walk<'a> {
             let row = row_of(tx, &id).await?;
             self.note(id, Some(seq), row.map_or_else(gone, |row| differs_from_intent(&row, &said)));
         }
-        // Where nobody has taken stock yet, those from before there was a record are in none.
+        // Before a stock-taking, weighings that predate the record are in no record.
         let since_ms = if stock == Stock::Taken { 0 } else { self.since_ms };
         let sql = "SELECT id FROM weighing WHERE created_at >= ?1 ORDER BY seq";
         let ids: Vec<String> = sqlx::query_scalar(sql).bind(since_ms).fetch_all(&mut **tx).await?;
@@ -308,7 +316,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// The first of what is not as the record says, where the chain itself is whole.
+    /// The first mismatch with the record, if the chain itself is whole.
     fn first_flaw(&self) -> Option<AuditBreak> {
         let lost = |it: &LostArchive| (Some(it.first), format!("archive {} is lost: {}", it.file, it.why));
         let row = |it: &ChangedRow| (it.seq, format!("weighing {}: {}", it.weighing, it.why));
@@ -321,7 +329,7 @@ impl<'a> Walk<'a> {
 
 async fn row_of(tx: &mut Transaction<'_, Sqlite>, id: &str) -> Result<Option<WeighingRow>> {
     let row = sqlx::query("SELECT * FROM weighing WHERE id = ?1").bind(id).fetch_optional(&mut **tx).await?;
-    // What does not read as a weighing any more is gone as well.
+    // A row that can no longer be parsed as a weighing counts as gone.
     Ok(row.as_ref().and_then(|row| weighing_row(row).ok()))
 }
 
@@ -329,7 +337,7 @@ fn gone() -> Option<String> {
     Some("its row is gone, or does not read as a weighing".to_owned())
 }
 
-/// What a row has otherwise than the record of its outcome.
+/// How a row differs from the record of its outcome.
 fn differs_from_outcome(row: &WeighingRow, body: &str) -> Option<String> {
     let Ok(said) = serde_json::from_str::<OutcomeRecord>(body) else {
         return Some("the record of its outcome does not read as one".to_owned());
@@ -337,7 +345,7 @@ fn differs_from_outcome(row: &WeighingRow, body: &str) -> Option<String> {
     differs_from(row, &said)
 }
 
-/// What a row has otherwise than a record of it.
+/// How a row differs from a record of it.
 fn differs_from(row: &WeighingRow, said: &OutcomeRecord) -> Option<String> {
     let other_trace = said.trace.is_some() && said.trace != row.trace;
     let mut others = row.key().differs(&said.key);
@@ -346,7 +354,7 @@ fn differs_from(row: &WeighingRow, said: &OutcomeRecord) -> Option<String> {
     different(&row.weighing, &said.weighing, others)
 }
 
-/// What the row of a weighing that has not ended has otherwise than the record of its intent.
+/// How the row of a weighing that has not ended differs from the record of its intent.
 fn differs_from_intent(row: &WeighingRow, said: &Intent) -> Option<String> {
     let key = said.key_differs(row);
     let said = match said {
@@ -359,13 +367,13 @@ fn differs_from_intent(row: &WeighingRow, said: &Intent) -> Option<String> {
     };
     let mut others = key;
     others.extend((!row.patch_is_ours).then_some("patch"));
-    // What becomes of it before it ends.
+    // State that changes before it ends.
     let row = &row.weighing;
     let said = Weighing { state: row.state, bench: row.bench, started_at: row.started_at, ..said };
     different(row, &said, others)
 }
 
-/// The names of what differs, with both values.
+/// The names of differing fields, with both values.
 fn different(row: &Weighing, said: &Weighing, others: Vec<&str>) -> Option<String> {
     let fields = |weighing| match serde_json::to_value(weighing) {
         Ok(serde_json::Value::Object(fields)) => fields,
@@ -383,7 +391,7 @@ fn different(row: &Weighing, said: &Weighing, others: Vec<&str>) -> Option<Strin
     changed(&found)
 }
 
-/// What differs, where both values say little to a person.
+/// The differing fields, where the values mean little to a person.
 fn named(others: Vec<&str>) -> Vec<String> {
     others.into_iter().map(|name| format!("{name} is another than was recorded")).collect()
 }

@@ -1,4 +1,5 @@
-//! Weighings: the intent is committed before any motion, the outcome after it; nothing is ever poured twice.
+//! Weighings: the intent is committed before any motion, the outcome after it; nothing is ever
+//! poured twice.
 
 use super::page::{Page, Window};
 use super::row::{Columns, json, word};
@@ -12,7 +13,7 @@ use flip_core::domain::weighing::{Asked, MeasuredMass, Outcome, WeighRequest, We
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
-/// One dose: what was asked and how it ended.
+/// One dose: the order and how it ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Weighing {
     /// Id.
@@ -27,41 +28,41 @@ pub struct Weighing {
     pub tolerance_upper_mg: f64,
     /// Policy id.
     pub policy: String,
-    /// The simulated powder on the bench: one of the powder's sets, and if there is one that the policy was not trained
-    /// on, then such a one.
+    /// The simulated powder on the bench: one of the powder's sets, preferably one that the policy
+    /// was not trained on.
     pub parameter_set: String,
     /// Seed of the simulated bench.
     pub seed: u64,
-    /// The extended version of the simulator on the bench, and its conditions; absent of the base.
+    /// The extended version of the simulator on the bench, and its conditions; absent for the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub under: Option<Under>,
-    /// What the conditions change about the powder.
+    /// Changes of the powder under these conditions.
     #[serde(default, skip_serializing_if = "Patch::is_none")]
     pub patch: Patch,
-    /// What else was asked.
+    /// Other requested options.
     #[serde(default, skip_serializing_if = "Asked::is_nothing")]
     pub asked: Asked,
-    /// Whether somebody has to say that its vial is in; absent of `confirm`.
+    /// Whether someone has to confirm that its vial is in; absent for `confirm`.
     #[serde(default, skip_serializing_if = "VialCheck::is_confirm")]
     pub vial_check: VialCheck,
     /// The bench that was armed for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<BenchKind>,
-    /// Where it stands.
+    /// Its state.
     pub state: WeighingState,
     /// How it ended.
     pub outcome: Option<Outcome>,
-    /// True mass in the vial, mg: known in simulation only, and not what the outcome is judged by.
+    /// True mass in the vial, mg: known only in simulation, and not used to judge the outcome.
     pub dispensed_mg: Option<f64>,
-    /// Final reading of the balance, mg; null where there is none, as of an aborted dose.
+    /// Final reading of the balance, mg; null if there is none, as for an aborted dose.
     pub reading_mg: Option<f64>,
-    /// Reading minus target, mg, on every bench; null where the dose did not run its course.
+    /// Reading minus target, mg, on every bench; null if the dose did not run its course.
     pub error_mg: Option<f64>,
-    /// Shakes made.
+    /// Number of shakes.
     pub shakes: Option<u32>,
     /// Bench time, s.
     pub seconds: Option<f64>,
-    /// What was measured beside the reading.
+    /// Measurements in addition to the reading.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measured: Option<MeasuredMass>,
     /// Why it was aborted.
@@ -74,7 +75,7 @@ pub struct Weighing {
     pub finished_at: Option<Timestamp>,
 }
 
-/// A weighing that waits for the bench.
+/// A weighing waiting for the bench.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Waiting {
     /// Weighing id.
@@ -83,25 +84,25 @@ pub struct Waiting {
     pub powder: String,
     /// Target mass, mg.
     pub target_mg: f64,
-    /// The vial that it is for, where it was named.
+    /// Its vial, if it was named.
     pub vial: Option<String>,
     /// `planned` or `awaiting_vial`.
     pub state: WeighingState,
 }
 
-/// A weighing with what callers do not see.
+/// A weighing with fields that callers do not see.
 #[derive(Debug, Clone)]
 pub struct WeighingRow {
     pub weighing: Weighing,
     pub idempotency_key: String,
     pub request_sha256: Vec<u8>,
-    /// Its patch is stored as FLIP writes one: an empty one is none.
+    /// Its patch is stored in FLIP's own format, in which an empty one is omitted.
     pub patch_is_ours: bool,
     /// SHA-256 of the artifact that holds the ticks.
     pub trace: Option<String>,
 }
 
-/// An intent to weigh, checked and with every choice made.
+/// An intent to weigh, validated and with every choice made.
 #[derive(Debug, Clone)]
 pub struct Intent {
     pub id: String,
@@ -111,7 +112,7 @@ pub struct Intent {
     pub parameter_set: String,
 }
 
-/// What the record says of an intent.
+/// Record of an intent.
 #[derive(Serialize)]
 struct IntentRecord<'a> {
     #[serde(flatten)]
@@ -120,12 +121,13 @@ struct IntentRecord<'a> {
     key: RetryKey,
 }
 
-/// What a retry is known by, as far as a record holds it: with another key it would pour again.
+/// The fields that identify a retry, as far as a record holds them: with another key it would pour
+/// again.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct RetryKey {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub idempotency_key: Option<String>,
-    /// In hexadecimal; older records do not hold it.
+    /// In hexadecimal; missing from older records.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request_sha256: Option<String>,
 }
@@ -136,7 +138,8 @@ impl RetryKey {
         Self { idempotency_key: Some(key), request_sha256: Some(sha256) }
     }
 
-    /// The names of what differs from a record; what it does not hold is compared with nothing.
+    /// The names of fields that differ from a record; fields that it does not hold are not
+    /// compared.
     pub(super) fn differs(&self, said: &Self) -> Vec<&'static str> {
         let key = said.idempotency_key.is_some() && said.idempotency_key != self.idempotency_key;
         let sha256 = said.request_sha256.is_some() && said.request_sha256 != self.request_sha256;
@@ -169,7 +172,7 @@ pub struct Ending {
 }
 
 impl Ending {
-    /// An end without any measurement.
+    /// An end without any measurements.
     pub fn bare(state: WeighingState, outcome: Outcome, error: impl Into<String>) -> Self {
         let error = Some(error.into());
         let (dispensed_mg, reading_mg, error_mg, shakes, seconds) = (None, None, None, None, None);
@@ -200,7 +203,7 @@ impl Store {
         row.as_ref().map(weighing_row).transpose()
     }
 
-    /// The weighing that a key belongs to.
+    /// The weighing with this key.
     pub async fn weighing_by_key(&self, key: &str) -> Result<Option<WeighingRow>> {
         let sql = "SELECT * FROM weighing WHERE idempotency_key = ?1";
         let row = sqlx::query(sql).bind(key).fetch_optional(&self.reader).await?;
@@ -214,7 +217,8 @@ impl Store {
         rows.iter().map(|row| row.json("data")).collect()
     }
 
-    /// Where the ticks are of a powder's newest doses on such a bench that ran their course, newest first.
+    /// Where to find the ticks of a powder's latest doses on such a bench that ran their course,
+    /// newest first.
     pub async fn traces_of(&self, powder: &str, bench: BenchKind, count: u32) -> Result<Vec<String>> {
         let sql = "SELECT trace FROM weighing WHERE powder = ?1 AND bench = ?2 AND outcome IN ('within', 'under', 'over') \
                    AND trace IS NOT NULL ORDER BY seq DESC LIMIT ?3";
@@ -222,13 +226,13 @@ impl Store {
         Ok(query.fetch_all(&self.reader).await?)
     }
 
-    /// The weighing whose turn it is next.
+    /// The next weighing in turn.
     pub async fn next_weighing(&self) -> Result<Option<Weighing>> {
         let sql = "SELECT * FROM weighing WHERE state IN ('planned', 'awaiting_vial') ORDER BY seq LIMIT 1";
         sqlx::query(sql).fetch_optional(&self.reader).await?.as_ref().map(weighing).transpose()
     }
 
-    /// Weighings that wait for the bench, in order.
+    /// Weighings waiting for the bench, in order.
     pub async fn waiting_weighings(&self) -> Result<Vec<Waiting>> {
         let sql = "SELECT * FROM weighing WHERE state IN ('planned', 'awaiting_vial') ORDER BY seq";
         let rows = sqlx::query(sql).fetch_all(&self.reader).await?;
@@ -239,7 +243,7 @@ impl Store {
         rows.iter().map(waiting).collect()
     }
 
-    /// Weighings that were moving when the process ended: what lies in their vials nobody knows.
+    /// Weighings that were moving when the process ended: the contents of their vials are unknown.
     pub async fn interrupted_weighings(&self) -> Result<Vec<(String, BenchKind)>> {
         let sql = "SELECT id, coalesce(bench, 'simulated') AS bench FROM weighing WHERE state IN ('armed', 'dosing', 'settling')";
         let rows = sqlx::query(sql).fetch_all(&self.reader).await?;
@@ -248,14 +252,14 @@ impl Store {
 }
 
 impl Tx {
-    /// The weighing that a key belongs to, seen from inside the transaction.
+    /// The weighing with this key, as seen inside the transaction.
     pub async fn weighing_by_key(&mut self, key: &str) -> Result<Option<WeighingRow>> {
         let sql = "SELECT * FROM weighing WHERE idempotency_key = ?1";
         let row = sqlx::query(sql).bind(key).fetch_optional(&mut *self.inner).await?;
         row.as_ref().map(weighing_row).transpose()
     }
 
-    /// How many weighings wait for the bench.
+    /// Number of weighings waiting for the bench.
     pub async fn planned_weighings(&mut self) -> Result<i64> {
         let sql = "SELECT count(*) FROM weighing WHERE state IN ('planned', 'awaiting_vial')";
         Ok(sqlx::query_scalar(sql).fetch_one(&mut *self.inner).await?)
@@ -292,7 +296,8 @@ impl Tx {
         Ok(weighing)
     }
 
-    /// The bench is about to move for a weighing. `None`: it waits no longer (stopped before its turn).
+    /// Arm a weighing: the bench is about to move. `None`: it no longer waits (stopped before its
+    /// turn).
     pub async fn arm_weighing(&mut self, id: &str, bench: BenchKind, now: Timestamp) -> Result<Option<Weighing>> {
         let sql = "UPDATE weighing SET state = 'armed', started_at = ?2, bench = ?3 \
                    WHERE id = ?1 AND state IN ('planned', 'awaiting_vial') RETURNING *";
@@ -304,7 +309,8 @@ impl Tx {
         Ok(Some(weighing))
     }
 
-    /// It is a weighing's turn, and somebody has to say that its vial is in. `false`: it waits no longer, or waits for its vial already.
+    /// A weighing's turn has come, and someone has to confirm that its vial is in. `false`: it no
+    /// longer waits, or already waits for its vial.
     pub async fn await_vial(&mut self, id: &str, now: Timestamp) -> Result<bool> {
         let sql = "UPDATE weighing SET state = 'awaiting_vial' WHERE id = ?1 AND state = 'planned' RETURNING *";
         let Some(row) = sqlx::query(sql).bind(id).fetch_optional(&mut *self.inner).await? else { return Ok(false) };
@@ -313,13 +319,14 @@ impl Tx {
         Ok(true)
     }
 
-    /// Whether a weighing waits for its vial, seen from inside the transaction.
+    /// Whether a weighing waits for its vial, as seen inside the transaction.
     pub async fn awaits_vial(&mut self, id: &str) -> Result<bool> {
         let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE id = ?1 AND state = 'awaiting_vial')";
         Ok(sqlx::query_scalar(sql).bind(id).fetch_one(&mut *self.inner).await?)
     }
 
-    /// What somebody said about vials holds until the process ends: whoever waited for one waits for his turn again.
+    /// Statements about vials hold until the process ends: weighings waiting for a vial wait for
+    /// their turn again.
     pub async fn forget_vials(&mut self, now: Timestamp) -> Result<()> {
         let sql = "UPDATE weighing SET state = 'planned' WHERE state = 'awaiting_vial' RETURNING *";
         for row in sqlx::query(sql).fetch_all(&mut *self.inner).await? {
@@ -329,7 +336,7 @@ impl Tx {
         Ok(())
     }
 
-    /// A weighing that moves goes on to its next state; nothing is changed if it is there already.
+    /// Advance a moving weighing to its next state; no change if it is there already.
     pub async fn advance_weighing(&mut self, id: &str, state: WeighingState, now: Timestamp) -> Result<()> {
         let sql = "UPDATE weighing SET state = ?2 WHERE id = ?1 AND state <> ?2 AND outcome IS NULL RETURNING *";
         let row = sqlx::query(sql).bind(id).bind(word(&state)).fetch_optional(&mut *self.inner).await?;
@@ -338,12 +345,12 @@ impl Tx {
         self.audit(About { weighing: Some(id), kind: "state" }, &state, now).await
     }
 
-    /// What was done and read in a step.
+    /// Store the action and reading of a step.
     pub async fn insert_tick(&mut self, id: &str, tick: &Tick) -> Result<()> {
         self.emit(&weighing_topic(id), "tick", tick).await
     }
 
-    /// A weighing that waits ends before its turn. `None`: it does not wait.
+    /// End a waiting weighing before its turn. `None`: it does not wait.
     pub async fn end_planned_weighing(
         &mut self,
         id: &str,
@@ -355,7 +362,7 @@ impl Tx {
         if waits { self.end_weighing(id, ending, now).await } else { Ok(None) }
     }
 
-    /// The weighing has ended; only one that had not yet can.
+    /// End a weighing; only one that has not ended yet can be.
     pub async fn end_weighing(&mut self, id: &str, ending: &Ending, now: Timestamp) -> Result<Option<Weighing>> {
         let sql = "UPDATE weighing SET state = ?2, outcome = ?3, dispensed_mg = ?4, reading_mg = ?5, error_mg = ?6, \
                    shakes = ?7, seconds = ?8, trace = ?9, error = ?10, finished_at = ?11, measured = ?12 \

@@ -1,11 +1,13 @@
-//! Who does something, for the record: known to the task that does it, and written where a person's deed is.
+//! The caller of an action, for the record: known to the task that carries it out, and written with
+//! the record of a person's action.
 //!
-//! The layer that knows a caller runs its work within [`acting`]. What nobody asked for, such as the bench's own work, has nobody.
+//! The layer that knows a caller runs its work within [`acting`]. Work that nobody requested, such
+//! as the bench's own, has no caller.
 
 use super::tokens::Role;
 use serde::{Deserialize, Serialize};
 
-/// Who does something.
+/// The caller of an action.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Who {
     /// The token's name, `command line` or `anonymous`.
@@ -19,17 +21,17 @@ pub struct Who {
 }
 
 impl Who {
-    /// Whoever has a shell on this machine.
+    /// A user with a shell on this machine.
     pub fn command_line() -> Self {
         Self { name: "command line".to_owned(), token: None, role: None }
     }
 
-    /// Whoever calls without a token.
+    /// A caller without a token.
     pub fn anonymous() -> Self {
         Self { name: "anonymous".to_owned(), token: None, role: None }
     }
 
-    /// Who the present task works for: take it along where work goes on in another.
+    /// The caller of the present task: pass it along where work continues in another task.
     pub fn now() -> Option<Self> {
         WHO.try_with(Clone::clone).ok()
     }
@@ -39,12 +41,12 @@ tokio::task_local! {
     static WHO: Who;
 }
 
-/// Do this on behalf of somebody.
+/// Run this work on behalf of `who`.
 pub async fn acting<T>(who: Who, work: impl Future<Output = T>) -> T {
     WHO.scope(who, work).await
 }
 
-/// Do this on behalf of whoever it was begun for elsewhere, if anybody.
+/// Run this work on behalf of the caller it was started for elsewhere, if any.
 pub async fn acting_maybe<T>(who: Option<Who>, work: impl Future<Output = T>) -> T {
     match who {
         Some(who) => acting(who, work).await,

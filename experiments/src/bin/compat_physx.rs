@@ -1,6 +1,6 @@
-//! What `compat = "physx"` measures, as CSV: `cargo experiment compat_physx -- frames` for the choice of the frame,
-//! `-- angles` for angles of repose beside the physical semantics. A second argument says how many grains (2000), a third how many
-//! heaps a row (4).
+//! Measures `compat = "physx"`, as CSV: `cargo experiment compat_physx -- frames` for
+//! the choice of the frame, `-- angles` for angles of repose alongside the physical semantics. The
+//! second argument is the number of grains (2000), the third the number of heaps per row (4).
 
 use flip_core::domain::parameters::ParameterSet;
 use flip_sim::repose::{Compat, Repose, Settings, repose};

@@ -1,9 +1,12 @@
-//! How long does the display of a sound balance stand? `cargo experiment display_life`.
+//! How long does the display of a sound balance stand still? `cargo experiment
+//! display_life`.
 //!
-//! Published readings of an enclosed analytical balance with nothing moving (0.1 mg, two streams of 578 s; SOURCES.md beside the data says whose they are)
-//! beside an emulated balance, both as they are and rounded to 1 mg: root mean square of the difference of two readings, and for how long one number stood.
-//! `Readings::life_s` and the wander of emulated balances are told by it. The data are not part of FLIP: `FLIP_DATA` names the folder, and without it this says
-//! so and prints the emulated balance alone.
+//! Published readings of an enclosed analytical balance with nothing moving (0.1 mg, two streams of
+//! 578 s; SOURCES.md next to the data names their owners) are compared with an emulated balance,
+//! both as they are and rounded to 1 mg: root mean square of the difference of two readings, and
+//! how long one number stood. `Readings::life_s` and the wander of emulated balances were derived
+//! from it. The data are not part of FLIP: `FLIP_DATA` names the folder; without it the example
+//! reports so and prints the emulated balance alone.
 
 use anyhow::Context;
 use flip_bench::emulate::balance::{Balance, Settings, Socket};
@@ -19,7 +22,7 @@ const LAGS_S: [f64; 5] = [0.3, 1.0, 2.0, 4.0, 8.0];
 const EMULATED_S: f64 = 1200.0;
 const VIAL_MG: f64 = 12_000.0;
 
-/// When, s, and what was shown, mg.
+/// Time, s, and displayed value, mg.
 type Shown = Vec<(f64, f64)>;
 
 fn main() -> anyhow::Result<()> {
@@ -83,7 +86,7 @@ fn tell(name: &str, shown: &Shown) {
     }
 }
 
-/// Of readings this far apart, and up to 0.8 s further.
+/// For readings this far apart, and up to 0.8 s further.
 fn rms_mg(shown: &Shown, lag_s: f64) -> f64 {
     let pair = |(k, (t_s, mass_mg)): (usize, &(f64, f64))| {
         let later = shown[k..].iter().find(|(later_s, _)| later_s - t_s >= lag_s)?;
@@ -98,7 +101,7 @@ fn longest_s(numbers: &[(f64, i64)]) -> f64 {
     numbers.chunk_by(|a, b| a.1 == b.1).map(|run| run[run.len() - 1].0 - run[0].0).fold(0.0, f64::max)
 }
 
-/// Share of times from which on one number stood this long.
+/// Share of times from which one number stood this long.
 fn stood(numbers: &[(f64, i64)], for_s: f64) -> f64 {
     let end_s = numbers.last().map_or(0.0, |last| last.0 - for_s);
     let from: Vec<usize> = (0..numbers.len()).filter(|k| numbers[*k].0 <= end_s).collect();

@@ -1,9 +1,9 @@
-//! Doses through the true protocols of an emulated laboratory, beside the same doses with the published robot's wait of 4 s and others that are forecast
-//! from earlier ones:
-//! `cargo experiment emulated_doses [repeats] [seed] [first table] [longest watch, s] [tables]`.
+//! Doses through the true protocols of an emulated laboratory, compared with the same doses at the
+//! published robot's wait of 4 s and others that are forecast from earlier ones: `cargo experiment emulated_doses [repeats] [seed] [first table] [longest watch, s] [tables]`.
 //!
-//! Five published powders, 15 and 20 mg, a balance that reads 1 mg, the policy that ships. A dose is a weighing like any other: intent, guard, audit trail.
-//! What is printed depends on the code and the seed alone.
+//! Five published powders, 15 and 20 mg, a balance that reads 1 mg, the policy that ships. A dose
+//! is a weighing like any other: intent, guard, audit trail. The output depends on the code and the
+//! seed alone.
 
 use flip::app::{
     App, CalibrationRequest, Functions, JobState, LaboratorySettings, Options, Target, Tolerance, Weighing,
@@ -50,7 +50,8 @@ async fn main() -> anyhow::Result<()> {
             for target_mg in TARGETS_MG {
                 let mut doses = Vec::new();
                 for repeat in 0..repeats {
-                    // Each dose has its own spoonful, and a balance that wanders in its own way; what is remembered is not the same spoonful.
+                    // Each dose has its own spoonful, and a balance with its own wander; remembered
+                    // doses use a different spoonful.
                     let path = [repeat, number, target_mg as u64, remembers.into()];
                     let seed = flip_core::domain::seed::derive(seed, &path) >> 11;
                     doses.push(dose(&app, powder.id, target_mg, seed).await?);
@@ -109,7 +110,7 @@ async fn dose(app: &App, powder: &str, target_mg: f64, seed: u64) -> anyhow::Res
     }
 }
 
-/// Of the true mass.
+/// Errors of the true mass.
 fn errors(doses: &[Weighing]) -> Vec<f64> {
     doses.iter().filter_map(|dose| Some(dose.dispensed_mg? - dose.target_mg)).collect()
 }

@@ -1,12 +1,15 @@
-//! What measurements by others say, and what they cannot: 314 weighings of the published robot, and taps of salt from an auger.
+//! What measurements by others show, and what they cannot: 314 weighings of the published robot,
+//! and taps of salt from an auger.
 //!
 //! ```text
 //! cargo experiment real_data -- ../shared/data
 //! ```
 //!
-//! The data belong to others and are not part of FLIP; without them this says so and ends well. Neither holds angles of repose, so `flip discover` would
-//! refuse them. Its search does not care what it is a departure of: here the weighings' error in mg, and the logarithm of the mass of a tap, stand
-//! where the angle does. No cause has a simulated signature then, only what was recorded counts. `docs/real_data.md` says what follows.
+//! The data belong to others and are not part of FLIP; without them the example reports so and
+//! exits successfully. Neither contains angles of repose, so `flip discover` would refuse them. Its
+//! search does not depend on the measured quantity: here the weighings' error in mg, and the
+//! logarithm of the mass of a tap, take the place of the angle. No cause has a simulated signature
+//! then; only recorded covariates count. `docs/real_data.md` discusses the results.
 
 use anyhow::Context;
 use flip_discover::report::Report;
@@ -16,7 +19,8 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 const SETTINGS: Settings = Settings { seed: 1, simulations: 199 };
-/// What a balance of 0.1 mg cannot tell from nothing, mg: added to a tap before the logarithm, because some let nothing fall.
+/// Mass a balance of 0.1 mg cannot distinguish from zero, mg: added to a tap before the logarithm,
+/// because some dispense nothing.
 const TAP_RESOLUTION_MG: f64 = 0.1;
 /// The four policies of the publication; the file has earlier ones too.
 const PUBLISHED: [&str; 4] = ["curriculum", "random", "dr_adhesion", "reverse"];
@@ -54,7 +58,8 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Signed errors of weighings; a file of repeats, one policy, powder and target, stands for a session, because nobody wrote down days.
+/// Signed errors of weighings; a file of repeats (one policy, powder and target) stands for a
+/// session, because days were not recorded.
 fn weighings(what: &str, lines: &[&Line]) -> anyhow::Result<()> {
     let error = |line: &Line| Ok(number(line, "final_mg")? - number(line, "target_mg")?);
     let errors = lines.iter().map(|line| error(line)).collect::<anyhow::Result<Vec<f64>>>()?;
@@ -70,7 +75,8 @@ fn weighings(what: &str, lines: &[&Line]) -> anyhow::Result<()> {
     print(&campaign(lines, &errors, |line| line["powder"].clone(), session, &recorded, cell)?, "mg")
 }
 
-/// Logarithms of the mass of taps; each tilt is calibrated by itself, as a powder would be, and a trial is a session.
+/// Logarithms of the mass of taps; each tilt is calibrated by itself, as a powder would be, and a
+/// trial is a session.
 fn salt_taps(what: &str, lines: &[Line]) -> anyhow::Result<()> {
     let lines: Vec<&Line> = lines.iter().collect();
     let log = |line: &&Line| Ok((number(line, "marginal_mg")?.max(0.0) + TAP_RESOLUTION_MG).ln());

@@ -1,4 +1,5 @@
-//! How well a depth camera measures angles of repose that are known: rendered piles, drawn at random, measured by both estimators.
+//! How well a depth camera measures known angles of repose: rendered piles, drawn at random,
+//! measured by both estimators.
 //!
 //! `cargo experiment repose_camera [piles of each angle] [seed]`
 
@@ -11,7 +12,7 @@ const ANGLES_DEG: [f64; 6] = [25.0, 30.0, 35.0, 40.0, 45.0, 50.0];
 /// Frames of each pile.
 const FRAMES: usize = 10;
 
-/// One estimator, and the truth that it is held against.
+/// One estimator, and the truth it is compared with.
 struct Estimator {
     name: &'static str,
     lengths: Lengths,
@@ -32,7 +33,7 @@ const ESTIMATORS: [Estimator; 3] = [
     Estimator { name: "cone", lengths: Lengths::ByTipHeight, read: cone },
 ];
 
-/// The rig as an operator with this ruler writes it down.
+/// The rig as recorded by an operator with this ruler.
 fn written(studio: &Studio, lengths: Lengths) -> Rig {
     let rig = Rig::default();
     Rig {

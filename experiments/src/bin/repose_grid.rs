@@ -1,5 +1,6 @@
-//! A friction-cohesion grid of simulated angles of repose, as CSV and, where a third argument names a file, as a picture:
-//! `cargo experiment repose_grid -- 9 4 docs/repose_grid.svg > docs/repose_grid.csv`.
+//! A friction-cohesion grid of simulated angles of repose, as CSV and, if a third argument names a
+//! file, as a picture: `cargo experiment repose_grid -- 9 4 docs/repose_grid.svg >
+//! docs/repose_grid.csv`.
 
 use flip_core::domain::parameters::ParameterSet;
 use flip_sim::repose::{Settings, repose};

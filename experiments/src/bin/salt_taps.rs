@@ -1,11 +1,12 @@
-//! An external check of the spoon: how much one shake lets fall, against the pitch, beside taps of salt that somebody measured.
+//! An external check of the spoon: mass per shake against the pitch, compared with measured taps of
+//! salt.
 //!
 //! ```text
 //! cargo experiment salt_taps -- ../shared/data/derived/salt_tap_vs_tilt.csv
 //! ```
 //!
-//! The file has a line for each tilt: `tilt_deg,n_taps,mean_mg_per_tap,sd_mg`. Its taps are those of a solenoid on an auger's tube, not shakes
-//! of a spoon: the shape is compared, not the mass.
+//! The file has a line for each tilt: `tilt_deg,n_taps,mean_mg_per_tap,sd_mg`. Its taps are those
+//! of a solenoid on an auger's tube, not shakes of a spoon: the shape is compared, not the mass.
 
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;

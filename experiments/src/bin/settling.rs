@@ -1,33 +1,37 @@
-//! How soon a reading is final: the filter of `hardware/settle.rs` on published step responses of a balance.
+//! How soon a reading is final: the filter of `hardware/settle.rs` on published step responses of a
+//! balance.
 //!
 //! ```text
 //! cargo experiment settling
 //! ```
 //!
-//! 28 clean steps of 2 to 10 g on an analytical balance of 0.1 mg, a frame every 0.19 s (SOURCES.md beside the data says whose they are). They are read as on
-//! a balance of 1 mg and of 0.1 mg. A step counts from the beginning of its fitted exponential; what is right is the median of what the balance showed from
-//! 1.2 s on until the weight was lifted. Doses are a thousand times smaller, and settle sooner. The data are not part of FLIP: `FLIP_DATA` names the folder,
-//! and without it this says so and ends well.
+//! 28 clean steps of 2 to 10 g on an analytical balance of 0.1 mg, a frame every 0.19 s (SOURCES.md
+//! next to the data names their owners). They are read as on a balance of 1 mg and of 0.1 mg. A
+//! step begins with its fitted exponential; the true value is the median of the display from 1.2 s
+//! on until the weight was lifted. Doses are a thousand times smaller, and settle sooner. The data
+//! are not part of FLIP: `FLIP_DATA` names the folder; without it the example reports so and exits
+//! successfully.
 
 use anyhow::Context;
 use flip_bench::hardware::settle::{Settled, Settling, Shown, settled};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// An exponential that explains less of a step than this was no clean step (28 are left, as in the data's own summary).
+/// An exponential that explains less of a step than this was not a clean step (28 are left, as in
+/// the data's own summary).
 const R2_MIN: f64 = 0.995;
-/// From here on the display is what is right, s.
+/// From here on the display is taken as the true value, s.
 const RESTED_S: f64 = 1.2;
-/// Before a weight is lifted a hand touches it, s.
+/// Time before lifting at which a hand touches the weight, s.
 const TOUCH_S: f64 = 0.3;
 
-/// One step: what was shown since its beginning, and what is right.
+/// One step: the displayed values since its beginning, and the true value.
 struct Step {
     shown: Vec<Shown>,
     right_mg: f64,
 }
 
-/// How soon and how wrong a rule reads a step.
+/// How soon and with what error a rule reads a step.
 struct Read {
     t_s: f64,
     error_mg: f64,
@@ -50,7 +54,7 @@ fn main() -> anyhow::Result<()> {
         let rounded: Vec<Step> = steps.iter().map(|step| step.on_balance_of(step_mg)).collect();
         print("right within 2 mg for good", &rounded, |step| step.right_for_good(2.0));
         print("right within 1 mg for good", &rounded, |step| step.right_for_good(1.0));
-        // The noise of that balance in use, where it is larger than the display's step.
+        // The noise of that balance in use, where it exceeds the display's step.
         let settling = Settling::new(f64::max(step_mg, 0.3));
         print("this filter", &rounded, |step| step.filtered(&settling).map(|it| step.read(it.t_s, it.mass_mg)));
         print("this filter, end of its exponential", &rounded, |step| {
@@ -83,7 +87,7 @@ impl Step {
         (1..=self.shown.len()).find_map(|n| settled(settling, &self.shown[..n]))
     }
 
-    /// The first reading from which on none is further off than this.
+    /// The first reading from which on all are within this distance.
     fn right_for_good(&self, within_mg: f64) -> Option<Read> {
         let wrong = self.shown.iter().rposition(|shown| (shown.mass_mg - self.right_mg).abs() > within_mg);
         let first = self.shown.get(wrong.map_or(0, |at| at + 1))?;

@@ -1,4 +1,5 @@
-//! What repeated shakes give at fixed pitches: `cargo experiment shake_map -- FRICTION COHESION`.
+//! Masses dispensed by repeated shakes at fixed pitches: `cargo experiment shake_map
+//! -- FRICTION COHESION`.
 
 use flip_core::domain::bench::Action;
 use flip_core::domain::parameters::ParameterSet;

@@ -1,4 +1,5 @@
-//! What single steps let fall, on random courses of the simulated spoon: the data behind the dispenser's prior.
+//! Masses dispensed by single steps, on random courses of the simulated spoon: the data behind the
+//! dispenser's prior.
 //!
 //! ```text
 //! flip calibrate --powder all --json > sets.json
@@ -6,10 +7,11 @@
 //! cargo experiment shake_response -- box:300 [SPOONS] [SEED] [LOWEST_DEG] > box.csv
 //! ```
 //!
-//! `box:300` is 300 sets spread over the whole published box, by the seed. A course goes up or down by at most 8 deg a step to a pitch of its own,
-//! between LOWEST_DEG (10) and 50 deg, and shakes there, each time with another amplitude and a little higher or lower. A line for each step: masses in mg, pitches in degrees, the
-//! amplitude in mm; the angle of repose is empty where nobody measured it; d1 to d5 are the five numbers that a heap depends on
-//! (`sim::directions`).
+//! `box:300` is 300 sets spread over the whole published box, by the seed. A course goes up or down
+//! by at most 8 deg a step to its own pitch, between LOWEST_DEG (10) and 50 deg, and shakes there,
+//! each time with another amplitude and a little higher or lower. One line per step: masses in mg,
+//! pitches in degrees, the amplitude in mm; the angle of repose is empty where not measured; d1 to
+//! d5 are the five numbers that a heap depends on (`sim::directions`).
 
 use flip_core::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, PitchLimits, SHAKE_MM_MAX};
 use flip_core::domain::parameters::ParameterSet;
@@ -97,7 +99,7 @@ fn course(powder: &Powder, number: usize, set: &ParameterSet, seed: u64, lowest_
         } else {
             missing + rng.random_range(-3.0..3.0)
         };
-        // As many small shakes as large ones, and a fifth of the steps without.
+        // As many small shakes as large ones, and a fifth of the steps without a shake.
         let shake_mm = if rng.random_bool(0.2) { 0.0 } else { rng.random_range(0.0..SHAKE_MM_MAX.ln()).exp() };
         let poured = spoon.step(Action { incline_change_deg: change, shake_mm });
         let name = &powder.powder;

@@ -1,8 +1,11 @@
-//! How far each mechanism of the simulator moves the angle of repose, over the angles that powders have: the table of `crates/flip-discover/src/response.rs`.
+//! How far each mechanism of the simulator moves the angle of repose, over the angles of powders:
+//! the table of `crates/flip-discover/src/response.rs`.
 //!
-//! `cargo experiment simulated_responses -- [sets] [grains] [readings]` pours, for random parameter sets whose heaps stand
-//! at 22 to 50 deg, a heap as it is and one for each mechanism and amplitude, with the same seed, and prints one line of JSON for each pair. With
-//! `fit` and such lines on the standard input (`docs/simulated_responses.jsonl`: 28 sets, 2 readings) it prints the table.
+//! `cargo experiment simulated_responses -- [sets] [grains] [readings]`
+//! pours, for random parameter sets whose heaps stand at 22 to 50 deg, a heap as it is and one for
+//! each mechanism and amplitude, with the same seed, and prints one line of JSON for each pair.
+//! With `fit` and such lines on the standard input (`docs/simulated_responses.jsonl`: 28 sets, 2
+//! readings) it prints the table.
 
 use flip_core::domain::parameters::{COUNT, ParameterSet};
 use flip_sim::mechanisms::Extensions;
@@ -11,7 +14,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
-/// What is changed, and by how much.
+/// The setting changed, and the amplitudes.
 const HOOKS: [(&str, [f64; 3]); 9] = [
     ("humidity", [0.1, 0.3, 0.8]),
     ("consolidation", [0.3, 1.0, 3.0]),
@@ -23,7 +26,7 @@ const HOOKS: [(&str, [f64; 3]); 9] = [
     ("funnel_clearance", [1.0, 2.0, 4.0]),
     ("base_friction", [-0.1, -0.25, -0.45]),
 ];
-/// Angles of repose between which powders lie, degrees.
+/// Range of angles of repose of powders, degrees.
 const ANGLES_DEG: [f64; 2] = [22.0, 50.0];
 
 /// The set and settings with one thing changed; `None` where a parameter would leave its bounds.
@@ -47,11 +50,11 @@ struct Pair {
     shift_deg: f64,
 }
 
-/// Angle at which the table tells the shift, and how many degrees are one of its slope's.
+/// Angle at which the table gives the shift, and degrees per unit of its slope.
 const MIDDLE_DEG: f64 = 36.0;
 const SLOPE_DEG: f64 = 10.0;
 
-/// Least squares of a line for each mechanism and amplitude.
+/// Fits a least-squares line for each mechanism and amplitude.
 fn fit() {
     let pairs: Vec<Pair> = std::io::stdin()
         .lines()
@@ -102,7 +105,7 @@ fn main() {
     }
 }
 
-/// Pour every heap of these sets and print the pairs.
+/// Pours every heap of these sets and prints the pairs.
 fn pour(
     chosen: &[(usize, ParameterSet)],
     settings: &Settings,

@@ -1,10 +1,13 @@
-//! What a balance whose display stands still costs, and what guarding against it costs the doses of sound ones:
-//! `cargo experiment standing_display [doses] [seed] [first powder]`.
+//! The cost of a balance whose display stands still, and the cost of guarding against it for doses
+//! on sound ones: `cargo experiment standing_display [doses] [seed] [first powder]`.
 //!
-//! The shipped rules dose 5, 10, 15 and 20 mg from spoons that follow a formula, and a tenth as many from simulated ones, in thirty steps with a tolerance
-//! of 1 mg, each dose twice: on a sound display, and on one that stands from a step of the sound dose, drawn at random, to the end. Three rules are tried: the
-//! display is believed; what a spoon should have given counts (`Limits::deaf_shakes` and `Limits::stands_still`, for displays that stand for minutes when all
-//! is well); and a sign of life is waited for (`Halt::Unproven`), which a sound display gives. What is printed depends on the code and the seed alone.
+//! The shipped rules dose 5, 10, 15 and 20 mg from spoons that follow a formula, and a tenth as
+//! many from simulated ones, in thirty steps with a tolerance of 1 mg, each dose twice: on a sound
+//! display, and on one that stands still from a step of the sound dose, drawn at random, to the
+//! end. Three rules are tried: the display is believed; the mass a spoon should have dispensed
+//! counts (`Limits::deaf_shakes` and `Limits::stands_still`, for displays that stand for minutes
+//! when all is well); and a sign of life is waited for (`Halt::Unproven`), which a sound display
+//! gives. The output depends on the code and the seed alone.
 
 use flip_bench::emulate::arm::{Flow, FormulaSpoon, GrainsSpoon, Spoon};
 use flip_bench::weigh::forecast::{Fall, Forecast};
@@ -21,7 +24,8 @@ use rayon::prelude::*;
 const RULES: Rules = Rules { steps_max: 30, ending: Ending::OnTarget, pitch: PitchLimits::WIDE };
 const TARGETS_MG: [f64; 4] = [5.0, 10.0, 15.0, 20.0];
 const TOLERANCE_MG: f64 = 1.0;
-/// Name, what silent shakes may be worth, chance that a display stands still, whether signs of life are waited for.
+/// Name, worth of silent shakes, chance that a display stands still, whether signs of life are
+/// waited for.
 const TRIED: [(&str, f64, f64, bool); 3] = [
     ("believed", f64::INFINITY, 0.0, false),
     ("what should have fallen", 8.0, 0.003, false),
@@ -57,18 +61,19 @@ fn filled(powder: usize, seed: u64) -> Box<dyn Spoon> {
     Box::new(spoon)
 }
 
-/// How a dose went.
+/// The result of a dose.
 struct Dosed {
-    /// What lies in the vial, mg.
+    /// Mass in the vial, mg.
     vial_mg: f64,
     steps: u32,
     /// The step that first moved the display.
     moved: u32,
-    /// Signs of life that were waited for.
+    /// Number of signs of life waited for.
     waits: u32,
 }
 
-/// A dose on a display that stands from a step on, where signs of life are waited for if it `asks` for them.
+/// A dose on a display that stands still from a step on; signs of life are waited for if it `asks`
+/// for them.
 fn dose(mut spoon: Box<dyn Spoon>, target_mg: f64, limits: &Limits, asks: bool, stands_from: Option<u32>) -> Dosed {
     let readability_mg = limits.readability_mg;
     let controller = Controller::Paced(Paced::CHOSEN);
@@ -157,7 +162,7 @@ fn main() {
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
     let first = numbers.get(2).copied().unwrap_or(1) as usize;
     for (powder, name) in POWDERS.into_iter().enumerate().skip(first.saturating_sub(1)) {
-        // Grains cost seconds a dose.
+        // With real grains a dose takes seconds.
         let doses = if powder == GRAINS { doses.div_ceil(10) } else { doses };
         for readability_mg in [1.0, 0.1] {
             for (rule, deaf_shakes, stands_still, asks) in TRIED {

@@ -1,4 +1,5 @@
-//! What a setting does to a training: several seeds of each on the surrogate spoon, where four thousand episodes take minutes.
+//! The effect of a setting on a training: several seeds of each on the surrogate spoon, where four
+//! thousand episodes take minutes.
 //!
 //! ```text
 //! for angle in 28 33 37; do flip calibrate --repose-deg $angle --method sequential --json > $angle.json; done
@@ -6,14 +7,16 @@
 //! cargo experiment surrogate_trainings -- orders runs.jsonl 5 4000 28.json 33.json 37.json powders.json
 //! ```
 //!
-//! `STUDY:NAME,NAME` makes those trainings of it alone. Studies: `orders`, the four published orders with the settings of the `paper` preset; `orders-feed-forward`, the same with a feed-forward
-//! network of the same width; `orders-one-spoonful`, that again where every spoonful of a powder does the same; `gains`, our own settings, and
-//! each of them taken back alone.
+//! `STUDY:NAME,NAME` runs only those trainings of it. Studies: `orders`, the four published orders
+//! with the settings of the `paper` preset; `orders-feed-forward`, the same with a feed-forward
+//! network of the same width; `orders-one-spoonful`, that again with identical spoonfuls of a
+//! powder; `gains`, our own settings, and each of them reverted alone.
 //!
-//! Orders are trained on bare angles, gains on sand, sugar and salt. All powders are weighed, with parameter sets that no training saw: on
-//! the surrogate spoon, 40 doses for each powder and target. Each run adds its line to runs.jsonl when it ends; runs that are in it are not
-//! repeated, so it can be stopped and called again. Prints the table, and beside runs.jsonl it writes runs.svg: the training error, mean over
-//! the seeds.
+//! Orders are trained on bare angles, gains on sand, sugar and salt. All powders are weighed, with
+//! parameter sets that no training saw: on the surrogate spoon, 40 doses for each powder and
+//! target. Each run appends its line to runs.jsonl when it ends; runs already in it are not
+//! repeated, so the example can be stopped and restarted. Prints the table, and writes runs.svg
+//! next to runs.jsonl: the training error, mean over the seeds.
 
 use flip_core::domain::bench::Action;
 use flip_core::domain::parameters::ParameterSet;
@@ -39,24 +42,24 @@ use std::time::Instant;
 const REPEATS: u32 = 40;
 /// Targets, mg.
 const TARGETS_MG: [f64; 4] = [5.0, 10.0, 15.0, 20.0];
-/// Episodes whose errors make one point of a curve.
+/// Episodes averaged per point of a curve.
 const WINDOW: usize = 100;
-/// Parameter sets of a powder that are trained on; the others are weighed.
+/// Parameter sets of a powder used for training; the others are weighed.
 const TRAINED: usize = 7;
-/// Powders that our own trainings see.
+/// Powders in our own trainings.
 const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
 const COLOURS: [&str; 4] = ["#0b7a75", "#5b6c8f", "#c77d0a", "#a4243b"];
 
-/// What is compared: settings by name, each of which is trained with several seeds.
+/// A comparison: named settings, each trained with several seeds.
 struct Study {
     trainings: Vec<(String, Settings)>,
-    /// How much spoonfuls of one powder differ: 1 as simulated ones do, 0 not at all.
+    /// How much spoonfuls of one powder differ: 1 as much as simulated ones, 0 not at all.
     spread: f64,
-    /// On bare angles; or on powders.
+    /// Trained on bare angles; otherwise on powders.
     on_angles: bool,
 }
 
-/// A training and how its policy weighs.
+/// A training and its policy's weighing results.
 #[derive(Default, Serialize, Deserialize)]
 struct Run {
     study: String,
@@ -71,7 +74,7 @@ struct Run {
     mae_mg: BTreeMap<String, f64>,
     /// Over all doses, mg.
     mae_all_mg: f64,
-    /// Over all doses with drawn actions in place of the policy's centre, mg.
+    /// Over all doses with sampled actions in place of the policy's mean, mg.
     drawn_mg: f64,
     /// Share of all doses more than 1 mg too high.
     over_share: f64,
@@ -112,7 +115,7 @@ fn study(name: &str, episodes: u32, seed: u64) -> anyhow::Result<Study> {
             "there is no study `{other}`: orders, orders-feed-forward, orders-one-spoonful, orders-ours, gains"
         ),
     };
-    // A fresh spoonful for each episode, as a robot has it.
+    // A fresh spoonful for each episode, as on a robot.
     let fresh = |(name, settings)| (name, Settings { fills_per_set: 1000, ..settings });
     let trainings = trainings.into_iter().map(fresh).collect();
     Ok(Study { trainings, spread, on_angles: name.starts_with("orders") })
@@ -156,20 +159,20 @@ fn gains(base: &Settings) -> Vec<(String, Settings)> {
     all.into_iter().map(|(name, settings)| (name.to_owned(), settings)).collect()
 }
 
-/// A weighing by the centre of a policy, or by actions drawn from it.
+/// A weighing by the mean of a policy, or by actions sampled from it.
 enum Weigher<'a> {
     Centre(&'a Controller),
     Drawn(&'a Actor),
 }
 
-/// A powder that is weighed: its sets, and its angle of repose in degrees.
+/// A powder to be weighed: its sets, and its angle of repose in degrees.
 #[derive(Clone)]
 struct Weighed {
     subject: Subject,
     repose_deg: f64,
 }
 
-/// One dose from a surrogate spoon, steps and ending as the rules have them.
+/// One dose from a surrogate spoon, with steps and ending by the rules.
 fn dose(
     weigher: &Weigher<'_>,
     settings: &Settings,
@@ -202,7 +205,7 @@ fn dose(
     Dose { dispensed_mg: played.dispensed_mg, reading_mg: played.reading_mg, shakes, seconds: 0.0 }
 }
 
-/// How a controller weighs these powders; `drawn` by drawn actions, where it is learned.
+/// Evaluates a controller on these powders; `drawn` with sampled actions, if it is learned.
 fn weigh(
     controller: &Controller,
     powders: &[Weighed],
@@ -231,7 +234,7 @@ fn weigh(
     })
 }
 
-/// Train with these settings, and weigh.
+/// Trains with these settings, and weighs.
 fn run(levels: &[Level], powders: &[Weighed], settings: &Settings, spread: f64) -> anyhow::Result<Run> {
     let started = Instant::now();
     let mut errors = Vec::new();
@@ -255,7 +258,8 @@ fn run(levels: &[Level], powders: &[Weighed], settings: &Settings, spread: f64) 
 }
 
 impl Run {
-    /// Of an evaluation, and of the same with drawn actions; names and training are still to come.
+    /// From an evaluation, and the same with sampled actions; names and training are filled in
+    /// later.
     fn of(found: &Evaluation, drawn: &Evaluation) -> Self {
         let mut by_powder: BTreeMap<String, Vec<f64>> = BTreeMap::new();
         for row in &found.rows {
@@ -343,7 +347,7 @@ fn picture(names: &[String], runs: &[Run], episodes: u32) -> String {
     )
 }
 
-/// The rules and the dispenser, which do not learn, where our trainings weigh.
+/// The rules and the dispenser, which do not learn, on the doses of our trainings.
 fn references(powders: &[Weighed], settings: &Settings) -> anyhow::Result<Vec<Run>> {
     let all = [
         ("the shipped rules", Controller::Paced(Paced::CHOSEN)),

@@ -1,14 +1,18 @@
-//! Train and weigh from one JSON file, without database or service: for experiments, also on other machines.
+//! Trains and weighs from one JSON file, without database or service: for experiments, also on
+//! other machines.
 //!
 //! ```text
 //! cargo experiment training_campaign -- powders.json settings.json [policy.safetensors] > result.json
 //! ```
 //!
-//! `powders.json` is a list of `{"powder", "repose_deg", "sets": [...nine parameters each], "train": true|false}`; all of
-//! them are weighed, those marked `train` are trained on. `settings.json` overrides fields of `train::Settings`, plus
-//! `preset`, `order`, `save`, and `targets_mg`, `repeats`, `max_steps`, `rivals` (names), `response` (of the dispenser), `fuzzy` and `paced` (rules), `evaluation_seed`, `trace` of the evaluation. With a third
-//! argument that policy is weighed instead of a new one, with `"learn": false` none. With `checkpoint`, a file, and `seconds` a training stops in
-//! time and ends the program with status 3; called again it goes on from that file. Progress goes to stderr.
+//! `powders.json` is a list of `{"powder", "repose_deg", "sets": [...nine parameters each],
+//! "train": true|false}`; all of them are weighed, those marked `train` are trained on.
+//! `settings.json` overrides fields of `train::Settings`, plus `preset`, `order`, `save`, and
+//! `targets_mg`, `repeats`, `max_steps`, `rivals` (names), `response` (of the dispenser), `fuzzy`
+//! and `paced` (rules), `evaluation_seed`, `trace` of the evaluation. With a third argument that
+//! policy is weighed instead of a new one, with `"learn": false` none. With `checkpoint`, a file,
+//! and `seconds` a training stops in time and the program exits with status 3; called again it
+//! continues from that file. Progress goes to stderr.
 
 use flip::jobs::bench::{Pour, Poured, Pouring, simulated};
 use flip_bench::weigh::forecast::Forecast;
@@ -33,7 +37,7 @@ struct Powder {
     level: Level,
 }
 
-/// Settings of the preset with the fields that the file names replaced.
+/// Settings of the preset, with the fields in the file overridden.
 fn settings(overrides: &Value) -> anyhow::Result<Settings> {
     let preset: Preset = serde_json::from_value(overrides.get("preset").cloned().unwrap_or(json!("flip")))?;
     let order: flip_learn::train::Order =
@@ -44,7 +48,7 @@ fn settings(overrides: &Value) -> anyhow::Result<Settings> {
             *old = new.clone();
         }
     }
-    // Left out of the text where they are as usual.
+    // Omitted from the text at their default values.
     for key in ["surrogate_episodes", "surrogate_updates_per_step", "box_share"] {
         if let Some(new) = overrides.get(key) {
             value[key] = new.clone();
@@ -53,7 +57,7 @@ fn settings(overrides: &Value) -> anyhow::Result<Settings> {
     Ok(serde_json::from_value::<Settings>(value)?.checked()?)
 }
 
-/// The dispenser's prior with the fields that the file names replaced.
+/// The dispenser's prior, with the fields in the file overridden.
 fn response(overrides: &Value) -> anyhow::Result<Response> {
     let mut value = serde_json::to_value(Response::FITTED)?;
     for (key, new) in overrides.get("response").and_then(Value::as_object).into_iter().flatten() {
@@ -62,7 +66,7 @@ fn response(overrides: &Value) -> anyhow::Result<Response> {
     Ok(serde_json::from_value::<Response>(value)?.checked()?)
 }
 
-/// The fuzzy rules with the fields that the file names replaced.
+/// The fuzzy rules, with the fields in the file overridden.
 fn fuzzy(overrides: &Value) -> anyhow::Result<Fuzzy> {
     let mut value = serde_json::to_value(Fuzzy::CHOSEN)?;
     for (key, new) in overrides.get("fuzzy").and_then(Value::as_object).into_iter().flatten() {
@@ -71,7 +75,7 @@ fn fuzzy(overrides: &Value) -> anyhow::Result<Fuzzy> {
     Ok(serde_json::from_value::<Fuzzy>(value)?.checked()?)
 }
 
-/// The paced rules with the fields that the file names replaced.
+/// The paced rules, with the fields in the file overridden.
 fn paced(overrides: &Value) -> anyhow::Result<Paced> {
     let mut value = serde_json::to_value(Paced::CHOSEN)?;
     for (key, new) in overrides.get("paced").and_then(Value::as_object).into_iter().flatten() {
@@ -80,7 +84,8 @@ fn paced(overrides: &Value) -> anyhow::Result<Paced> {
     Ok(serde_json::from_value::<Paced>(value)?.checked()?)
 }
 
-/// Train on these levels, telling each episode; the policy's bytes, or none when the time was up first.
+/// Trains on these levels and reports each episode; returns the policy's bytes, or none if the time
+/// was up first.
 fn learn(levels: &[Level], settings: &Settings, overrides: &Value) -> anyhow::Result<Option<Vec<u8>>> {
     let started = Instant::now();
     let path = overrides.get("checkpoint").and_then(Value::as_str);
@@ -116,7 +121,7 @@ fn learn(levels: &[Level], settings: &Settings, overrides: &Value) -> anyhow::Re
     }
 }
 
-/// One dose by the loop that real weighings use.
+/// One dose by the loop used in real weighings.
 fn weigh(pour: &Pour, pouring: &Pouring, trace: bool) -> anyhow::Result<Dose> {
     let poured = pour(pouring, &mut |_| ControlFlow::Continue(()), &AtomicBool::new(false));
     let dispensed_mg = match (poured.dispensed_mg, poured.outcome) {

@@ -1,16 +1,20 @@
-//! The best fixed schedule, the open-loop rival that `flip evaluate` compares policies with; the best gains and breakpoints of the
-//! rivals of other robots; and the rules that ship.
+//! The best fixed schedule, the open-loop rival that `flip evaluate` compares policies with; the
+//! best gains and breakpoints of the rivals from other robots; and the rules that ship.
 //!
 //! ```text
 //! flip calibrate --powder all --sets 10 --seed 1 --json > sets.json
 //! cargo experiment tune_schedule -- sets.json [candidates] [seed] [schedule|pid|fuzzy|paced] [surrogate|both]
 //! ```
 //!
-//! The rules that ship (`paced`) are searched as they are to be used, at most 30 steps and a 0.1 mg balance, on sand, sugar and salt alone, with
-//! the seven sets of each that a training sees; an overdose counts four times. A rival's every advantage is granted: it is tuned on all five powders, not on three, and for the targets of the evaluation, 15 and
-//! 20 mg. Only the heaps differ. With `surrogate` they are searched on the surrogate spoon, where a pour takes microseconds; with `both`, the best sixteen of that
-//! once more in the simulator, beside those that are built in and others around them. The error on other heaps is the simulator's either way. Prints the rival, its error in the search (optimistic: it was chosen for being small), and its
-//! error on heaps that the search did not see.
+//! The rules that ship (`paced`) are tuned as they are used, at most 30 steps and a 0.1 mg balance,
+//! on sand, sugar and salt alone, with the seven sets of each that a training sees; an overdose
+//! counts four times. A rival gets every advantage: it is tuned on all five powders, not on three,
+//! and for the targets of the evaluation, 15 and 20 mg. Only the heaps differ. With `surrogate`
+//! they are searched on the surrogate spoon, where a pour takes microseconds; with `both`, the best
+//! sixteen of that again in the simulator, along with the built-in ones and others around them. The
+//! error on other heaps comes from the simulator either way. Prints the rival, its error in the
+//! search (optimistic: it was chosen for being small), and its error on heaps that the search did
+//! not see.
 
 use flip_experiments::calibrated::Calibrated;
 use flip_learn::train::environment::simulated;
@@ -22,11 +26,12 @@ use flip_sim::balance;
 use serde_json::json;
 use std::time::Instant;
 
-/// Powders, and sets of each, that our own trainings see.
+/// Powders, and sets of each, used in our own trainings.
 const TRAINED: [&str; 3] = ["sand", "sugar", "salt"];
 const SETS: usize = 7;
 
-/// What was set by hand before; of the paced rules, what this search found moved the peaks of the missing mass alone.
+/// The values set by hand before; for the paced rules, this search only moved the peaks of the
+/// missing mass.
 fn known(rival: Rival) -> Controller {
     match rival {
         Rival::Pid => Controller::Pid(Pid::CHOSEN),
@@ -38,7 +43,7 @@ fn known(rival: Rival) -> Controller {
     }
 }
 
-/// A search of the rules that ship.
+/// Search settings for the rules that ship.
 fn as_shipped(tuning: Tuning) -> Tuning {
     let rules = Rules { steps_max: 30, ..tuning.rules };
     let balance = balance::Settings { readability_mg: 0.1, noise_mg: 0.1, ..tuning.balance };

@@ -1,8 +1,10 @@
 //! What an accepted version of the simulator is worth on the balance: `make weighing-gain`.
 //!
-//! A simulated laboratory whose powder consolidates while it rests measures angles of repose for twenty days, after minutes and after hours of rest.
-//! The command gets the file, names the cause and makes a version of the simulator; a policy that was trained without it, as long as policies are, then goes
-//! on from what it can (`flip train --from`), and all weigh on the laboratory's own bench, after a night of rest:
+//! A simulated laboratory whose powder consolidates at rest measures angles of repose for twenty
+//! days, after minutes and after hours of rest. The command reads the file, names the cause and
+//! makes a version of the simulator; a policy trained without it, for as long as policies are, is
+//! then trained further on different simulators (`flip train --from`), and all weigh on the
+//! laboratory's own bench, after a night of rest:
 //!
 //! | arm | goes on in |
 //! |---|---|
@@ -11,9 +13,10 @@
 //! | extended | the version, after as long a rest as the bench's |
 //! | oracle | the truth itself, which no laboratory has |
 //!
-//! What the truth does shares nothing with the catalogue but contacts that gain strength: how much in which time is another formula
-//! ([`consolidation`]), and the powders on the bench are parameter sets that no training and no fit has met. The air's humidity is recorded and does
-//! nothing. Everything that was done is found again; what is printed depends on the code alone.
+//! The truth shares nothing with the catalogue except contacts that gain strength: how much in
+//! which time follows another formula ([`consolidation`]), and the powders on the bench are
+//! parameter sets seen in no training and no fit. The air's humidity is recorded and has no effect.
+//! Completed work is found again; the output depends on the code alone.
 
 use anyhow::{Context, bail, ensure};
 use flip::app::report_html;
@@ -39,29 +42,30 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Those that the policy is trained on.
+/// Powders the policy is trained on.
 const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
-/// Sets of a calibration that trainings take; the others are the laboratory's powders.
+/// Sets of a calibration used in trainings; the others are the laboratory's powders.
 const TRAINED: usize = 7;
 /// Days, and runs of each powder on each.
 const DAYS: usize = 20;
 const RUNS: usize = 3;
-/// SD of days, of days by powders, deg: those of the hidden-effect suite.
+/// SD of day effects, and of day effects by powder, deg: those of the hidden-effect suite.
 const DAY_DEG: [f64; 2] = [0.5, 0.4];
-/// Times at rest that the laboratory measures after, min, and that of the powder on the bench.
+/// Times at rest before the laboratory's measurements, min, and that of the powder on the bench.
 const REST_MIN: [f64; 6] = [2.0, 10.0, 30.0, 60.0, 240.0, 720.0];
 const BENCH_MIN: f64 = 720.0;
 /// Doses: masses, and how many of each powder and mass.
 const TARGETS_MG: [f64; 3] = [5.0, 10.0, 15.0];
 const REPEATS: u64 = 6;
-/// Oracles at most: they only say how wide the gap is.
+/// Maximum number of oracles: they only show how wide the gap is.
 const ORACLES: u64 = 3;
 
 /// Seed indices.
 const CAMPAIGN: u64 = 1;
 const DOSES: u64 = 2;
 
-/// Bond number of the contacts in the truth after this rest: a stretched exponential, as of what relaxes over many times.
+/// Bond number of the contacts in the truth after this rest: a stretched exponential, typical of
+/// relaxation over many time scales.
 fn consolidation(rest_min: f64) -> f64 {
     4.0 * (1.0 - (-(rest_min / 90.0).powf(0.7)).exp())
 }
@@ -73,7 +77,7 @@ fn rested(rest_min: f64) -> Patch {
 /// A policy by its content.
 type Named = (String, Controller);
 
-/// The command and the folders in which it works.
+/// The command and its working folders.
 struct Flip {
     program: PathBuf,
     folder: PathBuf,
@@ -155,7 +159,7 @@ fn copy(from: &Path, to: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The laboratory's angles, as the file that it uploads.
+/// The laboratory's angles, as the file it uploads.
 fn campaign(powders: &[Vec<ParameterSet>], seed: u64) -> anyhow::Result<String> {
     let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[CAMPAIGN]));
     let mut runs = Vec::new();
@@ -174,7 +178,7 @@ fn campaign(powders: &[Vec<ParameterSet>], seed: u64) -> anyhow::Result<String> 
     let poured = runs.par_iter().map(|&(day, humidity, rest, p, set, shift, seed)| {
         let extensions = Extensions::default().patched(&rested(rest))?;
         let settings = repose::Settings { extensions, ..repose::Settings::default() };
-        // What cakes may not cover its base: it has no angle, and nothing is written down.
+        // A heap that cakes may not cover its base: it has no angle, and nothing is written down.
         let Ok(heap) = repose(&set, &settings, seed) else { return Ok(String::new()) };
         Ok(format!("{},{:.1},{},{rest},{humidity:.1}\n", POWDERS[p], heap.tip_deg + shift, day + 1))
     });
@@ -189,7 +193,7 @@ fn write(file: &str, bytes: &[u8]) -> std::io::Result<()> {
     std::fs::rename(part, file)
 }
 
-/// A policy that went on in the truth, kept as a file.
+/// A policy trained further on the truth, kept as a file.
 fn oracle(flip: &Flip, old: &Named, truth: &[Level], seed: u64) -> anyhow::Result<Named> {
     let file = flip.path(&format!("oracle-{seed}.safetensors"));
     if let Ok(bytes) = std::fs::read(&file) {
@@ -213,7 +217,8 @@ fn oracle(flip: &Flip, old: &Named, truth: &[Level], seed: u64) -> anyhow::Resul
     Ok((id(&trained.artifact), decode(&trained.artifact)?.controller))
 }
 
-/// Errors of each of these policies over the same doses on the laboratory's bench, mg: `[policies][doses]`. Each dose is a file in `kept`.
+/// Errors of each of these policies over the same doses on the laboratory's bench, mg:
+/// `[policies][doses]`. Each dose is a file in `kept`.
 fn weigh(policies: &[Named], powders: &[Vec<ParameterSet>], seed: u64, kept: &Path) -> anyhow::Result<Vec<Vec<f64>>> {
     std::fs::create_dir_all(kept)?;
     let rules = Rules::FLIP;
@@ -294,7 +299,7 @@ fn main() -> anyhow::Result<()> {
         .collect();
     let from = ["--from", &old.0];
     let under = [&from[..], &["--simulator", version, "--condition", &condition]].concat();
-    // All side by side: the steps of one training follow one another.
+    // All in parallel: the steps of one training are sequential.
     let beside = flip.beside("data-sham")?;
     let (sham, extended, best) = std::thread::scope(|scope| {
         let sham = scope.spawn(|| beside.trained(1..=seeds, &from));
@@ -341,7 +346,7 @@ fn main() -> anyhow::Result<()> {
         );
     }
     let [before, from, reached, to] = [old, sham, extended, best].map(|of| mean(of).unwrap_or(0.0));
-    // Where even the truth teaches nothing there is no gap, and no share of it.
+    // If even the truth teaches nothing there is no gap, and no share of it.
     match from > to {
         true => println!(
             "\nM14 share of the gap from sham to oracle that it closes: {:.0} %  target >= 50 %",
@@ -352,7 +357,7 @@ fn main() -> anyhow::Result<()> {
     told(&flip, WeighingGain { before, after: reached, sham: from, oracle: Some(to), ci95 })
 }
 
-/// Add what was measured on the balance to the investigation's documents.
+/// Adds the results on the balance to the investigation's documents.
 fn told(flip: &Flip, measured: WeighingGain) -> anyhow::Result<()> {
     let file = flip.path("report/report.json");
     let mut report: Report = serde_json::from_slice(&std::fs::read(&file)?)?;

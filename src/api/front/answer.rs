@@ -1,4 +1,5 @@
-//! Bodies of answers: how far the client has taken them, and those that are made elsewhere.
+//! Response bodies: tracking how much of one the client has taken, and relaying those produced
+//! elsewhere.
 
 use super::connection::UnderWay;
 use axum::body::{Body, Bytes, HttpBody};
@@ -11,27 +12,28 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::sync::mpsc;
 
-/// Bytes handed to the network at once: a client that takes no more of an answer than this is noticed.
+/// Bytes handed to the network at once, so that a client that stops reading within a response is
+/// noticed.
 const PIECE: usize = 64 * 1024;
-/// Frames that are made before they are taken.
+/// Frames produced before they are taken.
 const AHEAD: usize = 4;
 /// How long a frame may wait to be taken.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Why an answer ends early.
+/// Error of a response that ends early.
 const BROKEN: &str = "the answer broke off";
 
 type Polled = Poll<Option<Result<Frame<Bytes>, axum::Error>>>;
 
-/// An answer on its way: counted as under way until it is sent or given up.
+/// A response in flight: counted as under way until it is sent or abandoned.
 pub struct Answer {
     body: Body,
-    /// What was too long for one piece.
+    /// Remainder of a frame too long for one piece.
     rest: Bytes,
     under_way: UnderWay,
 }
 
 impl Answer {
-    /// The body of an answer to a request under way.
+    /// The body of the response to a request under way.
     pub fn new(body: Body, under_way: UnderWay) -> Self {
         Self { body, rest: Bytes::new(), under_way }
     }
@@ -77,20 +79,20 @@ impl HttpBody for Answer {
     }
 }
 
-/// A body whose frames are made by another task.
+/// A body whose frames are produced by another task.
 pub struct Relay {
     frames: mpsc::Receiver<Result<Frame<Bytes>, axum::Error>>,
     whole: Arc<AtomicBool>,
 }
 
-/// Where the frames of a [`Relay`] come from.
+/// The producing end of a [`Relay`].
 pub struct Source {
     frames: mpsc::Sender<Result<Frame<Bytes>, axum::Error>>,
-    /// The last frame has been sent: without it the client must not take what it has for the whole.
+    /// The last frame has been sent: without it the client must not treat the response as complete.
     whole: Arc<AtomicBool>,
 }
 
-/// Both ends.
+/// Creates both ends.
 pub fn relay() -> (Source, Body) {
     let (sender, receiver) = mpsc::channel(AHEAD);
     let whole = Arc::new(AtomicBool::new(false));
@@ -109,7 +111,8 @@ impl HttpBody for Relay {
 }
 
 impl Source {
-    /// Make the frames of `body` until it ends, its client is gone, or a frame is not taken in time.
+    /// Feeds the frames of `body` until it ends, the client has gone, or a frame is not taken in
+    /// time.
     pub async fn feed(self, mut body: Body) {
         loop {
             let frame = tokio::select! {

@@ -1,4 +1,5 @@
-//! Bodies on their way: waited for before a seat is taken, for a while, and only from callers whose request may come to anything.
+//! Incoming request bodies: awaited before a seat is taken, for a limited time, and only from
+//! callers whose request may succeed.
 
 use crate::api::complaint::Complaint;
 use crate::api::problem::Problem;
@@ -12,21 +13,21 @@ use tokio::sync::{Semaphore, SemaphorePermit};
 
 /// How long the next bytes of a body may take.
 const PAUSE: Duration = Duration::from_secs(10);
-/// How long a whole body may take.
+/// How long a complete body may take.
 const WHOLE: Duration = Duration::from_secs(60);
-/// Bodies that may be waited for at once.
+/// Number of bodies that may be awaited at once.
 const WAITED_FOR: usize = 128;
-/// Memory for all bodies that have come in part, KiB.
+/// Memory for all partially received bodies, KiB.
 const KIB: usize = 64 * 1024;
 
-/// Bytes of a body that is too long which are still taken, and for how long: a client that is still sending would see its connection reset in place of the
-/// answer.
+/// How many bytes of an oversized body are still read, and for how long: a client that is still
+/// sending would see its connection reset instead of the response.
 const DISCARDED: (usize, Duration) = (32 * 1024 * 1024, Duration::from_secs(2));
 
-/// Who sends bodies at present.
+/// Callers currently sending bodies.
 #[derive(Debug)]
 pub struct Arrivals {
-    /// From callers without a token, and from all others.
+    /// Permits for callers without a token, and for all others.
     waited_for: [Semaphore; 2],
     kib: Semaphore,
     /// How long the next bytes of a body may take.
@@ -41,19 +42,20 @@ impl Default for Arrivals {
     }
 }
 
-/// What has come of a body.
+/// A partially received body.
 struct Gathered<'a> {
     bytes: Vec<u8>,
-    /// Taken once the body lets us wait.
+    /// Acquired once the body makes us wait.
     waiting: Option<SemaphorePermit<'a>>,
     kib: Vec<SemaphorePermit<'a>>,
 }
 
 impl Arrivals {
-    /// The whole body, of at most `bytes_max`.
+    /// Reads the whole body, of at most `bytes_max`.
     ///
     /// # Errors
-    /// 413 when it is longer, 408 when it does not come, 503 when too many are waited for, 400 when it breaks off.
+    /// 413 if it is longer, 408 if it does not arrive in time, 503 if too many bodies are awaited,
+    /// 400 if it breaks off.
     pub async fn gather(
         &self,
         headers: &HeaderMap,
@@ -70,7 +72,7 @@ impl Arrivals {
                 read.unwrap_or_else(|_| Err(late()))
             }
         };
-        // Who asks first whether to send it has not begun to.
+        // A client that asks first whether to send the body has not started sending.
         if gathered.as_ref().is_err_and(|problem| problem.status == 413) && !headers.contains_key(header::EXPECT) {
             discard(body).await;
         }
@@ -90,7 +92,7 @@ impl Arrivals {
         }
     }
 
-    /// The next bytes; a body that is not there yet needs a place to be waited for.
+    /// The next bytes; a body that has not arrived yet needs a permit to be awaited.
     fn next<'a>(
         &'a self,
         body: &mut Body,
@@ -129,7 +131,7 @@ impl Arrivals {
     }
 }
 
-/// Takes what is on its way anyway.
+/// Reads what is on its way anyway, and discards it.
 async fn discard(mut body: Body) {
     let (mut left, limit) = DISCARDED;
     let rest = async {
@@ -148,7 +150,7 @@ mod tests {
     use futures::StreamExt;
     use futures::stream;
 
-    /// A body of which these pieces come and then nothing.
+    /// A body that delivers these pieces and then stalls.
     fn unfinished(pieces: &[&'static [u8]]) -> Body {
         let pieces: Vec<_> = pieces.iter().map(|piece| Ok::<_, BoxError>(Bytes::from_static(piece))).collect();
         Body::from_stream(stream::iter(pieces).chain(stream::pending()))

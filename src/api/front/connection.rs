@@ -1,29 +1,32 @@
-//! What is known of one connection: what it has asked for, and whether it still earns its descriptor.
+//! State of one connection: what it has requested, and whether it still deserves its file
+//! descriptor.
 
 use std::net::{IpAddr, Ipv6Addr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 
-/// How long a client may take to send the head of its first request, TLS included; and of each other.
+/// How long a client may take to send the head of its first request, TLS included; and of each
+/// later one.
 pub const HEAD: Duration = Duration::from_secs(15);
-/// How long a connection may rest between requests.
+/// How long a connection may idle between requests.
 const REST: Duration = Duration::from_secs(60);
-/// How long an answer may make no progress: waiting for its body, its seat and the database are shorter together.
+/// How long a response may make no progress: longer than the timeouts for its body, its seat and
+/// the database together.
 const STALLED: Duration = Duration::from_secs(120);
-/// How long the network may take no byte of what we have to say.
+/// How long the network may accept no bytes from us.
 const BLOCKED: Duration = Duration::from_secs(30);
-/// How long a connection that was asked to leave has for it.
+/// How long a connection that was asked to close may take to do so.
 const LEAVING: Duration = Duration::from_secs(5);
-/// For so long a connection may still become one that asks for a stop.
+/// How long a new connection may still turn out to be one that requests a stop.
 const FRESH: Duration = Duration::from_secs(1);
 
-/// What a request is, as far as its connection is concerned.
+/// Kind of request, as far as its connection is concerned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// It is answered and done with.
+    /// Answered once and done.
     Ordinary,
-    /// Events that follow as they happen.
+    /// A stream of events as they happen.
     Stream,
     /// A stop.
     Stop,
@@ -32,9 +35,10 @@ pub enum Kind {
 /// One connection.
 #[derive(Debug)]
 pub struct Connection {
-    /// The other end's address; of IPv6 the network, which is what one household or one attacker has.
+    /// Address of the peer; for IPv6 its network, because one household or one attacker holds a
+    /// whole network.
     pub peer: IpAddr,
-    /// Finish what is under way, then close.
+    /// Finish requests under way, then close.
     pub leave: CancellationToken,
     /// Close now.
     pub cut: CancellationToken,
@@ -44,17 +48,17 @@ pub struct Connection {
 
 #[derive(Debug)]
 struct State {
-    /// A whole head of a request has come.
+    /// A complete request head has arrived.
     has_asked: bool,
-    /// A request brought a token that is good.
+    /// A request carried a valid token.
     is_holder: bool,
-    /// Requests under way by [`Kind`].
+    /// Requests under way, by [`Kind`].
     under_way: [usize; 3],
-    /// When a request last began.
+    /// When the last request began.
     begun: Instant,
-    /// When an answer last made progress or a request last began or ended.
+    /// When a response last made progress or a request last began or ended.
     moved: Instant,
-    /// Since when the network takes nothing.
+    /// Since when the network has accepted nothing.
     blocked: Option<Instant>,
     asked_to_leave: Option<Instant>,
 }
@@ -62,39 +66,40 @@ struct State {
 /// What to do with a connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
-    /// It is well.
+    /// It is healthy.
     Keep,
-    /// It has rested long enough.
+    /// It has idled long enough.
     Leave,
-    /// It takes room and gives nothing.
+    /// It occupies a slot without making progress.
     Cut,
 }
 
-/// How useful a connection is: the least one goes first when there is no room, and of equal ones the one that moved first.
+/// How useful a connection is: when there is no room the least useful is closed first, and among
+/// equals the one that made progress longest ago.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Use {
-    /// Has not asked for anything in the time that an honest client needs.
+    /// Has not sent a request within the time an honest client needs.
     Silent,
-    /// Has asked without a token, and rests.
+    /// Has sent a request without a token, and idles.
     Resting,
     /// Follows events without a token.
     Watching,
-    /// Is being answered without a token.
+    /// Is being answered, without a token.
     Asking,
-    /// Came or asked a moment ago.
+    /// Connected or sent a request a moment ago.
     Fresh,
-    /// Has shown a token, and rests.
+    /// Has presented a token, and idles.
     HolderResting,
     /// Follows events with a token.
     HolderWatching,
     /// Is being answered, with a token.
     HolderAsking,
-    /// Asks for a stop.
+    /// Requests a stop.
     Stopping,
 }
 
 impl Connection {
-    /// A connection that has come now.
+    /// A connection accepted just now.
     pub fn new(peer: IpAddr, now: Instant) -> Self {
         let state = State {
             has_asked: false,
@@ -109,7 +114,7 @@ impl Connection {
         Self { peer: network(peer), leave, cut, born: now, state: Mutex::new(state) }
     }
 
-    /// A request has come; it is under way until what is returned is dropped.
+    /// Registers a request; it is under way until the returned guard is dropped.
     pub fn begin(self: &Arc<Self>, kind: Kind) -> UnderWay {
         let mut state = self.state();
         state.has_asked = true;
@@ -119,28 +124,28 @@ impl Connection {
         UnderWay { connection: self.clone(), kind }
     }
 
-    /// A request showed a good token.
+    /// Records that a request presented a valid token.
     pub fn shown_token(&self) {
         self.state().is_holder = true;
     }
 
-    /// The network took bytes, or did not.
+    /// Records whether the network accepted bytes.
     pub fn wrote(&self, taken: bool) {
         let mut state = self.state();
         state.blocked = if taken { None } else { state.blocked.or_else(|| Some(Instant::now())) };
     }
 
-    /// Streams of events under way.
+    /// Number of event streams under way.
     pub fn streams(&self) -> usize {
         self.state().under_way[Kind::Stream as usize]
     }
 
-    /// Stops under way.
+    /// Number of stops under way.
     pub fn stops(&self) -> usize {
         self.state().under_way[Kind::Stop as usize]
     }
 
-    /// Whether it earns its descriptor; remembers that it was asked to leave.
+    /// Decides whether the connection keeps its descriptor; remembers that it was asked to close.
     pub fn verdict(&self, now: Instant) -> Verdict {
         let mut state = self.state();
         let verdict = state.verdict(self.born, now);
@@ -150,7 +155,7 @@ impl Connection {
         verdict
     }
 
-    /// How useful it is, and when it last moved.
+    /// How useful the connection is, and when it last made progress.
     pub fn usefulness(&self, now: Instant) -> (Use, Instant) {
         let state = self.state();
         (state.usefulness(now), state.moved)
@@ -176,7 +181,7 @@ impl State {
     }
 
     fn usefulness(&self, now: Instant) -> Use {
-        // Who came or asked a moment ago may be about to show a token.
+        // A client that connected or sent a request a moment ago may be about to present a token.
         let is_fresh = now.saturating_duration_since(self.begun) < FRESH;
         let [ordinary, streams, stops] = self.under_way;
         match (stops, ordinary, streams, self.is_holder) {
@@ -194,7 +199,7 @@ impl State {
     }
 }
 
-/// A request and its answer, until the last of it is sent or given up.
+/// A request and its response, until the last of it is sent or abandoned.
 #[derive(Debug)]
 pub struct UnderWay {
     connection: Arc<Connection>,
@@ -202,7 +207,7 @@ pub struct UnderWay {
 }
 
 impl UnderWay {
-    /// The answer made progress.
+    /// Records that the response made progress.
     pub fn moved(&self) {
         self.connection.state().moved = Instant::now();
     }

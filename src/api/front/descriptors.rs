@@ -1,15 +1,18 @@
-//! How many connections there is room for: what the system gives this process, less what the rest of it needs.
+//! How many connections fit: the process's limit on file descriptors, less those needed elsewhere.
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
-/// Most connections, however many descriptors there are: a bench has a few clients, and each connection costs memory.
+/// Maximum number of connections, however many descriptors there are: a bench has few clients, and
+/// each connection costs memory.
 const CONNECTIONS_MAX: usize = 1024;
-/// Descriptors kept back for the database, its files, devices and what is being closed.
+/// Descriptors reserved for the database, its files, devices and connections being closed.
 const KEPT_BACK: usize = 96;
-/// Where the system gives less, the rest of the process has to do with less.
+/// Minimum number of connections; where the limit is lower, the rest of the process makes do with
+/// fewer descriptors.
 const CONNECTIONS_MIN: usize = 16;
 
-/// Connections that may be open at once, after asking the system for all the descriptors that it gives.
+/// Number of connections that may be open at once, after raising the descriptor limit as far as the
+/// system allows.
 pub fn room() -> usize {
     let room = connections(descriptors());
     if room < CONNECTIONS_MAX / 4 {
@@ -22,7 +25,7 @@ fn connections(descriptors: usize) -> usize {
     descriptors.saturating_sub(KEPT_BACK.max(descriptors / 4)).clamp(CONNECTIONS_MIN, CONNECTIONS_MAX)
 }
 
-/// The soft limit, raised as far as the hard one allows.
+/// The soft limit, raised to the hard limit if possible.
 fn descriptors() -> usize {
     let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
     let raised = setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum });

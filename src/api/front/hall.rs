@@ -1,4 +1,5 @@
-//! From the front to the rest of the service: what a request waits for before anything works on it, and the way of its answer back.
+//! From the front end to the rest of the service: what a request waits for before it is processed,
+//! and the way back for its response.
 
 use super::answer::relay;
 use super::arrival::Arrivals;
@@ -23,15 +24,16 @@ use tokio::task::AbortHandle;
 use tower::ServiceExt;
 use tracing::Instrument;
 
-/// Until the head of an answer: nothing behind the front computes for longer than a database takes.
+/// Time limit for the head of a response: nothing behind the front end computes for longer than a
+/// database call takes.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// Bytes that a message of gRPC has more than its content.
+/// Bytes that a gRPC message has in addition to its content.
 const GRPC_PREFIX: usize = 5;
 
-/// What stands between the front and the rest; cheap to clone.
+/// Hands requests from the front end to the rest; cheap to clone.
 #[derive(Clone)]
 pub struct Hall {
-    /// Where everything but stops is worked on.
+    /// Runtime that handles everything except stops.
     main: Handle,
     router: Router,
     seats: Seats,
@@ -39,21 +41,22 @@ pub struct Hall {
     arrivals: Arc<Arrivals>,
 }
 
-/// What an answer takes from others while it is made.
+/// Resources held while a response is produced.
 struct Held {
     seat: OwnedSemaphorePermit,
-    /// It keeps the seat until its last byte.
+    /// It holds the seat until its last byte is sent.
     is_long: bool,
     _stream: Option<StreamSeat>,
 }
 
 impl Hall {
-    /// Before `router`, which works on `main`.
+    /// Creates one in front of `router`, which runs on `main`.
     pub fn new(main: Handle, router: Router) -> Self {
         Self { main, router, seats: Seats::default(), streams: Streams::default(), arrivals: Arc::default() }
     }
 
-    /// Roles first, then the body, then a seat: who waits for one holds none of the others.
+    /// Checks the role first, then awaits the body, then a seat: a request waiting for one holds
+    /// none of the later ones.
     async fn admit(&self, connection: &Connection, request: Request) -> Result<(Request, Held), Problem> {
         let caller = Caller::of(request.extensions());
         let of_grpc = is_grpc(request.headers());
@@ -69,7 +72,8 @@ impl Hall {
         Ok((request, Held { seat, is_long, _stream: stream }))
     }
 
-    /// The request with all of its body; without it where the caller may send none, and is then refused by the route.
+    /// The request with its complete body; without it if the caller may not send one, in which case
+    /// the route refuses it.
     async fn with_body(&self, request: Request, caller: &Caller) -> Result<Request, Problem> {
         let (of_grpc, path) = (is_grpc(request.headers()), request.uri().path());
         if of_grpc && access::listens(path) {
@@ -84,7 +88,8 @@ impl Hall {
         Ok(Request::from_parts(parts, Body::from(bytes)))
     }
 
-    /// Have the request worked on elsewhere; given up when the client is gone before the head of the answer is there.
+    /// Hands the request to the main runtime; aborts it if the client leaves before the head of the
+    /// response exists.
     async fn hand_over(self, request: Request, held: Held) -> Response {
         let (head, answer) = oneshot::channel();
         let work = work(self.router, request, held, head).in_current_span();
@@ -95,7 +100,7 @@ impl Hall {
     }
 }
 
-/// Ends the work on a request when it is dropped.
+/// Aborts the work on a request when dropped.
 struct GiveUp(Option<AbortHandle>);
 
 impl Drop for GiveUp {
@@ -106,7 +111,7 @@ impl Drop for GiveUp {
     }
 }
 
-/// Answers a request that is no stop.
+/// Answers a request that is not a stop.
 pub async fn hall(
     State(hall): State<Hall>,
     Extension(connection): Extension<Arc<Connection>>,
@@ -121,7 +126,8 @@ pub async fn hall(
     }
 }
 
-/// On the main runtime: the head of the answer, then its body, so that nothing but copying is left for the front.
+/// Runs on the main runtime: produces the head of the response, then its body, so that the front
+/// end only copies bytes.
 async fn work(router: Router, request: Request, held: Held, head: oneshot::Sender<Response>) {
     let answered = tokio::time::timeout(PATIENCE, router.oneshot(request)).await;
     let late = || Problem::unavailable("the request took too long; it may still have been carried out").into_response();
@@ -142,7 +148,7 @@ fn is_safe(method: &Method) -> bool {
     matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS)
 }
 
-/// Whether a path's answer goes on for as long as events come.
+/// Whether the response at this path continues for as long as events arrive.
 pub fn is_stream(path: &str) -> bool {
     match path.starts_with("/v1/") {
         true => path.ends_with("/events"),
@@ -150,7 +156,7 @@ pub fn is_stream(path: &str) -> bool {
     }
 }
 
-/// Answers that grow with all that was ever done.
+/// Whether the response grows with the whole history.
 fn is_long(path: &str) -> bool {
     const LONG: [&str; 4] = ["/v1/audit.json", "/v1/audit.csv", "/v1/audit/verification", "/flip.v1.Bench/VerifyAudit"];
     LONG.contains(&path) || path.starts_with("/v1/") && path.ends_with("measurements.csv")

@@ -1,7 +1,8 @@
-//! TLS handshakes, on a thread of their own: the front's threads see established connections alone.
+//! TLS handshakes, on a dedicated thread: the front-end threads only see established connections.
 //!
-//! What a handshake costs is the answer to the client's first message. One answer is made at a time; addresses take turns, and within an address the
-//! newest goes first: where more come than can be served, those who have waited longest have mostly given up.
+//! The cost of a handshake lies in answering the client's first message. One is answered at a time;
+//! addresses take turns, and within an address the newest goes first: under overload, the clients
+//! that have waited longest have mostly given up.
 
 use super::wire::Wire;
 use crate::api::complaint::Complaint;
@@ -18,37 +19,38 @@ use tokio::sync::oneshot;
 use tokio_rustls::server::TlsStream;
 use tokio_rustls::{LazyConfigAcceptor, TlsAcceptor};
 
-/// Handshakes of one address that may wait for their turn; of IPv6 one network's.
+/// Maximum queued handshakes per address; for IPv6 per network.
 const PEER_MAX: usize = 64;
-/// Handshakes of all addresses that may.
+/// Maximum queued handshakes in total.
 const ALL_MAX: usize = 512;
 
-/// Shakes hands; cheap to clone.
+/// Performs handshakes; cheap to clone.
 #[derive(Clone)]
 pub struct Handshakes {
     tls: TlsAcceptor,
     turns: Turns,
-    /// The thread for it.
+    /// Its dedicated thread.
     pub thread: Handle,
 }
 
 impl Handshakes {
-    /// With this certificate, and the thread for it, which the caller keeps.
+    /// Creates it with this certificate, together with its thread, which the caller must keep.
     ///
     /// # Errors
-    /// The system gives no thread.
+    /// The system cannot spawn a thread.
     pub fn with(tls: TlsAcceptor) -> io::Result<(Self, Runtime)> {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).thread_name("handshake").build()?;
         Ok((Self { tls, turns: Turns::default(), thread: runtime.handle().clone() }, runtime))
     }
 
-    /// The connection, established; `None` if the client sends something else, or too many wait.
+    /// The established connection; `None` if the client sends something else or too many are
+    /// queued.
     pub async fn shake(&self, wire: Wire, peer: IpAddr) -> Option<TlsStream<Wire>> {
         let hello = LazyConfigAcceptor::new(Acceptor::default(), wire).await.ok()?;
         let turn = self.turns.take(peer).await?;
         let mut rest = pin!(hello.into_stream(self.tls.config().clone()));
         let answered = poll!(rest.as_mut());
-        // What is left waits for the client, and costs little.
+        // The remaining steps wait for the client and cost little.
         drop(turn);
         match answered {
             Poll::Ready(shaken) => shaken.ok(),
@@ -57,7 +59,7 @@ impl Handshakes {
     }
 }
 
-/// Whose turn it is; cheap to clone.
+/// Queue for the turn; cheap to clone.
 #[derive(Debug, Clone, Default)]
 struct Turns(Arc<Shared>);
 
@@ -69,18 +71,18 @@ struct Shared {
 
 #[derive(Debug, Default)]
 struct Queue {
-    /// Somebody has the turn.
+    /// The turn is taken.
     taken: bool,
-    /// Addresses in the order of their turns, with their handshakes, the newest last.
+    /// Addresses in the order of their turns, each with its handshakes, newest last.
     peers: VecDeque<(IpAddr, VecDeque<oneshot::Sender<Turn>>)>,
 }
 
-/// The turn, until it is dropped.
+/// The turn, held until dropped.
 #[derive(Debug)]
 struct Turn(Turns);
 
 impl Turns {
-    /// The turn, when it comes; `None` if newer ones took its place.
+    /// Waits for the turn; `None` if newer handshakes displaced this one.
     async fn take(&self, peer: IpAddr) -> Option<Turn> {
         let turn = {
             let mut queue = self.queue();
@@ -107,14 +109,15 @@ impl Drop for Turn {
     fn drop(&mut self) {
         let next = self.0.queue().next();
         if let Some(next) = next {
-            // Whoever has just gone hands it on by dropping it.
+            // A receiver that has just gone away passes the turn on by dropping it.
             let _gone = next.send(Self(self.0.clone()));
         }
     }
 }
 
 impl Queue {
-    /// One more of this address; whether the oldest of those with the most had to go for it.
+    /// Queues one more handshake of this address; returns whether the oldest one of the busiest
+    /// address had to be dropped for it.
     fn wait(&mut self, peer: IpAddr, say: oneshot::Sender<Turn>) -> bool {
         match self.peers.iter_mut().find(|it| it.0 == peer) {
             Some((_, waiting)) => waiting.push_back(say),
@@ -125,7 +128,7 @@ impl Queue {
         most.filter(|it| it.1.len() > PEER_MAX || all > ALL_MAX).is_some_and(|it| it.1.pop_front().is_some())
     }
 
-    /// The newest of the address whose turn it is.
+    /// The newest handshake of the address whose turn it is.
     fn next(&mut self) -> Option<oneshot::Sender<Turn>> {
         while let Some((peer, mut waiting)) = self.peers.pop_front() {
             waiting.retain(|it| !it.is_closed());
@@ -151,7 +154,7 @@ mod tests {
 
     type Waiting = Pin<Box<dyn Future<Output = Option<Turn>>>>;
 
-    /// A handshake of the address 10.0.0.`peer` that waits.
+    /// A queued handshake from the address 10.0.0.`peer`.
     fn one_more(turns: &Turns, peer: u8) -> Waiting {
         let turns = turns.clone();
         let mut waiting: Waiting = Box::pin(async move { turns.take(IpAddr::from([10, 0, 0, peer])).await });
@@ -190,7 +193,7 @@ mod tests {
         let (gone, mut waits, told) = (one_more(&turns, 1), one_more(&turns, 1), one_more(&turns, 1));
         drop(gone);
         drop(first);
-        // It has been given the turn, and goes without having taken it.
+        // It has been given the turn, and leaves without having taken it.
         drop(told);
         assert!(waits.as_mut().now_or_never().flatten().is_some());
         assert!(turns.take(IpAddr::from([10, 0, 0, 1])).now_or_never().flatten().is_some());

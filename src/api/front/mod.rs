@@ -1,4 +1,5 @@
-//! The front of the service: threads of its own that take connections, read heads of requests, and carry stops through.
+//! The service's front end: dedicated threads that accept connections, read request heads, and
+//! carry stops through.
 //!
 //! ```text
 //!  socket ─► table ─► TLS ─► HTTP ─► edge, origin, token ─┬─► stop ────────────────────────► bench
@@ -6,8 +7,10 @@
 //!                                                       └─► hall: role, body, seat ─► main runtime: every other route
 //! ```
 //!
-//! Nothing here computes, asks the database or waits for a driver, so that whatever the rest of the service does, and whatever clients do to it, a stop
-//! is read and carried out. `table.rs` and `connection.rs` say who may stay connected, `hall.rs` and `arrival.rs` what a request has to wait for.
+//! Nothing here computes, queries the database or waits for a driver, so a stop is read and carried
+//! out whatever the rest of the service does and whatever clients do to it. `table.rs` and
+//! `connection.rs` decide which connections stay open, `hall.rs` and `arrival.rs` what a request
+//! has to wait for.
 
 mod answer;
 mod arrival;
@@ -52,31 +55,32 @@ use tower::Layer;
 use tower_http::catch_panic::CatchPanicLayer;
 use wire::Wire;
 
-/// Threads that read and write; two, so that one which has much to decrypt does not hold up a stop.
+/// I/O threads; two, so that one that is busy decrypting does not delay a stop.
 const THREADS: usize = 2;
-/// Connections that may be open beyond the table's room: those that it has just closed.
+/// Connections that may be open beyond the table's capacity: those it has just closed.
 const CLOSING: usize = 16;
-/// How often connections are looked at.
+/// How often connections are checked.
 const SWEEP: Duration = Duration::from_millis(500);
-/// Requests at once on one connection of HTTP/2: more than streams of events and stops that wait may take together, so that there is always one for a stop.
+/// Maximum concurrent requests on one HTTP/2 connection: more than event streams and waiting stops
+/// may take together, so that there is always room for a stop.
 const HTTP2_STREAMS: u32 = 192;
-/// Most bytes of a request's head, and of what one connection is read ahead.
+/// Maximum size of a request head, and read-ahead per connection, bytes.
 const HEAD_BYTES: usize = 32 * 1024;
-/// Bytes of a body that HTTP/2 sends ahead: of one request, and of a connection.
+/// Flow-control windows of HTTP/2, bytes: per request, and per connection.
 const HTTP2_AHEAD: [u32; 2] = [128 * 1024, 512 * 1024];
 
-/// The front, at work until it is dropped.
+/// The running front end; stops when dropped.
 pub struct Front {
-    /// Its own, and with TLS that of handshakes; until it is dropped.
+    /// Its own runtime and, with TLS, the handshake runtime; kept until it is dropped.
     runtimes: Vec<Runtime>,
     doors: Doors,
 }
 
-/// What each connection needs; cheap to clone.
+/// Shared by all connections; cheap to clone.
 #[derive(Clone)]
 struct Doors {
     table: Arc<Table>,
-    /// Bounds the descriptors, whatever the table believes.
+    /// Bounds the descriptors, independently of the table's bookkeeping.
     free: Arc<Semaphore>,
     handshakes: Option<Handshakes>,
     http: Arc<auto::Builder<TokioExecutor>>,
@@ -85,10 +89,11 @@ struct Doors {
 }
 
 impl Front {
-    /// Begins to take connections; what is no stop goes to `main`, on the runtime that this is called on.
+    /// Starts accepting connections; requests other than stops go to `main`, on the runtime this is
+    /// called on.
     ///
     /// # Errors
-    /// The system gives no threads.
+    /// The system cannot spawn threads.
     pub fn open(
         listener: TcpListener,
         tls: Option<TlsAcceptor>,
@@ -115,7 +120,7 @@ impl Front {
         Ok(Self { runtimes: shaking.into_iter().chain([runtime]).collect(), doors })
     }
 
-    /// Lets what is under way end, for at most `limit`; then closes every connection.
+    /// Lets open requests finish, for at most `limit`; then closes every connection.
     pub async fn leave(&self, limit: Duration) {
         self.doors.closing.cancel();
         let all = u32::try_from(self.doors.table.room() + CLOSING).unwrap_or(u32::MAX);
@@ -131,7 +136,8 @@ impl Drop for Front {
     }
 }
 
-/// Everything from the head of a request to its answer; `main` answers what is no stop and no sign of life.
+/// Everything from the head of a request to its response; `main` answers all but stops and liveness
+/// probes.
 pub fn router(app: App, loopback: bool, main: Router, closing: CancellationToken) -> Router {
     let gate = auth::Gate { app: app.clone(), loopback };
     stop::router(app.clone(), &Handle::current())
@@ -147,14 +153,14 @@ pub fn router(app: App, loopback: bool, main: Router, closing: CancellationToken
         .layer(from_fn_with_state(app, asked::at_head))
 }
 
-/// Tells the connection what is under way on it.
+/// Registers the request with its connection.
 async fn follow(Extension(connection): Extension<Arc<Connection>>, request: Request, next: Next) -> Response {
     let kind = if is_stream(request.uri().path()) { Kind::Stream } else { Kind::Ordinary };
     let under_way = connection.begin(kind);
     next.run(request).await.map(|body| Body::new(Answer::new(body, under_way)))
 }
 
-/// Tells the connection that whoever is there has a token.
+/// Records on the connection that the caller holds a token.
 async fn known(Extension(connection): Extension<Arc<Connection>>, request: Request, next: Next) -> Response {
     if !auth::Caller::of(request.extensions()).is_anonymous() {
         connection.shown_token();
@@ -190,7 +196,7 @@ impl Doors {
                 () = self.closing.cancelled() => return,
             };
             match taken {
-                // Taken in here, in the order in which they came: tasks begin in any.
+                // Admitted here, in order of arrival: tasks may start in any order.
                 Ok((stream, peer)) => {
                     let place = self.table.admit(peer.ip(), Instant::now());
                     self.clone().begin(stream, place, door);
@@ -200,7 +206,8 @@ impl Doors {
         }
     }
 
-    /// A connection could not be taken, which mostly means that something else has taken the descriptors.
+    /// A connection could not be accepted, usually because something else has used up the
+    /// descriptors.
     async fn make_room(&self, error: &io::Error, complaint: &Complaint) {
         let error = error.to_string();
         complaint.happened(1, move |times| {
@@ -218,9 +225,9 @@ impl Doors {
         }
     }
 
-    /// Serves a connection; with TLS once it is established.
+    /// Serves a connection; with TLS, once the handshake is done.
     fn begin(self, stream: TcpStream, place: Place, door: OwnedSemaphorePermit) {
-        // Only slower without.
+        // Without it the connection is only slower.
         let _nodelay = stream.set_nodelay(true);
         let connection = place.connection.clone();
         let wire = Wire::new(stream, connection.clone());
@@ -246,7 +253,8 @@ impl Doors {
         connection.cut.run_until_cancelled(self.speak(stream, connection)).await;
     }
 
-    /// Answers requests until either side has enough; what breaks off is the client's to notice.
+    /// Answers requests until either side closes; errors on the connection are left for the client
+    /// to notice.
     async fn speak(&self, stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, connection: &Arc<Connection>) {
         let service = TowerToHyperService::new(Extension(connection.clone()).layer(self.router.clone()));
         let mut conversation = pin!(self.http.serve_connection(TokioIo::new(stream), service));
@@ -274,7 +282,7 @@ mod tests {
     use tokio_rustls::TlsConnector;
     use tokio_rustls::client::TlsStream;
 
-    /// Tells of each handshake, and lets it go on with the next permit.
+    /// Reports each handshake, and lets it continue with the next permit.
     #[derive(Debug)]
     struct Slow {
         key: Arc<CertifiedKey>,
@@ -327,7 +335,7 @@ mod tests {
             }
         }
         assert!(waiting.iter().all(|it| !it.is_finished()));
-        // Whoever waits for a permit is told that none will come.
+        // Those waiting for a permit learn that none will come.
         drop(permit);
     }
 }

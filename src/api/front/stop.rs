@@ -1,7 +1,9 @@
-//! The way of a stop: from the socket to the bench without a seat, a body or a database that others could hold.
+//! The path of a stop: from the socket to the bench without a seat, a body or a database that
+//! others could hold.
 //!
-//! Its role is looked up in memory, and so is what moves: the flag and the hold are set on the thread that read the request, before anything is waited for. What
-//! then waits for the database, as the stop of a weighing that has not begun does, waits elsewhere.
+//! Both the caller's role and the moving weighing are looked up in memory: the flag and the hold
+//! are set on the thread that read the request, before anything is awaited. Work that then waits
+//! for the database, such as stopping a weighing that has not begun, is done elsewhere.
 
 use super::arrival::Arrivals;
 use super::connection::{Connection, Kind};
@@ -21,16 +23,17 @@ use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
 use tracing::Instrument;
 
-/// How long a stop may take to be answered; it is carried out all the same.
+/// How long a stop may take to be answered; it is carried out even if the response times out.
 const ANSWER: Duration = Duration::from_secs(5);
-/// Stops that may wait for the database at once: of weighings that have not begun, four times as many as may wait for the bench.
+/// Number of stops that may wait for the database at once: of weighings that have not begun, four
+/// times as many as may wait for the bench.
 const WAITING: usize = 256;
-/// Of these, on one connection: a client of HTTP/2 has room for a stop of the bench beside them.
+/// Maximum of these on one connection: an HTTP/2 client still has room for a stop of the bench.
 const WAITING_CONNECTION: usize = 96;
-/// Most bytes of the message of gRPC that names the weighing to stop.
+/// Maximum size of the gRPC message that names the weighing to stop, bytes.
 const MESSAGE_BYTES_MAX: usize = 4096;
 
-/// Where stops that wait for the database do so; cheap to clone.
+/// Runs stops that wait for the database; cheap to clone.
 #[derive(Clone)]
 struct Elsewhere {
     main: Handle,
@@ -43,7 +46,8 @@ impl Elsewhere {
     }
 }
 
-/// The four ways to stop; what they wait for they wait for on `main`, and those of the bench never where those of single weighings do.
+/// The four stop routes. Waiting is done on `main`, and stops of the bench never queue with stops
+/// of single weighings.
 pub fn router(app: App, main: &Handle) -> Router {
     let bench = rest::bench_stop(app.clone()).merge(grpc::bench_stop(app.clone()));
     let (by_path, by_message) = (rest::weighing_stop(app.clone()), grpc::weighing_stop(app));
@@ -58,7 +62,7 @@ fn carried(stops: Router, elsewhere: Elsewhere) -> Router {
     stops.route_layer(from_fn(auth::on_behalf)).route_layer(from_fn_with_state(elsewhere, at_once))
 }
 
-/// An operator's; from here on its connection is not closed for others.
+/// Requires the operator role; from here on the connection is not closed to make room for others.
 async fn permit(Extension(connection): Extension<Arc<Connection>>, request: Request, next: Next) -> Response {
     if let Err(problem) = auth::require(request.extensions(), Role::Operator) {
         return problem.into_response();
@@ -80,7 +84,8 @@ async fn message(request: Request, next: Next) -> Response {
     }
 }
 
-/// What is in memory takes force here and now; only what is still not answered goes elsewhere, where it is carried out however long it takes.
+/// Applies what is in memory immediately; only work that is not finished then is moved elsewhere,
+/// where it completes however long it takes.
 async fn at_once(
     State(elsewhere): State<Elsewhere>,
     Extension(connection): Extension<Arc<Connection>>,

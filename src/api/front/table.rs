@@ -1,4 +1,4 @@
-//! All connections: there is always room for one more, because the least useful one goes.
+//! All open connections: there is always room for another, because the least useful one is closed.
 
 use super::connection::{Connection, Use, Verdict};
 use crate::api::complaint::Complaint;
@@ -7,12 +7,14 @@ use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// Of all connections, this share may be one peer's; on this machine all have one address.
+/// One peer may hold at most one in this many of all connections; on this machine all share one
+/// address.
 const PEERS: usize = 4;
-/// Of all connections, this share goes at once when there is no room: looking through all of them for each new one would cost more than the flood does.
+/// When there is no room, one in this many of all connections is closed at once: scanning all of
+/// them for each new one would cost more than the flood itself.
 const AT_ONCE: usize = 32;
 
-/// The connections that are open.
+/// The open connections.
 #[derive(Debug)]
 pub struct Table {
     room: usize,
@@ -43,17 +45,17 @@ impl Drop for Place {
 }
 
 impl Table {
-    /// For this many connections.
+    /// A table for this many connections.
     pub fn new(room: usize) -> Self {
         Self { room, open: Mutex::default(), full: Complaint::default(), silent: Complaint::default() }
     }
 
-    /// How many it is for.
+    /// Its capacity.
     pub fn room(&self) -> usize {
         self.room
     }
 
-    /// Take a connection in; where there is no room, the least useful ones go.
+    /// Admits a connection; if the table is full, the least useful ones are closed.
     pub fn admit(self: &Arc<Self>, peer: IpAddr, now: Instant) -> Place {
         let connection = Arc::new(Connection::new(peer, now));
         let mut open = self.open();
@@ -75,7 +77,7 @@ impl Table {
         }
     }
 
-    /// Close the least useful of those that `may_go`.
+    /// Closes the least useful of those that `may_go`.
     fn evict(&self, open: &mut Open, may_go: impl Fn(&Connection) -> bool, now: Instant) {
         let candidates = open.by_id.iter().filter(|(_, old)| may_go(old)).map(|(id, old)| (old.usefulness(now), *id));
         let mut candidates: Vec<_> = candidates.filter(|((used, _), _)| *used < Use::Stopping).collect();
@@ -92,12 +94,12 @@ impl Table {
         });
     }
 
-    /// Close the one that is least useful: the process has no descriptor left.
+    /// Closes the least useful connection: the process has run out of descriptors.
     pub fn give_way(&self) {
         self.evict(&mut self.open(), |_| true, Instant::now());
     }
 
-    /// Look at every connection: those that rest are asked to leave, those that give nothing are closed.
+    /// Checks every connection: idle ones are asked to close, stalled ones are closed.
     pub fn sweep(&self, now: Instant) {
         let mut closed = 0;
         for connection in self.open().by_id.values() {
@@ -117,7 +119,7 @@ impl Table {
         }
     }
 
-    /// Ask all of them to leave, or close them.
+    /// Applies `act` to all of them, to ask them to close or to close them.
     pub fn all(&self, act: impl Fn(&Connection)) {
         self.open().by_id.values().for_each(|connection| act(connection));
     }

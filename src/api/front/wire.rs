@@ -1,4 +1,4 @@
-//! A connection's bytes; what the network does not take is noticed.
+//! A connection's byte stream, which notices when the network accepts nothing.
 
 use super::connection::Connection;
 use std::io::{IoSlice, Result};
@@ -8,14 +8,14 @@ use std::task::{Context, Poll};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 
-/// A stream that tells its [`Connection`] when it is stuck.
+/// A stream that notifies its [`Connection`] when it is stuck.
 pub struct Wire {
     stream: TcpStream,
     connection: Arc<Connection>,
 }
 
 impl Wire {
-    /// The stream of a connection.
+    /// Wraps the stream of a connection.
     pub fn new(stream: TcpStream, connection: Arc<Connection>) -> Self {
         Self { stream, connection }
     }

@@ -1,6 +1,7 @@
-//! Which role the methods need at least, known before a message is waited for or decoded.
+//! The minimum role of each method, known before a message is awaited or decoded.
 //!
-//! Every method asks for its role itself; this is a first sieve, so it may ask for less and never for more.
+//! Every method checks its role itself; this is a first filter, so it may require less but never
+//! more.
 
 use super::DESCRIPTORS;
 use crate::app::Role;
@@ -9,9 +10,9 @@ use prost_types::FileDescriptorSet;
 use std::collections::HashMap;
 use std::sync::LazyLock;
 
-/// Names of methods that only read begin with one of these.
+/// Prefixes of the names of read-only methods.
 const READING: [&str; 6] = ["Get", "List", "Watch", "Compare", "Verify", "Download"];
-/// The service that is an admin's alone.
+/// The service reserved for admins.
 const TOKENS: &str = "Tokens";
 
 /// Who may call a method.
@@ -19,11 +20,11 @@ const TOKENS: &str = "Tokens";
 pub enum Access {
     /// Anybody: health and reflection.
     Anybody,
-    /// Callers of this role or a higher one.
+    /// Callers with at least this role.
     Least(Role),
 }
 
-/// Every method of `flip.v1` by its path.
+/// Every method of `flip.v1`, by path.
 static METHODS: LazyLock<HashMap<String, Role>> = LazyLock::new(|| {
     let files = FileDescriptorSet::decode(DESCRIPTORS).unwrap_or_default().file;
     let services = files.into_iter().flat_map(|file| {
@@ -48,7 +49,7 @@ fn least(service: &str, method: &str) -> Role {
     }
 }
 
-/// Who may call what is at this path; `None` if there is no such method.
+/// Who may call the method at this path; `None` if there is no such method.
 pub fn access(path: &str) -> Option<Access> {
     if path.starts_with("/grpc.health.v1.") || path.starts_with("/grpc.reflection.") {
         return Some(Access::Anybody);
@@ -56,17 +57,17 @@ pub fn access(path: &str) -> Option<Access> {
     METHODS.get(path).map(|role| Access::Least(*role))
 }
 
-/// The path of every method of `flip.v1`.
+/// The paths of all methods of `flip.v1`.
 pub fn methods() -> impl Iterator<Item = &'static str> {
     METHODS.keys().map(String::as_str)
 }
 
-/// Whether a method goes on listening while it answers, so that its messages cannot be waited for.
+/// Whether a method keeps reading messages while it answers, so that they cannot be awaited first.
 pub fn listens(path: &str) -> bool {
     path.ends_with("/ServerReflectionInfo")
 }
 
-/// Whether a method answers with events for as long as they come.
+/// Whether a method answers with events for as long as they arrive.
 pub fn streams(path: &str) -> bool {
     listens(path) || path.rsplit('/').next().is_some_and(|method| method.starts_with("Watch"))
 }

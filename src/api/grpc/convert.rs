@@ -1,4 +1,5 @@
-//! Between the application's types and the contract's messages: the same fields under the same names.
+//! Conversions between the application's types and the messages of the contract: the same fields
+//! under the same names.
 
 use super::proto;
 use crate::api::problem::Problem;
@@ -16,7 +17,7 @@ use flip_core::domain::spoon::Spoon;
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use prost_types::Timestamp;
 
-/// Enums whose variants have the same names on both sides.
+/// Converts enums whose variants have the same names on both sides.
 macro_rules! same_names {
     ($($ours:ty = $wire:ident { $($variant:ident)* })*) => {$(
         impl From<$ours> for proto::$wire {
@@ -51,7 +52,8 @@ same_names! {
     app::Verdict = Verdict { NoDiscrepancy Cause Ambiguous Unexplained Hint }
 }
 
-/// Messages made from our structs: first the fields that move over as they are, then those that need a word.
+/// Builds messages from our structs: first the fields moved as they are, then those that need
+/// converting.
 macro_rules! same_fields {
     ($($this:ident: $ours:ty => $wire:ident { $($plain:ident)* } { $($field:ident: $value:expr,)* })*) => {$(
         impl From<$ours> for proto::$wire {
@@ -209,7 +211,7 @@ same_fields! {
     } {
         job: Some(i.job.into()),
         verdict: i.verdict.map(|verdict| proto::Verdict::from(verdict).into()),
-        // Numbers, text and lists: nothing in it is refused by JSON.
+        // Numbers, text and lists: serializing them as JSON cannot fail.
         report_json: i.report.and_then(|report| serde_json::to_string(&report).ok()),
     }
     v: app::SimulatorVersion => SimulatorVersion { id base investigation } {
@@ -341,7 +343,7 @@ same_fields! {
     }
 }
 
-/// Plain data as JSON text: numbers, text and lists, which JSON never refuses.
+/// Plain data as JSON text: numbers, text and lists, whose serialization cannot fail.
 fn json(plain: &impl serde::Serialize) -> String {
     serde_json::to_string(plain).unwrap_or_default()
 }
@@ -386,7 +388,7 @@ impl From<Observable> for proto::Observable {
     }
 }
 
-/// An observation of a request; `field` names where it stood.
+/// An observation in a request; `field` is its location in the request.
 pub fn observation(field: &str, wire: proto::Observation) -> Result<Observation, Problem> {
     let proto::Observation { observable, mean, sd, n } = wire;
     let observable = observable.and_then(Into::into);
@@ -394,6 +396,7 @@ pub fn observation(field: &str, wire: proto::Observation) -> Result<Observation,
     Ok(Observation { observable, mean, sd, n })
 }
 
+/// `None` if the caller named no observable, or one that this version does not know.
 impl From<proto::Observable> for Option<Observable> {
     fn from(wire: proto::Observable) -> Self {
         use proto::observable::Kind;
@@ -417,7 +420,7 @@ impl From<(app::Job, bool)> for proto::StartJobResponse {
 /// The value of the enum in `field`; `None` if the caller left it unspecified.
 ///
 /// # Errors
-/// A number that has no name in the contract.
+/// A number without a name in the contract.
 pub fn named<W: TryFrom<i32>, T>(field: &str, number: i32) -> Result<Option<T>, Problem>
 where
     Option<T>: From<W>,
@@ -431,22 +434,22 @@ pub fn missing(field: &str) -> Problem {
     FieldError::new(field, "is missing").into()
 }
 
-/// Every item converted.
+/// Converts every item.
 pub fn all<T: Into<W>, W>(items: Vec<T>) -> Vec<W> {
     items.into_iter().map(Into::into).collect()
 }
 
-/// `None` for an empty list: proto3 cannot tell the two apart, and no list of ours may be empty.
+/// `None` for an empty list: proto3 cannot distinguish the two, and none of our lists may be empty.
 pub fn given<T>(items: Vec<T>) -> Option<Vec<T>> {
     if items.is_empty() { None } else { Some(items) }
 }
 
-/// Conditions as they come over the wire, numbers as text.
+/// Conditions as received, numbers as text.
 pub fn conditions(typed: std::collections::HashMap<String, String>) -> Conditions {
     typed.into_iter().map(|(name, value)| (name, Condition::typed(&value))).collect()
 }
 
-/// A spoon as it was measured.
+/// A spoon as measured.
 pub fn spoon(measured: Option<proto::Spoon>) -> Option<Spoon> {
     measured.map(|proto::Spoon { capacity_mg, length_mm, width_mm, depth_mm }| Spoon {
         capacity_mg,
@@ -457,7 +460,7 @@ pub fn spoon(measured: Option<proto::Spoon>) -> Option<Spoon> {
     })
 }
 
-/// The page asked for; the first one if none is.
+/// The requested page; by default the first.
 pub fn page(request: Option<proto::PageRequest>) -> PageQuery {
     request.map_or_else(PageQuery::default, |page| PageQuery { limit: page.limit, after: page.after })
 }

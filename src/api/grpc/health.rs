@@ -1,4 +1,4 @@
-//! The health service says over gRPC what `/readyz` says over HTTP.
+//! The gRPC health service, which reports what `/readyz` reports over HTTP.
 
 use crate::app::App;
 use std::time::Duration;
@@ -6,7 +6,7 @@ use tokio_util::sync::CancellationToken;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
-/// Names that the health service knows; the empty one is the whole service.
+/// Names that the health service knows; the empty name stands for the whole service.
 const SERVICES: [&str; 13] = [
     "",
     "flip.v1.Powders",
@@ -23,14 +23,15 @@ const SERVICES: [&str; 13] = [
     "flip.v1.Tokens",
 ];
 
-/// Those that need the bench; the others serve while it is latched. The empty name is the whole service, which is for weighing.
+/// Those that need the bench; the others keep serving while it is latched. The empty name stands
+/// for the whole service, whose purpose is weighing.
 const NEED_THE_BENCH: [&str; 4] = ["", "flip.v1.Weighings", "flip.v1.Bench", "flip.v1.ReposeMeasurements"];
-/// How often it is looked.
+/// How often readiness is checked.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// Tell what `/readyz` would, again and again; once `closing` is cancelled, that nothing serves.
+/// Keeps reporting what `/readyz` would; once `closing` is cancelled, reports that nothing serves.
 pub(super) async fn report(app: App, reporter: HealthReporter, closing: CancellationToken) {
-    // The folder was opened a moment ago, and found sound.
+    // The data folder was opened a moment ago and found sound.
     for name in SERVICES {
         reporter.set_service_status(name, ServingStatus::Serving).await;
     }

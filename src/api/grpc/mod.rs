@@ -1,4 +1,5 @@
-//! gRPC: one file for each service of `proto/flip/v1/flip.proto`, each method one call of the application.
+//! gRPC: one file per service of `proto/flip/v1/flip.proto`, each method one call of the
+//! application.
 
 pub mod access;
 mod bench;
@@ -54,10 +55,11 @@ pub mod proto {
 
 const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/flip.v1.bin"));
 
-/// A message without fields as it is sent: not compressed, no bytes.
+/// An encoded message without fields: not compressed, zero bytes.
 const EMPTY_MESSAGE: &[u8] = &[0; 5];
 
-/// All services with health and reflection; once `closing` is cancelled, health says that they do not serve.
+/// All services with health and reflection; once `closing` is cancelled, health reports that they
+/// do not serve.
 pub fn router(app: App, closing: CancellationToken) -> Router {
     let (reporter, health) = tonic_health::server::health_reporter();
     tokio::spawn(health::report(app.clone(), reporter, closing));
@@ -70,14 +72,14 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
             $server::new(service.clone()).max_decoding_message_size($bytes_max)
         };
     }
-    // What has come as a frame goes out again.
+    // Responses contain frames as large as those received.
     let frames = limited!(ReposeMeasurementsServer, LARGE_BYTES_MAX);
     let frames = frames.max_encoding_message_size(LARGE_BYTES_MAX);
     let mut routes = Routes::new(health);
     if let Ok(reflection) = reflection().build_v1() {
         routes = routes.add_service(reflection);
     }
-    // Python's and older Go clients ask for the first version.
+    // Python and older Go clients request the first version of reflection.
     if let Ok(reflection) = reflection().build_v1alpha() {
         routes = routes.add_service(reflection);
     }
@@ -98,7 +100,7 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         .reset_fallback()
 }
 
-/// `StopBench`, for the front. Its message says nothing, so it is not waited for.
+/// `StopBench`, for the front end. Its message is empty, so it is not awaited.
 pub fn bench_stop(app: App) -> Router {
     let without_message =
         map_request(async |request: axum::extract::Request| request.map(|_| Body::from(EMPTY_MESSAGE)));
@@ -107,7 +109,7 @@ pub fn bench_stop(app: App) -> Router {
         .route_layer(without_message)
 }
 
-/// `StopWeighing`, for the front.
+/// `StopWeighing`, for the front end.
 pub fn weighing_stop(app: App) -> Router {
     Router::new().route_service("/flip.v1.Weighings/StopWeighing", WeighingsServer::new(Service { app }))
 }
@@ -118,50 +120,50 @@ fn reflection() -> tonic_reflection::server::Builder<'static> {
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
 }
 
-/// Whether a request is written in gRPC, and its answer must be.
+/// Whether a request is gRPC, so that its response must be too.
 pub fn is_grpc(headers: &HeaderMap) -> bool {
     let kind = headers.get(header::CONTENT_TYPE).map(|value| value.as_bytes());
     kind.is_some_and(|kind| kind.starts_with(b"application/grpc"))
 }
 
-/// Implements every service.
+/// Implements all services.
 #[derive(Clone)]
 struct Service {
     app: App,
 }
 
-/// The message of a caller who may read.
+/// The message, if the caller may read.
 fn read<T>(request: Request<T>) -> Result<T, Status> {
     auth::require(request.extensions(), Role::Viewer)?;
     Ok(request.into_inner())
 }
 
-/// The message of a caller who may start, stop and add things.
+/// The message, if the caller may start, stop and add things.
 fn write<T>(request: Request<T>) -> Result<T, Status> {
     auth::require(request.extensions(), Role::Operator)?;
     Ok(request.into_inner())
 }
 
-/// The message of a caller who may make and end tokens.
+/// The message, if the caller may create and revoke tokens.
 fn govern<T>(request: Request<T>) -> Result<T, Status> {
     auth::require(request.extensions(), Role::Admin)?;
     Ok(request.into_inner())
 }
 
-/// The message of a caller who may clear a latched bench.
+/// The message, if the caller may clear a latched bench.
 fn clear<T>(request: Request<T>) -> Result<T, Status> {
     auth::require_clearer(request.extensions())?;
     Ok(request.into_inner())
 }
 
-/// What the watching methods answer with.
+/// Response type of the watch methods.
 type EventStream = BoxStream<'static, Result<proto::Event, Status>>;
 
 fn watch(events: BoxStream<'static, crate::app::Result<Event>>) -> EventStream {
     events.map(|event| Ok(event?.into())).boxed()
 }
 
-/// Position after which a stream begins.
+/// Sequence number after which a stream begins.
 fn after(seq: i64) -> Result<i64, Problem> {
     match seq {
         ..0 => Err(FieldError::new("after_seq", "must be the position of an event, a number from 0").into()),

@@ -7,7 +7,7 @@ use futures::StreamExt;
 use futures::stream::{self, BoxStream};
 use tonic::{Request, Response, Status};
 
-/// Bytes of a piece of a download; gRPC clients refuse messages above 4 MiB.
+/// Chunk size of a download, bytes; gRPC clients refuse messages above 4 MiB.
 const CHUNK_BYTES: usize = 256 * 1024;
 
 #[tonic::async_trait]

@@ -32,7 +32,7 @@ impl powders_server::Powders for Service {
         let new = app::NewMeasurement {
             method: method.ok_or_else(|| missing("method"))?,
             repose_deg: request.repose_deg,
-            // Clients from before there were three forms leave a zero out.
+            // Clients that predate the three forms omit a zero.
             sd_deg: request.sd_deg.or(request.repose_deg.map(|_| 0.0)),
             n: request.n.or(request.repose_deg.map(|_| 0)),
             repeats_deg: given(request.repeats_deg),

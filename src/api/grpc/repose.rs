@@ -67,7 +67,7 @@ impl repose_measurements_server::ReposeMeasurements for Service {
     }
 }
 
-/// What a field that holds JSON says; the default where it is not set.
+/// Parses a field that holds JSON; the default if it is not set.
 fn written<T: DeserializeOwned + Default>(field: &str, text: Option<String>) -> Result<T, Problem> {
     let read = |text: String| {
         serde_json::from_str(&text)

@@ -1,7 +1,8 @@
 //! Problems as gRPC statuses.
 //!
-//! The code follows from the HTTP status; the message is the problem's detail; the whole problem travels as JSON in the
-//! binary trailer `flip-problem-bin`, so that a gRPC caller reads the same fields as a REST caller.
+//! The code follows from the HTTP status; the message is the problem's detail; the whole problem
+//! travels as JSON in the binary trailer `flip-problem-bin`, so that a gRPC caller gets the same
+//! fields as a REST caller.
 
 use crate::api::problem::Problem;
 use crate::app;
@@ -12,7 +13,7 @@ use tonic::{Code, Status};
 /// Trailer that holds the problem as JSON.
 pub const PROBLEM_TRAILER: &str = "flip-problem-bin";
 
-/// The status that says what `problem` says.
+/// The status that corresponds to `problem`.
 pub fn from_problem(problem: Problem) -> Status {
     let mut status = Status::new(code(&problem), problem.detail.clone());
     if let Ok(json) = serde_json::to_vec(&problem) {
@@ -39,9 +40,9 @@ fn code(problem: &Problem) -> Code {
     }
 }
 
-/// Completes what a handler or tonic answered: problems get the request's id, and messages that do not decode become
-/// problems. Those are tonic's own: it reads the message before we do, and calls one that does not decode an internal
-/// error, where the caller is at fault.
+/// Completes the response of a handler or of tonic: problems get the request's id, and messages
+/// that do not decode become problems. The latter are tonic's own: it decodes the message before we
+/// see it, and reports a malformed one as an internal error although the caller is at fault.
 pub fn explain(response: Response, id: &str) -> Response {
     let Some(status) = response.extensions().get::<Status>() else { return response };
     let carried = status.metadata().get_bin(PROBLEM_TRAILER).and_then(|value| value.to_bytes().ok());

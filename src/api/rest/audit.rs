@@ -1,4 +1,4 @@
-//! `/v1/audit`: the record of all that happened on the bench.
+//! `/v1/audit`: the record of everything that happened on the bench.
 
 use super::extract::Query;
 use super::list::{ListParams, respond};
@@ -16,7 +16,7 @@ use futures::stream;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-/// Which records.
+/// Selection of records.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 pub struct AuditParams {
@@ -59,7 +59,8 @@ pub async fn list_audit(
 
 /// Verify that the audit trail is intact.
 ///
-/// Checks every record. A trail truncated at its end still looks intact: pass a hash that was kept elsewhere.
+/// Checks every record. A trail truncated at its end still looks intact: pass a hash that was kept
+/// elsewhere.
 #[utoipa::path(get, path = "/v1/audit/verification", tag = "audit", params(VerifyParams),
     responses((status = 200, description = "Whether it is intact", body = AuditVerification)))]
 pub async fn verify_audit(
@@ -84,7 +85,7 @@ pub async fn export_audit(
     Ok(([(header::CONTENT_TYPE, "application/json")], pieces(document.boxed()).await?).into_response())
 }
 
-/// Records with commas between them.
+/// Records as JSON, separated by commas.
 fn json_items(records: &[AuditRecord]) -> app::Result<String> {
     let items = records.iter().map(serde_json::to_string).collect::<Result<Vec<_>, _>>();
     Ok(items.map_err(|error| app::Error::Internal(error.into()))?.join(","))

@@ -19,8 +19,9 @@ pub async fn get_bench(_: Viewer, State(app): State<App>) -> Result<Json<BenchSt
 
 /// Stop all motion, and start nothing until a person resumes.
 ///
-/// The arm is stopped at once, before anything is recorded; then the spoon is levelled and retracted. The response comes from memory and waits for no
-/// database. Not an emergency stop: that one is wired.
+/// The arm is stopped at once, before anything is recorded; then the spoon is levelled and
+/// retracted. The response comes from memory and waits for no database. Not an emergency stop: that
+/// one is wired.
 #[utoipa::path(post, path = "/v1/bench/stop", tag = "bench",
     responses((status = 200, description = "The bench", body = BenchStatus)))]
 pub async fn stop_bench(_: Operator, State(app): State<App>) -> Result<Json<BenchStatus>, Problem> {
@@ -43,9 +44,10 @@ pub async fn resume_bench(
 
 /// Clear a latched bench.
 ///
-/// A person confirms having checked spoon, vial and balance. A latched arm may then move again, even if the bench itself was not latched. Nothing
-/// that was interrupted resumes by itself. If weighings are waiting, the bench is held afterwards unless `resume` is true, which also ends the hold
-/// of a stop. If two people clear at once, one succeeds.
+/// A person confirms having checked spoon, vial and balance. A latched arm may then move again,
+/// even if the bench itself was not latched. Nothing that was interrupted resumes by itself. If
+/// weighings are waiting, the bench is held afterwards unless `resume` is true, which also ends the
+/// hold of a stop. If two people clear at once, one succeeds.
 #[utoipa::path(post, path = "/v1/bench/clear", tag = "bench", request_body = ClearRequest,
     responses((status = 200, description = "The bench, which may be used again", body = BenchStatus),
         (status = 409, description = "Neither it nor its arm is latched, the arm cannot be recovered, or the bench was stopped after this request", body = Problem,
@@ -60,7 +62,8 @@ pub async fn clear_bench(
 
 /// Reserve the bench for a limited time.
 ///
-/// Weighings and measurements that do not name the reservation are refused until it expires. Naming your own reservation in `id` extends it.
+/// Weighings and measurements that do not name the reservation are refused until it expires. Naming
+/// your own reservation in `id` extends it.
 #[utoipa::path(post, path = "/v1/bench/reservation", tag = "bench", request_body = ReservationRequest,
     responses((status = 201, description = "The reservation", body = Reservation),
         (status = 409, description = "Already reserved, or weighings are waiting", body = Problem, content_type = "application/problem+json")))]
@@ -87,7 +90,8 @@ pub async fn release_bench(
 
 /// Record a repeatability check: ten or more weighings of one test weight.
 ///
-/// It determines the smallest mass that may be weighed; every later result states whether it lies below.
+/// It determines the smallest mass that may be weighed; every later result states whether it lies
+/// below.
 #[utoipa::path(post, path = "/v1/bench/repeatability", tag = "bench", request_body = RepeatabilityRequest,
     responses((status = 200, description = "Result of the check", body = Repeatability)))]
 pub async fn check_repeatability(

@@ -51,7 +51,9 @@ pub async fn get_calibration(
     Ok(Json(app.calibration(&id).await?))
 }
 
-/// The posterior over the nine parameters: draws, what was learnt about each, and which are only determined together.
+/// The posterior over the nine parameters.
+///
+/// Draws, what was learnt about each, and which are only determined together.
 #[utoipa::path(get, path = "/v1/calibrations/{id}/posterior", tag = "calibrations",
     params(("id" = String, Path, description = "Id of the calibration")),
     responses((status = 200, description = "The posterior", body = Posterior),
@@ -75,10 +77,13 @@ pub struct CompareParams {
     with: String,
 }
 
-/// Compare two calibrations: target, cost, error, parameters, and whether their mean verified angles agree.
+/// Compare two calibrations.
 ///
-/// They agree if the angles differ by at most two standard errors of their difference. The standard error of a set is `repose_sd_deg` / sqrt(`runs`);
-/// that of the mean over k sets is the root of the sum of their squares, over k; that of the difference is the root of the sum of both squares.
+/// Target, cost, error, parameters, and whether their mean verified angles agree.
+///
+/// They agree if the angles differ by at most two standard errors of their difference. The standard
+/// error of a set is `repose_sd_deg` / sqrt(`runs`); that of the mean over k sets is the root of
+/// the sum of their squares, over k; that of the difference is the root of the sum of both squares.
 #[utoipa::path(get, path = "/v1/calibrations/{id}/compare", tag = "calibrations",
     params(("id" = String, Path, description = "Id of the calibration"), CompareParams),
     responses((status = 200, description = "Both and their difference", body = Comparison),

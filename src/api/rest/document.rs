@@ -1,4 +1,4 @@
-//! What the OpenAPI document says besides what each route says of itself.
+//! The parts of the OpenAPI document not stated by the routes themselves.
 
 use super::extract::{BODY_BYTES_MAX, LARGE_BYTES_MAX};
 use crate::api::problem::{CONTENT_TYPE, Problem};
@@ -51,8 +51,8 @@ pub fn head() -> OpenApi {
     Head::openapi()
 }
 
-/// The document with what follows from the shape of each operation: who may call it and which refusals it has. Bodies of paths that are `large` may
-/// hold images or tables.
+/// Completes the document with what follows from the shape of each operation: who may call it and
+/// which errors it returns. Bodies of paths that are `large` may hold images or tables.
 pub fn complete(mut document: OpenApi, large: impl Fn(&str) -> bool) -> OpenApi {
     for (path, item) in &mut document.paths.paths {
         let (has_id, follows) = (path.contains('{'), path.ends_with("/events"));
@@ -85,7 +85,7 @@ pub fn complete(mut document: OpenApi, large: impl Fn(&str) -> bool) -> OpenApi 
     document
 }
 
-/// Lets a page's schema name the schema of its items, where utoipa writes it out again.
+/// Makes a page's schema refer to the schema of its items, where utoipa would inline it.
 fn name_items(document: &mut OpenApi) {
     for (name, schema) in &mut document.components.get_or_insert_default().schemas {
         if let (Some(item), RefOr::T(Schema::Object(page))) = (name.strip_prefix("Page_"), schema) {
@@ -95,14 +95,14 @@ fn name_items(document: &mut OpenApi) {
     }
 }
 
-/// The operations of a path, and whether each only reads.
+/// The operations of a path, each with whether it is read-only.
 fn operations(item: &mut PathItem) -> impl Iterator<Item = (bool, &mut Operation)> {
     let reads = item.get.iter_mut().map(|operation| (true, operation));
     let writes = [&mut item.post, &mut item.put, &mut item.patch, &mut item.delete];
     reads.chain(writes.into_iter().flatten().map(|operation| (false, operation)))
 }
 
-/// An empty requirement means: nothing is needed (on a loopback address).
+/// An empty requirement means that no token is needed (on a loopback address).
 fn security(safe: bool) -> Vec<SecurityRequirement> {
     let token = SecurityRequirement::new(TOKEN, Vec::<String>::new());
     if safe { vec![SecurityRequirement::default(), token] } else { vec![token] }

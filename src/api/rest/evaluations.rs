@@ -1,4 +1,5 @@
-//! `/v1/evaluations`: a policy's errors on the simulated bench, beside those of simple controllers.
+//! `/v1/evaluations`: a policy's errors on the simulated bench, compared with those of simple
+//! controllers.
 
 use super::extract::{Input, Path, Query};
 use super::list::{ListParams, respond};

@@ -1,8 +1,10 @@
 //! Live views as server-sent events.
 //!
-//! Every event has the `id:` of its sequence number; a client that reconnects sends it back as `Last-Event-ID` (browsers
-//! do so by themselves) and misses nothing. A job's or weighing's stream ends with it, and is then answered with 204,
-//! which tells browsers not to come back. Every stream ends with the token of whoever follows it; who comes back then is refused.
+//! Every event has its sequence number as `id:`; a reconnecting client sends it back as
+//! `Last-Event-ID` (browsers do so by themselves) and misses nothing. The stream of a job or
+//! weighing ends with it, and further requests are answered with 204, which tells browsers not to
+//! reconnect. A stream also ends when the token it was opened with ends; reconnecting is then
+//! refused.
 
 use super::extract::{Path, Query};
 use crate::api::auth::Viewer;
@@ -20,7 +22,7 @@ use futures::stream::{self, BoxStream};
 use serde::Deserialize;
 use std::time::Duration;
 
-/// A comment is sent when nothing happens for this long, so that proxies keep the connection.
+/// A comment is sent when nothing happens for this long, so that proxies keep the connection open.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 
 /// Where to start.
@@ -28,13 +30,15 @@ const KEEP_ALIVE: Duration = Duration::from_secs(15);
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct WatchParams {
-    /// Sequence number of the last event already seen, for clients that cannot send `Last-Event-ID`.
+    /// Sequence number of the last event already seen, for clients that cannot send
+    /// `Last-Event-ID`.
     #[param(minimum = 0)]
     after_seq: Option<i64>,
 }
 
 impl WatchParams {
-    /// The header counts more: it is what a reconnecting browser adds to the address it first asked for.
+    /// The header takes precedence: a reconnecting browser sends it along with the address it first
+    /// requested.
     fn after(&self, headers: &HeaderMap) -> Result<Option<i64>, Problem> {
         let asked = checked("after_seq", self.after_seq)?;
         let Some(header) = headers.get("last-event-id") else { return Ok(asked) };
@@ -69,7 +73,8 @@ pub async fn watch_all(
 
 /// Stream the events of a job.
 ///
-/// State, progress, trials and episodes from the beginning, or after the given event. Ends with the job.
+/// State, progress, trials and episodes from the beginning, or after the given event. Ends with the
+/// job.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", tag = "jobs",
     params(("id" = String, Path, description = "Job id"), WatchParams,
         ("Last-Event-ID" = Option<i64>, Header, description = "Sequence number of the last event seen")),
@@ -112,19 +117,20 @@ pub async fn watch_weighing(
 
 type Events = BoxStream<'static, crate::app::Result<Event>>;
 
-/// The stream, or 204 if its subject has `ended` and nothing is left to tell.
+/// The stream, or 204 if its subject has `ended` and there are no events left.
 async fn follow(mut events: Events, ended: bool) -> Result<Response, Problem> {
     if !ended {
         return Ok(live(events));
     }
-    // What has ended has all its events stored: the first one comes at once, or none does.
+    // All events of an ended subject are stored: the first arrives at once, or there is none.
     match events.next().await {
         None => Ok(StatusCode::NO_CONTENT.into_response()),
         Some(first) => Ok(live(stream::iter([first]).chain(events).boxed())),
     }
 }
 
-/// Server-sent events until the stream ends, or the token with which it was asked for; an error ends it too, and the client resumes where it was.
+/// Server-sent events until the stream ends or the token it was opened with does; an error ends it
+/// too, and the client resumes where it was.
 fn live(events: Events) -> Response {
     let events = events.take_while(|event| std::future::ready(!matches!(event, Err(Error::TokenEnded))));
     Sse::new(events.map(frame)).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response()

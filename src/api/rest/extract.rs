@@ -1,4 +1,4 @@
-//! Axum's extractors, with refusals that name the field.
+//! Axum extractors whose errors name the field.
 
 use crate::api::problem::Problem;
 use crate::app::table_text;
@@ -11,12 +11,12 @@ use flip_core::domain::FieldError;
 use serde::de::DeserializeOwned;
 use std::error::Error;
 
-/// Most bytes of a request body.
+/// Maximum size of a request body, bytes.
 pub const BODY_BYTES_MAX: usize = 1024 * 1024;
-/// Most bytes of a body that holds images or tables.
+/// Maximum size of a body that holds images or tables, bytes.
 pub const LARGE_BYTES_MAX: usize = 16 * 1024 * 1024;
 
-/// Most bytes of the body, or of the message of gRPC, that is sent to this path.
+/// Maximum size of the body, or of the gRPC message, sent to this path.
 pub fn bytes_max(path: &str) -> usize {
     let services = ["/flip.v1.ReposeMeasurements/", "/flip.v1.Investigations/", "/flip.v1.Simulators/"];
     let tables = ["/v1/measurements/import", "/v1/investigations"];
@@ -64,7 +64,7 @@ impl<S: Send + Sync> FromRequest<S> for Csv {
     }
 }
 
-/// A body of this kind and of a size that is read.
+/// A body of this content type, within the size limit.
 async fn body<S: Send + Sync>(request: Request, state: &S, kind: &str, bytes_max: usize) -> Result<Bytes, Problem> {
     if !is_of_kind(request.headers(), kind) {
         return Err(Problem::unsupported_media_type(kind));
@@ -83,7 +83,7 @@ fn is_of_kind(headers: &HeaderMap, expected: &str) -> bool {
 fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     let mut json = serde_json::Deserializer::from_slice(bytes);
     let value = serde_path_to_error::deserialize(&mut json).map_err(|error| {
-        // Where a body breaks off says nothing about the field it was in.
+        // The position where a body breaks off is unrelated to the field it was in.
         let path = if error.inner().is_eof() { ".".to_owned() } else { error.path().to_string() };
         refuse(&path, &error.into_inner().to_string())
     })?;
@@ -91,7 +91,8 @@ fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     Ok(value)
 }
 
-/// A problem at `path`; serde reports a missing field at its parent, so its name is taken from the message.
+/// A problem at `path`; serde reports a missing field at its parent, so its name is taken from the
+/// message.
 fn refuse(path: &str, message: &str) -> Problem {
     let missing = message.strip_prefix("missing field `").and_then(|rest| rest.split('`').next());
     let field = match (path, missing) {

@@ -1,4 +1,5 @@
-//! `/v1/investigations`: what measured angles say that the calibrated simulator does not.
+//! `/v1/investigations`: what measured angles reveal that the calibrated simulator does not
+//! reproduce.
 
 use super::extract::{Large, Path, Query};
 use super::list::{ListParams, respond};
@@ -49,9 +50,10 @@ pub async fn get_investigation(
     Ok(Json(app.investigation(&id).await?))
 }
 
-/// Download the angle of every row of the file, from the simulator before and after the extension.
+/// Download the angle of every row of the file, before and after the extension of the simulator.
 ///
-/// Columns: `row` (the header is row 1); `powder`; `before_deg`, `before_sd_deg`; `after_deg`, `after_sd_deg`. The SD is that of a single run.
+/// Columns: `row` (the header is row 1); `powder`; `before_deg`, `before_sd_deg`; `after_deg`,
+/// `after_sd_deg`. The SD is that of a single run.
 #[utoipa::path(get, path = "/v1/investigations/{id}/predict.csv", tag = "investigations",
     params(("id" = String, Path, description = "Id of the investigation")),
     responses((status = 200, description = "One row for each input row", body = String, content_type = "text/csv"),
@@ -73,6 +75,6 @@ pub async fn download_predictions(
             content_type = "application/problem+json")))]
 pub async fn get_report_page(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
     let page = report_html::html(&app.report(&id).await?);
-    // Its own style is all that it may load.
+    // It may load only its own inline style.
     Ok(([(header::CONTENT_SECURITY_POLICY, report_html::POLICY)], Html(page)).into_response())
 }

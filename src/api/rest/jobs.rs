@@ -13,7 +13,7 @@ use axum::response::Response;
 use flip_core::domain::job::{JobKind, JobState};
 use serde::Deserialize;
 
-/// Which jobs.
+/// Selection of jobs.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]

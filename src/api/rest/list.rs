@@ -1,4 +1,4 @@
-//! Pages of lists: `?limit=&after=` in, `{items, next}` and a `Link` header out.
+//! Paginated lists: `?limit=&after=` in, `{items, next}` and a `Link` header out.
 
 use crate::app::Page;
 use crate::app::PageQuery;

@@ -1,4 +1,5 @@
-//! What was measured of powders: `/v1/powders/{id}/measurements`, `/v1/powders/{id}/observations`, and both as CSV.
+//! Measurements of powders: `/v1/powders/{id}/measurements`, `/v1/powders/{id}/observations`, and
+//! both as CSV.
 
 use super::extract::{Csv, Input, Path, Query};
 use super::list::{ListParams, respond};
@@ -27,7 +28,9 @@ pub async fn list_measurements(
     Ok(respond(&uri, app.measurements(&id, params.into()).await?))
 }
 
-/// Register a measurement of a powder: mean, SD and number of repeats, or the repeats, or the heaps' heights and bases.
+/// Register a measurement of a powder.
+///
+/// Mean, SD and number of repeats, or the repeats, or the heaps' heights and bases.
 #[utoipa::path(post, path = "/v1/powders/{id}/measurements", tag = "powders", request_body = NewMeasurement,
     params(("id" = String, Path, description = "Powder id")),
     responses((status = 201, description = "The measurement", body = Measurement,
@@ -42,7 +45,9 @@ pub async fn add_measurement(
     Ok(created(format!("/v1/powders/{}", measurement.powder), measurement))
 }
 
-/// List a powder's other measurements, oldest first; for each observable the newest one is used.
+/// List a powder's other measurements, oldest first.
+///
+/// For each observable the newest one is used.
 #[utoipa::path(get, path = "/v1/powders/{id}/observations", tag = "powders",
     params(("id" = String, Path, description = "Powder id"), ListParams),
     responses((status = 200, description = "A page of observations", body = Page<PowderObservation>)))]
@@ -84,12 +89,15 @@ pub struct ImportParams {
 
 /// Register the measurements and observations in a CSV file, all or nothing.
 ///
-/// Columns: `powder` (id or name); `method` (automated or camera, manual); `repose_deg`, or `height_mm` with `base_diameter_mm` and optionally
-/// `funnel_height_mm`; `flow_time_s` with `poured_mass_g` and `orifice_mm`; `shake_mg` with `spoon_pitch_deg` and `shake_mm`; `drained_deg`;
-/// `pile_height_mm` with `base_diameter_mm` and `fall_mm`; `source`. A row is one repeat, and repeats of one powder, method, source and experiment
-/// are combined. With `n` and the SD (`repose_sd_deg`, `flow_time_sd_s`, `shake_sd_mg`, `drained_sd_deg`, `pile_height_sd_mm`) a row is a summary; a
-/// single value (`n` 1) has no SD. Separators are commas, semicolons or tabs; decimals take a point or a comma. Empty cells, `NA` and the like are
-/// missing values. A refusal names the cell, such as `row[2].repose_deg`; the header is row 1.
+/// Columns: `powder` (id or name); `method` (automated or camera, manual); `repose_deg`, or
+/// `height_mm` with `base_diameter_mm` and optionally `funnel_height_mm`; `flow_time_s` with
+/// `poured_mass_g` and `orifice_mm`; `shake_mg` with `spoon_pitch_deg` and `shake_mm`;
+/// `drained_deg`; `pile_height_mm` with `base_diameter_mm` and `fall_mm`; `source`. A row is one
+/// repeat, and repeats of one powder, method, source and experiment are combined. With `n` and the
+/// SD (`repose_sd_deg`, `flow_time_sd_s`, `shake_sd_mg`, `drained_sd_deg`, `pile_height_sd_mm`) a
+/// row is a summary; a single value (`n` 1) has no SD. Separators are commas, semicolons or tabs;
+/// decimals take a point or a comma. Empty cells, `NA` and the like are missing values. A refusal
+/// names the cell, such as `row[2].repose_deg`; the header is row 1.
 #[utoipa::path(post, path = "/v1/measurements/import", tag = "powders", params(ImportParams),
     request_body(content = String, content_type = "text/csv", description = "The file, UTF-8 or UTF-16, at most 20000 rows and 8 MiB"),
     responses((status = 201, description = "Entries added", body = Imported),

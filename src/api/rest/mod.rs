@@ -1,4 +1,5 @@
-//! REST under `/v1`: every route on one screen, and the OpenAPI document that is made from the same routes.
+//! REST under `/v1`: every route on one screen, and the OpenAPI document generated from the same
+//! routes.
 
 mod audit;
 mod bench;
@@ -36,7 +37,7 @@ use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-/// Bodies of images read at once; others wait their turn.
+/// Number of image uploads read at once; others wait their turn.
 const LARGE_AT_ONCE: usize = 4;
 
 fn routes() -> OpenApiRouter<App> {
@@ -103,17 +104,18 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(tokens::revoke_token))
 }
 
-/// The stop of the bench, for the front: the same handler as in the document, which reads no body.
+/// The stop of the bench, for the front end: the same handler as in the document, which reads no
+/// body.
 pub fn bench_stop(app: App) -> Router {
     Router::new().route("/v1/bench/stop", post(bench::stop_bench)).with_state(app)
 }
 
-/// The stop of a weighing, for the front.
+/// The stop of a weighing, for the front end.
 pub fn weighing_stop(app: App) -> Router {
     Router::new().route("/v1/weighings/{id}/stop", post(weighings::stop_weighing)).with_state(app)
 }
 
-/// Routes whose bodies are images or tables: so few at once that their bytes fit.
+/// Routes whose bodies are images or tables: only a few at once, so that they fit in memory.
 fn large_routes() -> OpenApiRouter<App> {
     OpenApiRouter::new()
         .routes(routes!(repose::add_frame))
@@ -142,7 +144,7 @@ pub fn router(app: App) -> Router {
         .method_not_allowed_fallback(async || Problem::method_not_allowed())
 }
 
-/// A file to keep, `NAME.csv`.
+/// A file to download, `NAME.csv`.
 fn csv_file(name: &str, text: String) -> Response {
     let headers = [
         (header::CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()),
@@ -151,7 +153,7 @@ fn csv_file(name: &str, text: String) -> Response {
     (headers, text).into_response()
 }
 
-/// As [`csv_file`], made while it is sent.
+/// As [`csv_file`], streamed.
 async fn csv_pieces(name: &str, text: BoxStream<'static, app::Result<String>>) -> Result<Response, Problem> {
     let body = pieces(text).await?;
     let mut response = csv_file(name, String::new());
@@ -159,24 +161,26 @@ async fn csv_pieces(name: &str, text: BoxStream<'static, app::Result<String>>) -
     Ok(response)
 }
 
-/// A body that is made while it is sent. The first piece is waited for, so that what fails at once is a refusal; later the answer breaks off.
+/// A streamed body. The first piece is awaited, so that an immediate failure becomes an error
+/// response; later failures break off the response.
 async fn pieces(mut text: BoxStream<'static, app::Result<String>>) -> Result<Body, Problem> {
     let first = text.next().await.transpose()?;
     let rest = text.inspect_err(|error| tracing::warn!(%error, "a long answer broke off"));
     Ok(Body::from_stream(stream::iter(first.map(Ok)).chain(rest)))
 }
 
-/// 202 for work that was taken on, with where to look for it.
+/// 202 for accepted work, with its location.
 fn accepted(location: String, body: impl serde::Serialize) -> Response {
     (StatusCode::ACCEPTED, [(header::LOCATION, location)], Json(body)).into_response()
 }
 
-/// 201 for a thing that now exists, with where it is.
+/// 201 for a new resource, with its location.
 fn created(location: String, body: impl serde::Serialize) -> Response {
     (StatusCode::CREATED, [(header::LOCATION, location)], Json(body)).into_response()
 }
 
-/// The answer to a request for long work: 202 if it was queued, 200 with the job that already does it.
+/// The response to a request for long work: 202 if it was queued, 200 with the existing job
+/// otherwise.
 fn started(resource: &str, (job, created): (crate::app::Job, bool)) -> Response {
     match created {
         true => accepted(format!("/v1/{resource}/{}", job.id), job),

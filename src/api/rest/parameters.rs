@@ -1,4 +1,5 @@
-//! `/v1/parameters` and `/v1/parameter-sets`: what describes a simulated powder, and the sets that calibrations kept.
+//! `/v1/parameters` and `/v1/parameter-sets`: the parameters of a simulated powder, and the sets
+//! found by calibrations.
 
 use super::extract::{Path, Query};
 use super::list::respond;
@@ -19,7 +20,7 @@ pub async fn list_parameters(_: Viewer) -> Json<Page<Parameter>> {
     Json(Page { items: PARAMETERS.to_vec(), next: None })
 }
 
-/// Which parameter sets.
+/// Selection of parameter sets.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]

@@ -11,7 +11,7 @@ use axum::extract::{OriginalUri, State};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 
-/// A file that never changes, because its address is made from its content.
+/// Cache policy of a file that never changes, because its address is derived from its content.
 const IMMUTABLE: &str = "private, max-age=31536000, immutable";
 
 /// List policies, newest first.

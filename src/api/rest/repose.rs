@@ -1,4 +1,5 @@
-//! `/v1/repose-measurements`: angles of repose by camera; `/v1/measurements/comparison`: automated beside manual.
+//! `/v1/repose-measurements`: angles of repose by camera; `/v1/measurements/comparison`: automated
+//! and manual measurements compared.
 
 use super::extract::{Input, Large, Path, Query};
 use super::list::{ListParams, respond};
@@ -15,7 +16,7 @@ use base64::engine::general_purpose::STANDARD;
 use flip_core::domain::FieldError;
 use serde::{Deserialize, Serialize};
 
-/// What every PNG begins with.
+/// PNG signature.
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 
 /// A frame of a depth camera.
@@ -26,8 +27,8 @@ pub struct NewFrame {
     depth: String,
     /// Colour of the same size, Base64: an 8-bit RGB PNG.
     colour: String,
-    /// `intrinsics` with `width`, `height`, `fx`, `fy`, `ppx`, `ppy`, `model` and five `coefficients`; `depth_unit_m`; `taken_at` (RFC 3339). All are
-    /// required.
+    /// `intrinsics` with `width`, `height`, `fx`, `fy`, `ppx`, `ppy`, `model` and five
+    /// `coefficients`; `depth_unit_m`; `taken_at` (RFC 3339). All are required.
     #[schema(value_type = Object)]
     description: serde_json::Value,
 }
@@ -59,8 +60,9 @@ pub async fn list_repose_measurements(
 
 /// Measure a powder's angle of repose by camera.
 ///
-/// For each pile, the arm turns the platform over above the funnel, the gate opens, the pile comes to rest, and frames are taken. On real devices the
-/// frames are uploaded while `awaits` is set. Each pile is stored with its raw frames.
+/// For each pile, the arm turns the platform over above the funnel, the gate opens, the pile comes
+/// to rest, and frames are taken. On real devices the frames are uploaded while `awaits` is set.
+/// Each pile is stored with its raw frames.
 #[utoipa::path(post, path = "/v1/repose-measurements", tag = "powders", request_body = ReposeRequest,
     responses((status = 202, description = "Queued; the measurement has the id of its job", body = Job,
         headers(("Location" = String, description = "URL of the measurement"))),

@@ -1,4 +1,4 @@
-//! `/v1/simulators`: versions of the simulator that investigations made, and which of them is current.
+//! `/v1/simulators`: simulator versions created by investigations, and which one is current.
 
 use super::csv_file;
 use super::extract::{Input, Large, Path, Query};

@@ -28,7 +28,8 @@ pub async fn list_weighings(
 
 /// Weigh a dose.
 ///
-/// Stores the intent, then doses. The same key with the same body returns the first weighing and never pours twice.
+/// Stores the intent, then doses. The same key with the same body returns the first weighing and
+/// never pours twice.
 #[utoipa::path(post, path = "/v1/weighings", tag = "weighings", request_body = WeighingRequest,
     params(("Idempotency-Key" = String, Header, description = "New for every weighing, 1 to 255 visible ASCII characters")),
     responses(
@@ -45,7 +46,7 @@ pub async fn start_weighing(
     headers: HeaderMap,
     Input(request): Input<WeighingRequest>,
 ) -> Result<Response, Problem> {
-    // A key that is missing or not text is refused like an empty one.
+    // A missing or non-text key is refused like an empty one.
     let key = headers.get("idempotency-key").and_then(|key| key.to_str().ok()).unwrap_or_default();
     let (weighing, replayed) = app.start_weighing(request, key).await?;
     let mut response = accepted(format!("/v1/weighings/{}", weighing.id), weighing);
@@ -90,7 +91,7 @@ pub async fn download_trace(_: Viewer, State(app): State<App>, Path(id): Path<St
     Ok((headers, csv(&ticks)).into_response())
 }
 
-/// Numbers as in JSON, so that both forms of a trace hold the same digits.
+/// Numbers as in JSON, so that both forms of a trace have the same digits.
 fn csv(ticks: &[Tick]) -> String {
     let mut text = String::from("step,t_s,pitch_deg,incline_change_deg,shake_mm,mass_mg,stable\n");
     for Tick { step, t_s, pitch_deg, action, reading } in ticks {
@@ -115,8 +116,9 @@ pub async fn get_certificate(_: Viewer, State(app): State<App>, Path(id): Path<S
 
 /// Confirm that the vial of a weighing is in, and empty.
 ///
-/// Where the bench cannot exchange vials, the weighing whose turn it is waits for this in the state `awaiting_vial`. The balance is checked too: a
-/// vial that was dosed into before, or that weighs more than an empty one, is refused before anything moves. The confirmation holds until a stop, a
+/// Where the bench cannot exchange vials, the weighing whose turn it is waits for this in the state
+/// `awaiting_vial`. The balance is checked too: a vial that was dosed into before, or that weighs
+/// more than an empty one, is refused before anything moves. The confirmation holds until a stop, a
 /// latch or a restart.
 #[utoipa::path(post, path = "/v1/weighings/{id}/vial-ready", tag = "weighings", request_body = VialReadyRequest,
     params(("id" = String, Path, description = "Weighing id")),
@@ -134,8 +136,9 @@ pub async fn vial_ready(
 
 /// Stop a weighing and level the spoon.
 ///
-/// A waiting weighing is stopped at once. For a running one the arm is stopped at once, before anything is recorded, and the bench is held until a
-/// person resumes. Not an emergency stop: that one is wired.
+/// A waiting weighing is stopped at once. For a running one the arm is stopped at once, before
+/// anything is recorded, and the bench is held until a person resumes. Not an emergency stop: that
+/// one is wired.
 #[utoipa::path(post, path = "/v1/weighings/{id}/stop", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 202, description = "The weighing, stopping or stopped", body = Weighing),

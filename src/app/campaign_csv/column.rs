@@ -1,4 +1,4 @@
-//! What the column of a covariate is: numbers, or names, or nothing that could be judged.
+//! The type of a covariate's column: numbers, names, or nothing that can be judged.
 //!
 //! | cells | taken as |
 //! |-------|----------|
@@ -17,12 +17,12 @@ use crate::app::humidity;
 use flip_discover::Values;
 use flip_discover::reading::{ColumnRead, TakenAs};
 
-/// Largest number in a column without bounds of its own: its square must be one too.
+/// Largest number in a column without bounds of its own: its square must be finite too.
 const NUMBER_MAX: f64 = 1e15;
-/// Rows that a note names.
+/// Number of rows that a note names.
 const ROWS_NAMED: usize = 10;
 
-/// A column, one value for each row.
+/// A column, one value per row.
 #[derive(Debug)]
 pub(super) struct Column {
     values: Option<Values>,
@@ -31,7 +31,7 @@ pub(super) struct Column {
 }
 
 impl Column {
-    /// What became of it, of so many rows.
+    /// How it was interpreted, out of `rows` rows.
     pub fn told(&self, name: &str, rows: usize) -> ColumnRead {
         let taken_as = match self.values {
             Some(Values::Numbers(_)) => TakenAs::Numbers,
@@ -42,7 +42,7 @@ impl Column {
         ColumnRead { column: name.to_owned(), taken_as, filled, missing, note: self.note.clone() }
     }
 
-    /// One value for each run: what is said of a row holds for every run behind it.
+    /// One value per run: the value of a row applies to every run behind it.
     pub fn values(self, runs: &[usize]) -> Option<Values> {
         match self.values? {
             Values::Numbers(of) => Some(Values::Numbers(of_runs(&of, runs))),
@@ -65,10 +65,10 @@ fn of_runs<T: Copy>(of_rows: &[T], runs: &[usize]) -> Vec<T> {
     of_rows.iter().zip(runs).flat_map(|(value, runs)| std::iter::repeat_n(*value, *runs)).collect()
 }
 
-/// The column `name` of rows with these numbers.
+/// Reads the column `name` of the rows with these numbers.
 ///
 /// # Errors
-/// Cells that are not understood, by row and column.
+/// Cells that cannot be interpreted, by row and column.
 pub(super) fn read(name: &str, cells: &[Cell<'_>], rows: &[usize]) -> Refused<Column> {
     let filled = cells.iter().filter(|cell| cell.is_filled()).count();
     if filled == 0 {
@@ -112,7 +112,7 @@ impl Numbers<'_> {
         }
         let mut notes: Vec<String> = self.limits().into_iter().collect();
         let has_unit = |k: usize| self.unit(&self.cells[k]).is_some();
-        // Fractions alone are a scale of their own, in a column that nobody said is of per cent.
+        // Fractions by themselves are a valid scale, in a column not labelled as per cent.
         let is_percent = |(k, value): (usize, &Option<f64>)| has_unit(k) || value.is_some_and(|value| value > 1.0);
         let is_mixed = || humidity::is_meant(self.name) && values.iter().enumerate().any(is_percent);
         if self.name == humidity::COLUMN || is_mixed() {
@@ -152,8 +152,9 @@ impl Numbers<'_> {
         }
     }
 
-    /// Whether a cell is what loggers write for nothing, far from all that was measured: -999 where nothing else is negative, 9999 in several rows
-    /// where all else is a tenth of it at most.
+    /// Whether a cell is a logger's placeholder for a missing value, far from everything measured:
+    /// -999 where nothing else is negative, or 9999 in several rows where everything else is at
+    /// most a tenth of it.
     fn is_mark(&self, cell: &Cell<'_>) -> bool {
         let digits = cell.text.trim_start_matches('-');
         if digits.len() < 2 || digits.bytes().any(|digit| digit != b'9') {
@@ -175,7 +176,7 @@ impl Numbers<'_> {
         NUMBERS.iter().any(|(column, ..)| *column == self.name)
     }
 
-    /// What is said of limits.
+    /// The note on limits.
     fn limits(&self) -> Option<String> {
         let is_limit = |(cell, _): &(&Cell<'_>, &usize)| matches!(cell.told, Told::Limit(_));
         let rows: Vec<usize> = self.cells.iter().zip(self.rows).filter(is_limit).map(|(_, row)| *row).collect();

@@ -1,4 +1,4 @@
-//! Which session each row belongs to, numbered in order of time.
+//! The session of each row, numbered in chronological order.
 //!
 //! | cells | order |
 //! |-------|-------|
@@ -19,22 +19,22 @@ use flip_discover::reading::{ColumnRead, TakenAs};
 use std::collections::HashMap;
 use time::Date;
 
-/// What is said of names.
+/// Note on names.
 const NAMES: &str =
     "names, in the order in which they first stand in the file: only days or numbers tell the order of time";
-/// And of names that look like numbers.
+/// Note on names that look like numbers.
 const LABELS: &str = "names such as 1.10, which is another session than 1.1 and comes after 1.9, in the order in which they first stand in the file";
 
 /// Sessions of the rows.
 #[derive(Debug)]
 pub(super) struct Sessions {
-    /// Of each row.
+    /// Session of each row.
     pub places: Vec<usize>,
-    /// What became of the column; none where there is none.
+    /// How the column was interpreted; none if there is no such column.
     pub column: Option<ColumnRead>,
 }
 
-/// What a cell may be as a session.
+/// Possible readings of a cell as a session.
 enum Read {
     Day(Written),
     Number(f64),
@@ -48,10 +48,11 @@ fn read(cell: &Cell<'_>) -> Read {
     }
 }
 
-/// Sessions of rows with these cells and numbers.
+/// The sessions of rows with these cells and numbers.
 ///
 /// # Errors
-/// Cells that are no days in a column of days, no numbers in one of numbers; a day that may be two, where `order` is not known.
+/// Cells that are not days in a column of days, or not numbers in a column of numbers; an ambiguous
+/// day if `order` is not known.
 pub(super) fn sessions(cells: &[Cell<'_>], rows: &[usize], order: Option<DateOrder>) -> Refused<Sessions> {
     let filled: Vec<usize> = (0..cells.len()).filter(|&k| cells[k].is_filled()).collect();
     let column = Column {
@@ -60,7 +61,7 @@ pub(super) fn sessions(cells: &[Cell<'_>], rows: &[usize], order: Option<DateOrd
         cells: filled.iter().map(|&k| read(&cells[k])).collect(),
     };
     let (known, note) = column.places(order)?;
-    // Rows without one come last, each by itself.
+    // Rows without a session come last, each on its own.
     let mut unnamed = known.iter().max().map_or(0, |last| last + 1)..;
     let mut known = known.into_iter();
     let place = |cell: &Cell<'_>| if cell.is_filled() { known.next() } else { unnamed.next() };
@@ -82,7 +83,7 @@ pub(super) fn sessions(cells: &[Cell<'_>], rows: &[usize], order: Option<DateOrd
     })
 }
 
-/// The cells that are filled.
+/// The filled cells.
 struct Column<'a> {
     rows: Vec<usize>,
     texts: Vec<&'a str>,
@@ -90,7 +91,7 @@ struct Column<'a> {
 }
 
 impl Column<'_> {
-    /// Session of each cell, and what there is to say of them.
+    /// The session of each cell, and the note on them.
     fn places(&self, order: Option<DateOrder>) -> Refused<(Vec<usize>, String)> {
         let days = self.cells.iter().filter(|cell| matches!(cell, Read::Day(_))).count();
         let numbers = self.cells.iter().filter(|cell| matches!(cell, Read::Number(_))).count();
@@ -104,7 +105,7 @@ impl Column<'_> {
         Ok(of_names(&self.texts, NAMES))
     }
 
-    /// Of numbers, most of them: days where they count such, else what they are.
+    /// For mostly numeric cells: days if the numbers count days, else plain numbers.
     fn counted(&self, order: Option<DateOrder>) -> Refused<(Vec<usize>, String)> {
         let numbers = self.numbers()?;
         if let Some(count) = Count::of(&numbers) {
@@ -149,7 +150,7 @@ impl Column<'_> {
         })
     }
 
-    /// What `of` makes of every cell, or all that it refuses.
+    /// Applies `of` to every cell; returns the results, or all its refusals.
     fn each<T>(&self, mut of: impl FnMut(&Read) -> std::result::Result<T, String>) -> Refused<Vec<T>> {
         let (mut all, mut refusals) = (Vec::new(), Vec::new());
         for ((cell, row), text) in self.cells.iter().zip(&self.rows).zip(&self.texts) {
@@ -176,7 +177,7 @@ impl Column<'_> {
         })
     }
 
-    /// The order that the column's dates can only have. None where no cell needs one.
+    /// The only possible order of the column's dates. None if no cell needs one.
     fn order(&self) -> Refused<Option<DateOrder>> {
         let cells = self.cells.iter().zip(&self.rows).zip(&self.texts);
         let written = cells.filter_map(|((cell, row), text)| match cell {
@@ -186,7 +187,7 @@ impl Column<'_> {
         Dates(written.collect()).order()
     }
 
-    /// How many days have runs at several times of day, `days` being those of the cells.
+    /// Number of days with runs at several times of day, `days` being those of the cells.
     fn days_of_several_times(&self, days: &[Date]) -> usize {
         let mut times: Vec<(Date, String)> = days
             .iter()
@@ -228,7 +229,7 @@ fn of_names(names: &[&str], note: &str) -> (Vec<usize>, String) {
     (places, format!("{} {note}", known.len()))
 }
 
-/// The place of each value among all different ones, and these in order.
+/// The rank of each value among the distinct values, and these in order.
 fn ranked<T: Copy>(values: &[T], compare: impl Fn(&T, &T) -> std::cmp::Ordering) -> (Vec<usize>, Vec<T>) {
     let mut order = values.to_vec();
     order.sort_unstable_by(|a, b| compare(a, b));

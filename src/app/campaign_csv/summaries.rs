@@ -1,7 +1,8 @@
-//! Rows that say what was computed of others: means, SDs and totals below a table or beside its blocks.
+//! Rows computed from others: means, SDs and totals below a table or next to its blocks.
 //!
-//! What a powder is called tells, and so does any column of names: those in which every name is one of a summary, and those in which a few are, at most
-//! one in [`ONE_IN`], as a mean is made of several runs. There `max` and `n` are of a summary too.
+//! They are recognized by the powder's name, and by any column of names: one in which every name is
+//! that of a summary, or one in which a few are, at most one in [`ONE_IN`], since a mean is made of
+//! several runs. There `max` and `n` mark a summary too.
 
 use super::{Cells, NUMBERS, Table};
 use crate::app::Result;
@@ -9,35 +10,35 @@ use crate::app::csv_file::words::{is_summary, is_surely_summary};
 use flip_core::domain::FieldError;
 use flip_discover::reading::LeftOut;
 
-/// Rows to each that a summary is made of, with it.
+/// One summary per this many rows, itself included.
 const ONE_IN: usize = 4;
 
-/// Where summaries are told, and the rows that are.
+/// Columns that identify summaries, and the rows found.
 pub(super) struct Summaries {
     columns: Vec<String>,
-    /// Of the file, the header being row 1.
+    /// Row numbers in the file, the header being row 1.
     pub rows: Vec<u32>,
 }
 
 impl Summaries {
-    /// Those of a table, before its rows are read.
+    /// The columns of a table that identify summaries, before its rows are read.
     pub fn of(table: &Table) -> Self {
         let is_number = |name: &str| name.is_empty() || NUMBERS.iter().any(|(column, ..)| *column == name);
         let others = table.columns.iter().filter(|name| !is_number(name) && *name != "powder" && tells(table, name));
         Self { columns: std::iter::once("powder".to_owned()).chain(others.cloned()).collect(), rows: Vec::new() }
     }
 
-    /// Whether a row is one; it is remembered.
+    /// Whether a row is a summary; if so it is remembered.
     pub fn has(&mut self, cells: &Cells<'_>) -> bool {
         let is_one = self.columns.iter().any(|column| is_summary(cells.text(column)));
         self.rows.extend(is_one.then_some(cells.row as u32));
         is_one
     }
 
-    /// A file has more than summaries.
+    /// Checks that the file contains more than summaries.
     ///
     /// # Errors
-    /// None of `runs`.
+    /// `runs` is empty.
     pub fn leave_any(&self, runs: usize) -> Result<()> {
         match (runs, self.rows.first()) {
             (0, Some(row)) => {
@@ -48,14 +49,14 @@ impl Summaries {
         }
     }
 
-    /// As the report has it.
+    /// In the form of the report.
     pub fn told(&self) -> Option<LeftOut> {
         let reason = "they are called mean, SD, total or the like: computed of other rows, and no runs";
         (!self.rows.is_empty()).then(|| LeftOut { rows: self.rows.clone(), reason: reason.to_owned() })
     }
 }
 
-/// Whether a column of names tells summaries.
+/// Whether a column of names identifies summaries.
 fn tells(table: &Table, column: &str) -> bool {
     let (mut filled, mut summaries, mut sure) = (0, 0, 0);
     for cells in table.rows().filter(|cells| cells.holds(column)) {

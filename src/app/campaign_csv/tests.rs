@@ -1,4 +1,4 @@
-//! What a file becomes, and what it is refused for.
+//! How files are interpreted, and why they are refused.
 
 use super::*;
 use flip_core::stats::summary::{mean, sd};
@@ -17,7 +17,7 @@ fn campaign_of(text: &str) -> Campaign {
     read_of(text).campaign
 }
 
-/// What a file of this column was told to have become of it.
+/// How this column of a file was interpreted.
 fn told(name: &str, cells: &[&str]) -> ColumnRead {
     let columns = read_of(&with_column(name, cells)).read.columns;
     columns.into_iter().find(|it| it.column == name).unwrap()
@@ -38,7 +38,7 @@ fn levels(names: &[&str], of: &[Option<usize>]) -> Values {
     Values::Levels { names: names.iter().map(|name| (*name).to_owned()).collect(), of: of.to_vec() }
 }
 
-/// A column `name` beside the angles of salt, a row for each cell.
+/// A column `name` next to the angles of salt, one row per cell.
 fn with_column(name: &str, cells: &[&str]) -> String {
     let rows: String = cells.iter().map(|cell| format!("salt,36,{cell}\n")).collect();
     format!("powder,repose_deg,{name}\n{rows}")
@@ -85,7 +85,7 @@ fn sessions_are_numbered_in_order_of_time() {
         (["10", "9", "1e1", "2"], [2, 1, 2, 0]),
         (["2026-02-01", "2026-01-31", "2026-02-01", "2025-12-31"], [2, 1, 2, 0]),
         (["01.02.2026", "31.01.2026", "01.02.2026", "31.12.2025"], [2, 1, 2, 0]),
-        // Runs of a day belong together, whatever the hour.
+        // Runs of one day belong together, whatever the hour.
         (["2026-02-01T09:30", "2026-01-31 08:00", "2026-02-01 14:00:00", "2025-12-31"], [2, 1, 2, 0]),
         (["Tuesday", "Monday", "Tuesday", "Friday"], [0, 1, 0, 2]),
         (["2026-02-01 b", "2026-02-01 a", "2026-02-01 b", "2026-01-31"], [0, 1, 0, 2]),
@@ -307,7 +307,7 @@ fn what_is_left_out_is_told_with_its_reason() {
     assert_eq!(ids, [("Lactose 200M", "lactose_200m"), ("3-Nitrotoluene", "p_3_nitrotoluene")]);
 }
 
-/// 48 runs of four days, read to `decimals`; with `place` each with its place in its day.
+/// 48 runs on four days, rounded to `decimals`; if `place`, each with its place in its day.
 fn runs(decimals: usize, place: bool) -> Vec<String> {
     let angle = |k: u32| 36.0 + f64::from((k * 7919 + k * k * 31) % 1009) / 250.0 - 2.0;
     let line = |k: u32| {
@@ -331,11 +331,11 @@ fn a_row_that_stands_twice_counts_once_and_is_named() {
         assert_eq!(twice.read.left_out[0].rows, [50, 51, 52, 53, 54, 55]);
         assert_eq!((twice.read.rows, once.read.left_out.len()), (54, 0));
     }
-    // Nothing says which run is which, but ten pairs alike to a hundredth of a degree are too many.
+    // Nothing identifies the runs, but ten pairs equal to a hundredth of a degree are too many.
     let lines = runs(2, false);
     let copied = read_of(&file(&[&lines[..], &lines[3..13]].concat()));
     assert!((50..60).all(|row| copied.read.left_out[0].rows.contains(&row)), "{:?}", copied.read.left_out);
-    // The whole file twice, at whole degrees.
+    // The whole file twice, in whole degrees.
     let whole = runs(0, false);
     let twice = read_of(&file(&[&whole[..], &whole].concat()));
     assert_eq!(twice.campaign, read_of(&file(&whole)).campaign);
@@ -349,12 +349,12 @@ fn angles_that_are_equal_because_they_are_coarse_all_count() {
     let coarse = read_of(&file(&runs(0, false)));
     assert_eq!((coarse.campaign.runs.len(), coarse.read.left_out.len()), (48, 0));
     assert!(coarse.read.notes[0].contains("rows are like an earlier row in every cell"), "{:?}", coarse.read.notes);
-    // One pair of 48 runs alike at a tenth of a degree is what chance brings.
+    // One pair out of 48 runs equal to a tenth of a degree is within chance.
     let tenths = [&runs(1, false)[..], &runs(1, false)[5..6]].concat();
     assert_eq!(read_of(&file(&tenths)).campaign.runs.len(), 49);
 }
 
-/// A form in which a laboratory may write a table.
+/// A format in which a laboratory may write a table.
 #[derive(Debug, Clone)]
 struct Form {
     separator: char,
@@ -400,7 +400,7 @@ impl Form {
         }
     }
 
-    /// The table of these rows: powder, angle, day, humidity, operator.
+    /// Writes these rows as a table: powder, angle, day, humidity, operator.
     fn write(&self, rows: &[(usize, i32, (u8, u8), Option<i32>, usize)]) -> String {
         let missing = ["", "NA", "n.d.", "-", "#N/A"][self.missing];
         let header =

@@ -1,10 +1,12 @@
-//! Rows that stand in a file twice, every cell alike: a run that was pasted twice is one run.
+//! Duplicate rows, equal in every cell: a run that was pasted twice is one run.
 //!
-//! Two runs may come to the same angle, the more often the coarser it is read, so that alike rows are copies only
+//! Two runs may have the same angle, more often the coarser it is rounded, so equal rows are
+//! duplicates only
 //!
-//! * where session and order in the session are alike too: one place in a day is one run;
-//! * where the whole file stands in itself: every row twice, or every row three times, those counted that are alike by themselves;
-//! * where they are more than chance explains:
+//! * where session and order in the session are equal too: one place in a day is one run;
+//! * where the whole file is repeated: every row twice, or every row three times, counting rows
+//!   that are equal in their own right;
+//! * where there are more of them than chance explains:
 //!
 //! ```text
 //! pairs of rows alike in all but the angle: M; alike in the angle too: O
@@ -13,31 +15,32 @@
 //! copies if P(O or more) <= 1 %         of a Poisson distribution with mean 3 M q
 //! ```
 //!
-//! The factor of 3: angles of one day lie closer together than those of all. Copies count once, whichever of them chance would have made.
+//! The factor of 3: angles of one day lie closer together than all angles. Duplicates count once,
+//! even those that chance may have produced.
 
 use super::Line;
 use flip_discover::reading::LeftOut;
 use std::collections::HashMap;
 use std::hash::Hash;
 
-/// Chance below which alike rows are copies.
+/// Probability of chance below which equal rows are duplicates.
 const CHANCE_MAX: f64 = 0.01;
-/// Fewest different rows of a file that stands in itself twice.
+/// Minimum number of distinct rows in a file that contains itself twice.
 const WHOLE_MIN: usize = 8;
-/// How much oftener angles of one day may be equal than those of all.
+/// How much more often angles of one day may be equal than angles in general.
 const CLOSER: f64 = 3.0;
 
-/// What was left out, and what was noticed and left in.
+/// What was left out, and what was noticed but kept.
 #[derive(Debug, Default)]
 pub(super) struct Twice {
-    /// Rows that are copies.
+    /// Duplicate rows.
     pub rows: Vec<u32>,
-    /// Of alike rows that are no more than chance explains.
+    /// Note on equal rows that chance can explain.
     pub note: Option<String>,
 }
 
 impl Twice {
-    /// As the report has it.
+    /// In the form of the report.
     pub fn told(&self) -> Vec<LeftOut> {
         let reason = "every cell is that of an earlier row: what stands in the file twice is counted once";
         let left_out = || LeftOut { rows: self.rows.clone(), reason: reason.to_owned() };
@@ -45,7 +48,7 @@ impl Twice {
     }
 }
 
-/// Take copies out of the lines.
+/// Removes duplicates from the lines.
 pub(super) fn leave_out(lines: &mut Vec<Line<'_>>) -> Twice {
     let groups = alike(lines, |line| (line.beside.clone(), line.angle_text));
     let doubled: Vec<&Vec<usize>> = groups.iter().filter(|group| group.len() > 1).collect();
@@ -66,18 +69,18 @@ pub(super) fn leave_out(lines: &mut Vec<Line<'_>>) -> Twice {
     twice
 }
 
-/// How often the whole file stands in itself.
+/// How often the whole file is repeated in itself.
 fn times(groups: &[Vec<usize>]) -> usize {
     let common = groups.iter().fold(0, |common, group| divisor(common, group.len()));
     if groups.len() >= WHOLE_MIN { common.max(1) } else { 1 }
 }
 
-/// The greatest common one.
+/// Greatest common divisor.
 fn divisor(a: usize, b: usize) -> usize {
     if b == 0 { a } else { divisor(b, a % b) }
 }
 
-/// Lines with equal keys, by index; groups and lines in the order of the file.
+/// Lines grouped by equal keys, by index; groups and lines in the order of the file.
 fn alike<'a, K: Hash + Eq>(lines: &[Line<'a>], key: impl Fn(&Line<'a>) -> K) -> Vec<Vec<usize>> {
     let (mut places, mut groups): (HashMap<K, usize>, Vec<Vec<usize>>) = (HashMap::new(), Vec::new());
     for (k, line) in lines.iter().enumerate() {
@@ -90,12 +93,12 @@ fn alike<'a, K: Hash + Eq>(lines: &[Line<'a>], key: impl Fn(&Line<'a>) -> K) -> 
     groups
 }
 
-/// Whether a line says which run of which session it is.
+/// Whether a line gives its session and its place in it.
 fn is_one_place(line: &Line<'_>) -> bool {
     line.session.is_filled() && line.has_order
 }
 
-/// Whether so many alike rows are more than chance brings.
+/// Whether this many equal rows are more than chance explains.
 fn is_beyond_chance(lines: &[Line<'_>], doubled: &[&Vec<usize>]) -> bool {
     let of_groups = |groups: &[Vec<usize>]| groups.iter().map(|group| pairs(group.len())).sum::<f64>();
     let alike_beside = of_groups(&alike(lines, |line| line.beside.clone()));
@@ -111,7 +114,7 @@ fn pairs(n: usize) -> f64 {
     n as f64 * (n as f64 - 1.0) / 2.0
 }
 
-/// Chance that two angles of a powder are equal as written, of a normal distribution.
+/// Probability that two angles of a powder are equal as written, for a normal distribution.
 fn of_equal_angles(lines: &[Line<'_>]) -> f64 {
     let decimals =
         lines.iter().map(|line| line.angle_text.split_once(['.', ',']).map_or(0, |(_, part)| part.len())).max();
@@ -123,15 +126,16 @@ fn of_equal_angles(lines: &[Line<'_>]) -> f64 {
         squares += angles.iter().map(|angle| (angle - mean).powi(2)).sum::<f64>();
         free += angles.len() as f64 - 1.0;
     }
-    // Angles that never differ are equal by more than chance, and say nothing of copies.
+    // Angles that never differ are equal more often than by chance, and carry no information on
+    // duplicates.
     let sd = if squares > 0.0 && free > 0.0 { (squares / free).sqrt() } else { 0.0 };
     last_digit / (2.0 * std::f64::consts::PI.sqrt() * sd)
 }
 
-/// Probability of `least` or more of a Poisson distribution.
+/// Probability of `least` or more under a Poisson distribution.
 fn poisson_tail(least: f64, mean: f64) -> f64 {
     if least <= mean {
-        // More than a third, which is all that is asked.
+        // More than a third, which is all that matters.
         return 1.0;
     }
     let mut term = libm::exp(least * libm::log(mean) - mean - libm::lgamma(least + 1.0));

@@ -1,4 +1,5 @@
-//! Days as laboratories write them; a time of day and a zone may follow, and the day is the one that is written.
+//! Days as laboratories write them; a time of day and a zone may follow, and the day is taken as
+//! written.
 //!
 //! | written | read |
 //! |---------|------|
@@ -27,7 +28,7 @@ impl DateOrder {
     /// All of them, in the order of [`Written::By`].
     pub const ALL: [Self; 3] = [Self::DayFirst, Self::MonthFirst, Self::YearFirst];
 
-    /// What stands first.
+    /// Name of the first component.
     pub fn first(self) -> &'static str {
         match self {
             Self::DayFirst => "the day",
@@ -37,25 +38,26 @@ impl DateOrder {
     }
 }
 
-/// A cell that holds a day.
+/// A cell that contains a day.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Written {
     Day(Date),
-    /// By day, by month and by year first; some of them are no day.
+    /// Read day first, month first and year first; some of them may not be valid.
     By([Option<Date>; 3]),
-    /// A day, and why it cannot be told which.
+    /// A day that cannot be determined, and why.
     Unclear(&'static str),
 }
 
 impl Written {
-    /// The order that it can only have.
+    /// The only possible order, if any.
     pub fn order(&self) -> Option<DateOrder> {
         let Self::By(days) = self else { return None };
         let mut possible = DateOrder::ALL.into_iter().filter(|order| days[*order as usize].is_some());
         possible.next().filter(|_| possible.next().is_none())
     }
 
-    /// Its day, in a column whose dates have this order; nothing where that is needed and not known, or says that there is no such day.
+    /// The day, in a column whose dates have this order; `None` if the order is needed but not
+    /// known, or gives no valid day.
     pub fn day(&self, order: Option<DateOrder>) -> Option<Date> {
         match self {
             Self::Day(day) => Some(*day),
@@ -66,7 +68,7 @@ impl Written {
     }
 }
 
-/// The day in a cell, if it holds one.
+/// The day in a cell, if it contains one.
 pub fn day(text: &str) -> Option<Written> {
     let date = without_weekday(without_time(text.trim())?);
     let is_mark = |c: char| c.is_whitespace() || "-./,".contains(c);
@@ -74,7 +76,7 @@ pub fn day(text: &str) -> Option<Written> {
     let mark = date.chars().find(|c| is_mark(*c))?;
     match parts.as_slice() {
         [a, b, c] => three(a, b, c, mark),
-        // A month by name, or the dots of 3.2., tell that a date is meant.
+        // A named month, or the dots of 3.2., show that a date is meant.
         [a, b] if month(a).is_some() && number(b, 2).is_some() || month(b).is_some() && number(a, 2).is_some() => {
             Some(Written::Unclear("has no year"))
         }
@@ -106,7 +108,7 @@ fn three(a: &str, b: &str, c: &str, mark: char) -> Option<Written> {
     let year_first =
         || date(year(a).filter(|_| a.len() == 2)?, second, short(c).filter(|_| mark == '/' || c.len() == 2)?);
     let days = match mark {
-        // With dots no month stands first.
+        // With dots the month never comes first.
         '.' => [day_first, day_first, year_first()],
         '/' | '-' => [day_first, month_first, year_first()],
         _ => return None,
@@ -123,7 +125,7 @@ fn date(year: u16, month: u16, day: u16) -> Option<Date> {
     Date::from_calendar_date(i32::from(year), month, u8::try_from(day).ok()?).ok()
 }
 
-/// The day in six digits, in whichever order: 260221 or 210226.
+/// A day in six digits, in any order: 260221 or 210226.
 pub fn six_digits(text: &str) -> Option<Written> {
     let are_digits = text.len() == 6 && text.bytes().all(|byte| byte.is_ascii_digit());
     if are_digits { three(&text[..2], &text[2..4], &text[4..], '/') } else { None }
@@ -139,7 +141,7 @@ fn full_year(text: &str) -> Option<u16> {
     number(text, 4).filter(|year| text.len() == 4 && (1900..2200).contains(year))
 }
 
-/// A year of four digits, or of two: up to 69 of this century, as POSIX has it.
+/// A year in four digits, or in two: up to 69 in this century, as in POSIX.
 fn year(text: &str) -> Option<u16> {
     let short = || number(text, 2).filter(|_| text.len() == 2);
     full_year(text).or_else(|| short().map(|year| if year < 70 { 2000 + year } else { 1900 + year }))
@@ -151,7 +153,7 @@ fn ordinal(text: &str) -> Option<u16> {
     number(text, 2)
 }
 
-/// Months in English, German and French, whole or shortened to three letters or more.
+/// Months in English, German and French, in full or abbreviated to three letters or more.
 fn month(text: &str) -> Option<u16> {
     const NAMES: [&[&str]; 12] = [
         &["january", "januar", "jänner", "janvier"],
@@ -174,7 +176,7 @@ fn month(text: &str) -> Option<u16> {
     months.next().filter(|_| months.next().is_none())
 }
 
-/// Without the name of a weekday before it.
+/// The text without a leading weekday.
 fn without_weekday(text: &str) -> &str {
     const NAMES: [&str; 21] = [
         "monday",
@@ -205,13 +207,13 @@ fn without_weekday(text: &str) -> &str {
     if is_weekday { text[end..].trim_start_matches(['.', ',', ' ']) } else { text }
 }
 
-/// The time of day that ends a text; empty where none does.
+/// The time of day at the end of a text; empty if there is none.
 pub fn time_of(text: &str) -> &str {
     let Some(colon) = text.find(':') else { return "" };
     text[text[..colon].trim_end_matches(|c: char| c.is_ascii_digit()).len()..].trim_start_matches('0')
 }
 
-/// The date of a text that a time of day may end; nothing where what ends it is no time.
+/// The date in a text that may end in a time of day; `None` if the end is not a time.
 fn without_time(text: &str) -> Option<&str> {
     let Some(colon) = text.find(':') else { return Some(text) };
     let hour = text[..colon].trim_end_matches(|c: char| c.is_ascii_digit());
@@ -242,10 +244,11 @@ fn is_zone(text: &str) -> bool {
     ["", "z", "utc", "gmt", "am", "pm", "a.m.", "p.m."].contains(&text.as_str()) || offset.is_some_and(is_offset)
 }
 
-/// Longest that a campaign lasts, days: with the year taken for the day of the month it would last for decades.
+/// Maximum duration of a campaign, days: mistaking the year for the day of the month would make it
+/// last decades.
 pub const CAMPAIGN_MAX_D: i32 = 3653;
 
-/// What numbers of a column of days count.
+/// What the numbers in a column of days count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Count {
     /// Days, as a spreadsheet counts them: 46056 is 2026-02-03.
@@ -254,13 +257,15 @@ pub enum Count {
     Seconds,
     /// Milliseconds since 1970, UTC.
     Milliseconds,
-    /// Digits of year, month and day, which those of a time may follow: 20260203, 202602030930.
+    /// Digits of year, month and day, optionally followed by those of a time: 20260203,
+    /// 202602030930.
     Digits,
 }
 
 impl Count {
-    /// What at least half of these numbers count, days of one campaign; nothing where they are numbers of another kind. Any number between 0.9 and 4.1
-    /// thousand millions counts seconds to some day of this century.
+    /// What at least half of these numbers count, as days of one campaign; `None` if they are
+    /// numbers of another kind. Any number between 0.9 and 4.1 thousand million is seconds to some
+    /// day of this century.
     pub fn of(numbers: &[f64]) -> Option<Self> {
         let are_days = |count: &Self| {
             let mut days: Vec<i32> =
@@ -272,7 +277,7 @@ impl Count {
         [Self::Serial, Self::Seconds, Self::Milliseconds, Self::Digits].into_iter().find(are_days)
     }
 
-    /// The day of a number, of the years 2000 to 2099.
+    /// The day of a number, within the years 2000 to 2099.
     pub fn day(self, number: f64) -> Option<Date> {
         const DAY_S: f64 = 86_400.0;
         // Julian days of 1970-01-01 and of day 0 of spreadsheets.
@@ -289,7 +294,7 @@ impl Count {
 }
 
 fn julian(day: f64) -> Option<Date> {
-    // Far beyond what a date can be, and within what an integer can.
+    // Far beyond any date, and within the range of an integer.
     (day.abs() < 1e8).then(|| Date::from_julian_day(day.floor() as i32).ok()).flatten()
 }
 
@@ -314,7 +319,8 @@ mod tests {
 
     #[test]
     fn numbers_spread_over_a_century_count_no_days_and_one_typo_among_days_changes_nothing() {
-        // Fibonacci hashing: 32 bits, no two alike, three in four of them seconds of a day of this century.
+        // Fibonacci hashing: 32-bit values, all different, three in four of them seconds to a day
+        // of this century.
         let hashes: Vec<f64> = (0..60u64).map(|k| (k.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32) as f64).collect();
         assert!(hashes.iter().filter(|it| Count::Seconds.day(**it).is_some()).count() > 30);
         assert_eq!(Count::of(&hashes), None);

@@ -1,4 +1,5 @@
-//! Tables as laboratories write them: a header, rows, an empty cell for what is missing. Every importer reads through this.
+//! Tables as laboratories write them: a header, rows, an empty cell for a missing value. All
+//! importers use this.
 //!
 //! ```text
 //! text.rs       bytes to text, without what a spreadsheet wraps it in
@@ -7,8 +8,8 @@
 //! date.rs       days                         words.rs   words for what is missing, yes and no, by hand, stable
 //! ```
 //!
-//! A refusal names the cell, such as `row[2].repose_deg`; the header is row 1. Columns that are known are found whatever the case of their names,
-//! with blanks for underscores; empty columns at the end are none.
+//! An error names the cell, such as `row[2].repose_deg`; the header is row 1. Known columns are
+//! matched regardless of case, with blanks for underscores; trailing empty columns are ignored.
 
 pub(super) mod date;
 pub(super) mod number;
@@ -29,22 +30,22 @@ use number::{Cell, Signs, unit_of};
 use place::Place;
 use std::collections::HashMap;
 
-/// Most rows of a file.
+/// Maximum number of rows in a file.
 const ROWS_MAX: usize = 20_000;
-/// Most bytes of a file: 400 for each of [`ROWS_MAX`] rows.
+/// Maximum size of a file, bytes: 400 for each of [`ROWS_MAX`] rows.
 pub const TABLE_BYTES_MAX: usize = 8 * 1024 * 1024;
-/// Refusals after which reading stops: a wrong delimiter makes every row wrong.
+/// Number of errors after which reading stops: a wrong delimiter invalidates every row.
 pub(super) const REFUSALS_MAX: usize = 50;
 
-/// What was made of a row, or all that is wrong with it.
+/// The result for a row, or all its errors.
 pub(super) type Refused<T> = std::result::Result<T, Vec<FieldError>>;
 
-/// A refusal of a cell.
+/// The error of a cell.
 pub(super) fn at(row: usize, column: &str, message: impl Into<String>) -> FieldError {
     FieldError::new(format!("row[{row}].{column}"), message)
 }
 
-/// What belongs in a column that is known.
+/// Content of a known column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Holds {
     Numbers,
@@ -53,40 +54,40 @@ pub(super) enum Holds {
 
 /// The columns of a kind of file.
 pub(super) struct Columns<'a> {
-    /// Without which there is no row.
+    /// Columns without which there is no row.
     pub required: &'a [&'a str],
-    /// What belongs in a column; nothing where it is not known.
+    /// Content of a column; `None` if it is not known.
     pub known: fn(&str) -> Option<Holds>,
-    /// The column that a laboratory calls so; nothing where the name says nothing.
+    /// The column meant by a laboratory's name for it; `None` if the name is not recognized.
     pub meant: fn(&str) -> Option<&'static str>,
-    /// Most columns.
+    /// Maximum number of columns.
     pub most: usize,
 }
 
 /// A file in memory.
 pub(super) struct Table {
-    /// Names of its columns, in their order; empty where one has none.
+    /// Names of its columns, in order; empty for a column without a name.
     pub columns: Vec<String>,
     holds: Vec<Option<Holds>>,
     rows: Vec<Row>,
     separator: u8,
-    /// Decimal signs of each column, and of all.
+    /// Decimal signs of each column, and of all columns.
     signs: Vec<Signs>,
     all_signs: Signs,
 }
 
 struct Row {
-    /// Of the file, the header being row 1.
+    /// Row number in the file, the header being row 1.
     number: usize,
     cells: Vec<String>,
 }
 
 impl Table {
-    /// Read a file, and let `check` look at the names of its columns.
+    /// Reads a file, and lets `check` inspect the names of its columns.
     ///
     /// # Errors
-    /// A file that is too large or has too many rows or none; a column that is missing or stands twice, and what `check` refused; a row of another
-    /// length than the header.
+    /// A file that is too large or has too many rows or none; a missing or repeated column, and
+    /// errors added by `check`; a row whose length differs from the header's.
     pub fn open(text: &str, columns: &Columns<'_>, check: impl FnOnce(&[String], &mut Check)) -> Result<Self> {
         if text.len() > TABLE_BYTES_MAX {
             let advice = format!("has {} bytes, and at most {TABLE_BYTES_MAX} are read: split it", text.len());
@@ -114,7 +115,7 @@ impl Table {
         Ok(table)
     }
 
-    /// Decimal signs that the cells of a column show.
+    /// Decimal signs shown by the cells of a column.
     fn signs_of(&self, column: usize) -> Signs {
         let cells = self.rows.iter().filter_map(|row| row.cells.get(column));
         cells.fold(Signs::default(), |signs, cell| match number::cell(cell.trim()) {
@@ -123,7 +124,7 @@ impl Table {
         })
     }
 
-    /// The rows that are not blank.
+    /// Non-blank rows.
     pub fn rows(&self) -> impl Iterator<Item = Cells<'_>> {
         self.rows.iter().map(|row| {
             let filled = self.columns.iter().enumerate().zip(&row.cells).filter_map(|((k, name), cell)| {
@@ -136,7 +137,8 @@ impl Table {
         })
     }
 
-    /// Hand every row that is not blank to `row`. What it refused is returned, and reading ends when that is [`REFUSALS_MAX`] or more.
+    /// Passes every non-blank row to `row`. Returns its errors; reading stops at [`REFUSALS_MAX`]
+    /// or more.
     pub fn each<'a>(&'a self, mut row: impl FnMut(&Cells<'a>) -> Refused<()>) -> Vec<FieldError> {
         let mut refusals = Vec::new();
         for cells in self.rows() {
@@ -151,14 +153,15 @@ impl Table {
 }
 
 impl Columns<'_> {
-    /// The known column that a laboratory calls so.
+    /// The known column meant by this name.
     fn meant_by(&self, name: &str) -> Option<&'static str> {
         let letters: String = name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect();
         (self.meant)(&letters)
     }
 }
 
-/// The names of a header: a column that is called as laboratories do is the known one, if the file has none that is called so itself.
+/// The column names of a header: a laboratory's name for a known column is replaced by it, unless
+/// the file has that column itself.
 fn names_of(header: &csv::StringRecord, columns: &Columns<'_>) -> Vec<String> {
     let mut names: Vec<String> = header.iter().map(|name| name_of(name, columns)).collect();
     for k in 0..names.len() {
@@ -170,7 +173,7 @@ fn names_of(header: &csv::StringRecord, columns: &Columns<'_>) -> Vec<String> {
     names
 }
 
-/// The name of a column: as it is known, else as it is written.
+/// The name of a column: the known spelling, else as written.
 fn name_of(written: &str, columns: &Columns<'_>) -> String {
     let written = text::visible(written);
     let written = written.trim();
@@ -214,7 +217,7 @@ fn rows(reader: &mut csv::Reader<&[u8]>, mut place: Place<'_>, names: &[String])
     }
 }
 
-/// A row has a cell for each column with a name, and nothing beside them.
+/// Checks that a row has a cell for each named column, and nothing in addition.
 fn check_length(row: usize, record: &csv::StringRecord, names: &[String]) -> std::result::Result<(), FieldError> {
     let refused = |message: String| Err(FieldError::new(format!("row[{row}]"), message));
     let named = names.iter().rposition(|name| !name.is_empty()).map_or(0, |last| last + 1);
@@ -245,18 +248,18 @@ fn unreadable(row: usize, error: &csv::Error) -> Error {
 
 /// The filled cells of a row, by column.
 pub(super) struct Cells<'a> {
-    /// Row of the file, the header being row 1.
+    /// Row number in the file, the header being row 1.
     pub row: usize,
     table: &'a Table,
     filled: HashMap<&'a str, (usize, &'a str)>,
 }
 
-/// What a cell of a column that is not known may be.
+/// Content of a cell in an unknown column.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Told<'a> {
     Missing,
     Number(f64, Option<&'static str>),
-    /// Below or above what could be measured.
+    /// Below or above the measuring range.
     Limit(&'a str),
     /// A comma or point before three digits: one number or a thousand times it.
     TwoNumbers(&'a str),
@@ -264,22 +267,22 @@ pub(super) enum Told<'a> {
 }
 
 impl<'a> Cells<'a> {
-    /// Whether the column is there and its cell says something.
+    /// Whether the column exists and its cell is filled.
     pub fn holds(&self, column: &str) -> bool {
         self.filled.contains_key(column)
     }
 
-    /// The cell as it is written; nothing where it is empty.
+    /// The cell as written; empty if it is empty.
     pub fn written(&self, column: &str) -> &'a str {
         self.filled.get(column).map(|(_, cell)| *cell).unwrap_or_default()
     }
 
-    /// The cell without the blanks around it.
+    /// The cell without surrounding blanks.
     pub fn text(&self, column: &str) -> &'a str {
         self.written(column).trim()
     }
 
-    /// What the cell is, by itself and by what its column and file show of decimal signs.
+    /// The content of the cell, judged by itself and by the decimal signs in its column and file.
     pub fn told(&self, column: &str) -> Told<'a> {
         let Some((k, cell)) = self.filled.get(column) else { return Told::Missing };
         let (text, table) = (cell.trim(), self.table);
@@ -296,7 +299,7 @@ impl<'a> Cells<'a> {
     /// The number in the cell, in the unit of its column.
     ///
     /// # Errors
-    /// An empty cell, or one without a number, with two, or with one of another unit.
+    /// An empty cell, one without a number, an ambiguous number, or one in another unit.
     pub fn number(&self, column: &str) -> std::result::Result<f64, FieldError> {
         let refused = |message: String| Err(at(self.row, column, message));
         match self.told(column) {
@@ -314,7 +317,7 @@ impl<'a> Cells<'a> {
         }
     }
 
-    /// The number of repeats in the cell, none where it is empty.
+    /// The number of repeats in the cell, none if it is empty.
     ///
     /// # Errors
     /// Anything but a whole number.
@@ -322,7 +325,8 @@ impl<'a> Cells<'a> {
         self.whole(column, "repeats")
     }
 
-    /// The number of `what` in the cell, none where it is empty. `5.0` is five: a table with gaps writes it so.
+    /// The number of `what` in the cell, none if it is empty. `5.0` is five: a table with gaps
+    /// writes it like this.
     ///
     /// # Errors
     /// Anything but a whole number.
@@ -336,13 +340,13 @@ impl<'a> Cells<'a> {
         whole.map(|n| Some(n as u32)).ok_or_else(wrong)
     }
 
-    /// All cells but that of one column, without the blanks around them.
+    /// All cells except that of one column, without surrounding blanks.
     pub fn all_but(&self, column: &str) -> Vec<&'a str> {
         self.table.columns.iter().filter(|name| *name != column).map(|name| self.text(name)).collect()
     }
 }
 
-/// Why a number may be two.
+/// Why a number is ambiguous.
 pub(super) fn two_numbers(text: &str) -> String {
     let plain: String = text.chars().filter(|c| !",.".contains(*c)).collect();
     format!("may be {} or {plain}: write it as one of these", text.replace(',', "."))

@@ -8,17 +8,18 @@
 //! | `47 %`, `24.3 °C`, `5mm` | a number with its unit |
 //! | `<5`, `>95` | no number: a limit of what could be measured |
 
-/// Decimal signs that cells show beyond doubt.
+/// Decimal signs that cells show unambiguously.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Signs {
     pub point: bool,
     pub comma: bool,
-    /// A whole number of three digits or more without any: then 1.013 may be the next thousand.
+    /// A whole number of three digits or more without any sign: then 1.013 may be the next
+    /// thousand.
     pub hundreds: bool,
 }
 
 impl Signs {
-    /// What either shows.
+    /// The union of both.
     pub fn and(self, other: Self) -> Self {
         Self {
             point: self.point || other.point,
@@ -31,7 +32,7 @@ impl Signs {
         Self { point: mark == '.', comma: mark == ',', hundreds: false }
     }
 
-    /// Whether they show `mark` and not the other one.
+    /// Whether they show `mark` and not the other sign.
     fn is_only(self, mark: char) -> bool {
         (self.point, self.comma) == (mark == '.', mark == ',')
     }
@@ -41,32 +42,32 @@ impl Signs {
     }
 }
 
-/// A cell that holds a number.
+/// A cell that contains a number.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Written {
     value: Value,
-    /// Its unit, as [`unit`] names it; none where none stands beside it.
+    /// Its unit, as named by [`unit`]; none if it has no unit.
     pub unit: Option<&'static str>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Value {
-    /// One reading; what it shows of decimal signs.
+    /// Unambiguous, with the decimal signs it shows.
     Sure(f64, Signs),
-    /// `mark` separates decimals, or groups of three digits.
+    /// `mark` separates either decimals or groups of three digits.
     Either { mark: char, decimal: f64 },
 }
 
-/// What a cell is, that is neither empty nor a name for what is missing.
+/// Content of a cell that is neither empty nor a word for a missing value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Cell {
     Number(Written),
-    /// Below or above what could be measured.
+    /// Below or above the measuring range.
     Limit,
     Other,
 }
 
-/// Read a cell.
+/// Reads a cell.
 pub fn cell(text: &str) -> Cell {
     let limit = text.strip_prefix(['<', '>', '≤', '≥']).map(|rest| rest.trim_start_matches('=').trim());
     match (limit, written(limit.unwrap_or(text))) {
@@ -85,10 +86,11 @@ impl Written {
         }
     }
 
-    /// Its value in a column and a file with these signs; nothing where it may be two numbers.
+    /// Its value in a column and a file with these signs; `None` if it is ambiguous.
     ///
-    /// Signs of the column count before the file's. Where neither has any a point is a decimal point, and a comma a decimal comma if it does not
-    /// also separate cells; but beside 980 nobody knows whether 1.013 is the next thousand.
+    /// Signs in the column take precedence over those in the file. If neither has any, a point is a
+    /// decimal point, and a comma a decimal comma unless it also separates cells; but next to 980
+    /// there is no telling whether 1.013 is the next thousand.
     pub fn value(&self, column: Signs, file: Signs, separator: u8) -> Option<f64> {
         let Value::Either { mark, decimal } = self.value else {
             let Value::Sure(value, _) = self.value else { return None };
@@ -121,12 +123,12 @@ fn written(text: &str) -> Option<Written> {
     Some(Written { value: value(digits.trim(), exponent.is_empty(), number)?, unit })
 }
 
-/// A letter that follows a number at once is more often part of a name, as in `12C`, than a unit.
+/// A letter directly after a number is more often part of a name, as in `12C`, than a unit.
 fn is_letter(name: &str) -> bool {
     name.len() == 1 && name != "%"
 }
 
-/// The exponent that `rest` begins with, and what follows.
+/// The exponent at the start of `rest`, and what follows it.
 fn exponent<'a>(digits: &str, rest: &'a str) -> (&'a str, &'a str) {
     let Some(after) =
         rest.strip_prefix(['e', 'E']).filter(|_| digits.ends_with(|c: char| c.is_ascii_digit() || ".,".contains(c)))
@@ -156,7 +158,7 @@ fn value(digits: &str, is_plain: bool, number: impl Fn(&str) -> Option<f64>) -> 
             })
         }
         [.., (at, last)] => {
-            // The last mark separates decimals if it is none of the others.
+            // The last mark separates decimals if it differs from all the others.
             let others = &marks[..marks.len() - 1];
             let is_own = is_decimal(*last) && others.iter().all(|(_, mark)| mark != last);
             let (whole, part) = if is_own { (&digits[..*at], &digits[at + 1..]) } else { (digits, "") };
@@ -172,7 +174,8 @@ fn value(digits: &str, is_plain: bool, number: impl Fn(&str) -> Option<f64>) -> 
     }
 }
 
-/// Digits without what separates groups of three of them; nothing where the groups are others, or separated in two ways.
+/// The digits without group separators; `None` if the groups are not of three digits, or use two
+/// separators.
 fn ungrouped(digits: &str) -> Option<String> {
     let mark = digits.chars().find(|c| !c.is_ascii_digit())?;
     let groups: Vec<&str> = digits.split(mark).collect();
@@ -182,7 +185,7 @@ fn ungrouped(digits: &str) -> Option<String> {
     (are_digits && groups[1..].iter().all(is_group)).then(|| groups.concat())
 }
 
-/// A unit by the name that FLIP has for it; nothing where it is not known.
+/// A unit under FLIP's name for it; `None` if it is not known.
 fn unit(name: &str) -> Option<&'static str> {
     const UNITS: [(&str, &[&str]); 25] = [
         ("%", &["%", "pct", "percent", "% rh", "%rh", "% r.h.", "% rf", "%rf"]),
@@ -215,7 +218,7 @@ fn unit(name: &str) -> Option<&'static str> {
     UNITS.iter().find(|(_, names)| names.contains(&name.as_str())).map(|(unit, _)| *unit)
 }
 
-/// The unit that the name of a column ends in.
+/// The unit at the end of a column's name.
 pub fn unit_of(column: &str) -> Option<&'static str> {
     const ENDINGS: [(&str, &str); 16] = [
         ("_pct", "%"),

@@ -1,15 +1,15 @@
-//! What separates the cells of a file.
+//! The separator of a file's cells.
 
-/// What may, in the order in which it is taken where a header does not tell.
+/// Possible separators, in order of preference where a header does not decide.
 const SEPARATORS: [u8; 4] = [b',', b';', b'\t', b'|'];
 
-/// The separator that makes most known columns of a header, else the one that makes most columns.
+/// The separator that yields the most known columns in a header, else the most columns.
 pub(super) fn separator(header: &str, is_known: impl Fn(&str) -> bool) -> u8 {
     let columns = |mark: u8| {
         let names = names(header, mark);
         (names.iter().filter(|name| is_known(name)).count(), names.len())
     };
-    // Of equals the last is the largest.
+    // `max_by_key` returns the last of equal maxima.
     SEPARATORS.into_iter().rev().max_by_key(|mark| columns(*mark)).unwrap_or(b',')
 }
 

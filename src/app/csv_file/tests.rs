@@ -1,4 +1,4 @@
-//! Files in the forms that laboratories write, and what is wrong with those that are refused.
+//! Files in the formats that laboratories write, and the errors of those that are refused.
 
 use super::*;
 
@@ -58,7 +58,7 @@ fn known_columns_are_found_whatever_the_case_of_their_names() {
     let table = open("A; Long Name ;X_MM;Other One\nx;y;1,5;z\n").unwrap();
     assert_eq!(table.columns, ["a", "long_name", "x_mm", "Other One"]);
     assert_eq!(table.rows().next().unwrap().number("x_mm"), Ok(1.5));
-    // Blanks that do not break, and those that nobody sees.
+    // Non-breaking and invisible blanks.
     let hidden = open("\u{200b}A;Long\u{a0}Name;\u{feff}x_mm\nx\u{200b};y;1,5\n").unwrap();
     assert_eq!(hidden.columns, ["a", "long_name", "x_mm"]);
     assert_eq!(hidden.rows().next().unwrap().text("a"), "x");

@@ -1,19 +1,21 @@
-//! From the bytes of a file to its text, and from the text to what is left when its wrapping is taken off.
+//! Decodes the bytes of a file as text, and strips the text's wrapping.
 
 use flip_core::domain::FieldError;
 use std::borrow::Cow;
 
-/// What Windows and old loggers end a file with: Ctrl-Z, or zeros to fill a block.
+/// Terminators written by Windows and old loggers: Ctrl-Z, or zeros that fill a block.
 const ENDINGS: [char; 2] = ['\u{1a}', '\0'];
 
-/// The text of a file: UTF-8, or UTF-16 that says so with a byte-order mark, as spreadsheets save "Unicode text".
+/// The text of a file: UTF-8, or UTF-16 with a byte-order mark, as spreadsheets save "Unicode
+/// text".
 ///
 /// # Errors
-/// Any other encoding, by the row with the first byte that is none: an 8-bit file does not say which letters it means.
+/// Any other encoding, by the row with the first invalid byte: an 8-bit file does not declare its
+/// encoding.
 pub fn table_text(bytes: &[u8]) -> Result<String, FieldError> {
     let units = |of: fn([u8; 2]) -> u16| {
         let whole = bytes[2..].chunks_exact(2).map(|pair| of([pair[0], pair[1]]));
-        // Half a character is none.
+        // Half a code unit is invalid.
         let odd = (bytes.len() % 2 == 1).then_some(0xd800);
         char::decode_utf16(whole.chain(odd).collect::<Vec<_>>())
             .collect::<Result<String, _>>()
@@ -29,24 +31,26 @@ pub fn table_text(bytes: &[u8]) -> Result<String, FieldError> {
     }
 }
 
-/// Without what pages and chats put between letters and nobody sees: `salt` with a blank of no width is salt.
+/// Removes invisible characters that web pages and chats insert: `salt` with a zero-width space is
+/// salt.
 pub(super) fn visible(text: &str) -> Cow<'_, str> {
     let is_hidden =
         |c: char| matches!(c, '\u{ad}' | '\u{200b}'..='\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2060}' | '\u{feff}');
     if text.contains(is_hidden) { Cow::Owned(text.replace(is_hidden, "")) } else { Cow::Borrowed(text) }
 }
 
-/// A text without its wrapping, and the separator that it names itself.
+/// A text without its wrapping, and the separator that it declares.
 #[derive(Debug, PartialEq)]
 pub(super) struct Bare<'a> {
     pub text: &'a str,
     pub separator: Option<u8>,
 }
 
-/// Without byte-order mark, Ctrl-Z and the line `sep=;` that spreadsheets write and eat: the header is row 1 all the same.
+/// Strips byte-order mark, Ctrl-Z and the line `sep=;` that spreadsheets write and consume: the
+/// header is still row 1.
 ///
 /// # Errors
-/// A `sep=` that names no separator of cells.
+/// A `sep=` that does not name a cell separator.
 pub(super) fn bare(text: &str) -> Result<Bare<'_>, FieldError> {
     let text = text.trim_start_matches('\u{feff}');
     let text = text.trim_end_matches(|c: char| ENDINGS.contains(&c) || c == '\r' || c == '\n');
@@ -55,7 +59,7 @@ pub(super) fn bare(text: &str) -> Result<Bare<'_>, FieldError> {
     let Some(named) = named.get(..4).filter(|it| it.eq_ignore_ascii_case("sep=")).and_then(|_| named.get(4..)) else {
         return Ok(Bare { text, separator: None });
     };
-    // What a program appends that pads its rows: `sep=;;;;`.
+    // Padding appended by programs that pad their rows: `sep=;;;;`.
     let mut marks = named.bytes();
     match marks.next() {
         Some(mark @ (b',' | b';' | b'\t' | b'|')) if marks.all(|other| other == mark) => {

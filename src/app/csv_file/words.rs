@@ -1,27 +1,28 @@
-//! Words that laboratories write in cells: what is missing, yes and no, who measured, whether a balance stood.
+//! Words that laboratories write in cells: missing values, yes and no, who measured, whether a
+//! balance was stable.
 
 use flip_core::domain::powder::Method;
 
-/// A cell that says that there is nothing to say, as R, pandas, spreadsheets and people write it.
+/// Words for a missing value, as written by R, pandas, spreadsheets and people.
 const MISSING: [&str; 28] = [
     "NA", "N/A", "n/a", "n.a.", "N.A.", "<NA>", "#N/A", "#N/A N/A", "#NA", "#NV", "NaN", "nan", "NAN", "-NaN", "-nan",
     "NULL", "null", "-", "--", "---", "–", "—", "n.d.", "n. d.", "N.D.", "k.A.", "k. A.", "?",
 ];
-/// The same where only numbers belong: of a column of names they may be names.
+/// The same where only numbers belong: in a column of names they may be names.
 const NO_NUMBER: [&str; 9] = ["none", "nil", "na", "nd", "n.v.", "missing", ".", "..", "*"];
 
-/// Whether a cell is as good as empty.
+/// Whether a cell counts as empty.
 pub fn is_missing(cell: &str) -> bool {
     cell.is_empty() || MISSING.contains(&cell) || is_error(cell)
 }
 
-/// Whether a spreadsheet could not compute it: `#DIV/0!`, `#VALUE!`, `#NAME?`, in every language.
+/// Whether it is a spreadsheet error: `#DIV/0!`, `#VALUE!`, `#NAME?`, in every language.
 fn is_error(cell: &str) -> bool {
     let name = cell.strip_prefix('#').and_then(|rest| rest.strip_suffix(['!', '?']));
     name.is_some_and(|name| name.len() >= 3 && name.chars().all(|c| c.is_uppercase() || "/0".contains(c)))
 }
 
-/// Words that are little else than what was computed of other rows.
+/// Words that rarely mean anything but a value computed from other rows.
 const SURELY: [&str; 16] = [
     "mean",
     "mean value",
@@ -41,9 +42,10 @@ const SURELY: [&str; 16] = [
     "standardabweichung",
 ];
 
-/// Whether a cell names what was computed of the rows above it, as the last rows of a table do: `Mean`, `SD`, `Total`, `salt average`.
+/// Whether a cell labels a value computed from the rows above it, as in the last rows of a table:
+/// `Mean`, `SD`, `Total`, `salt average`.
 pub fn is_summary(cell: &str) -> bool {
-    /// Alone, beside those that surely are.
+    /// On their own, in addition to the unambiguous ones.
     const WORDS: [&str; 35] = [
         "all",
         "all powders",
@@ -81,7 +83,7 @@ pub fn is_summary(cell: &str) -> bool {
         "summe",
         "moyenne",
     ];
-    /// Also beside a name: nobody calls a powder so.
+    /// Also next to a name: no powder is called that.
     const BESIDE: [&str; 11] = [
         "overall",
         "mean",
@@ -104,7 +106,8 @@ pub fn is_summary(cell: &str) -> bool {
         || BESIDE.contains(&text.as_str())
 }
 
-/// Whether it is one of the words that are little else: in a column of names there may be a `max` or a `total`.
+/// Whether it is one of the unambiguous words: in a column of names there may be a `max` or a
+/// `total`.
 pub fn is_surely_summary(cell: &str) -> bool {
     SURELY.contains(&plain(cell).as_str())
 }
@@ -113,7 +116,7 @@ fn plain(cell: &str) -> String {
     cell.trim().trim_end_matches([':', '=', '.']).trim_end().to_lowercase()
 }
 
-/// Whether it is where a number belongs.
+/// Whether it means a missing value where a number belongs.
 pub fn is_no_number(cell: &str) -> bool {
     NO_NUMBER.contains(&cell.to_ascii_lowercase().as_str())
 }
@@ -127,7 +130,7 @@ pub fn yes_or_no(text: &str) -> Option<&'static str> {
     }
 }
 
-/// What a balance says of a reading: whether it stood. `S`, `ST`: stable; `U`, `US`, `D`, `SD`: not, dynamic.
+/// A balance's stability flag. `S`, `ST`: stable; `U`, `US`, `D`, `SD`: unstable, dynamic.
 pub fn stable(text: &str) -> Option<bool> {
     match text.to_lowercase().as_str() {
         "s" | "st" | "stable" => Some(true),
@@ -136,7 +139,7 @@ pub fn stable(text: &str) -> Option<bool> {
     }
 }
 
-/// How an angle was measured; an empty cell is by camera, as our own robot does it.
+/// How an angle was measured; an empty cell means by camera, as our own robot does.
 pub fn method(text: &str) -> Option<Method> {
     match text.to_lowercase().as_str() {
         "" | "automated" | "automatic" | "auto" | "camera" => Some(Method::Automated),

@@ -1,4 +1,4 @@
-//! What a file says, what it is refused for, and that it comes back as it was.
+//! How a file is read, why it is refused, and that it survives a round trip.
 
 use super::*;
 use flip_store::now;

@@ -1,23 +1,23 @@
-//! Figures of a report as SVG. Lengths are pixels of a figure [`WIDTH`] wide.
+//! Figures of a report as SVG. Lengths are in pixels of a figure [`WIDTH`] wide.
 
 use super::words::{column_with_unit, num, percent, shortened, text};
 use flip_discover::report::{Curve, NullCheck, Report, Row};
 
 /// Width of every figure.
 const WIDTH: f64 = 420.0;
-/// Room for the labels left of a figure and below it, and at the other two edges.
+/// Margins for the labels to the left of a figure and below it, and at the other two edges.
 const LEFT: f64 = 48.0;
 const BELOW: f64 = 44.0;
 const EDGE: f64 = 10.0;
-/// Width of the strip of runs without the covariate.
+/// Width of the strip for runs without the covariate.
 const STRIP: f64 = 44.0;
-/// Powders that differ by colour; shapes repeat with another period.
+/// Number of colours for powders; shapes repeat with another period.
 const COLOURS: usize = 7;
 const SHAPES: usize = 5;
 /// z of a two-sided 90 % interval.
 const Z90: f64 = 1.645;
 
-/// From values to pixels.
+/// Maps values to pixels.
 #[derive(Debug, Clone, Copy)]
 pub struct Scale {
     low: f64,
@@ -69,7 +69,7 @@ pub fn powders(rows: &[Row]) -> Vec<&str> {
     found
 }
 
-/// The mark of a powder: colour and shape, so that nothing is told by colour alone.
+/// The mark of a powder: colour and shape, so that no information relies on colour alone.
 pub fn mark(powder: usize, x: f64, y: f64) -> String {
     let class = format!("class=\"p{}\"", powder % COLOURS);
     let (l, t) = (x - 3.0, y - 3.0);
@@ -82,7 +82,7 @@ pub fn mark(powder: usize, x: f64, y: f64) -> String {
     }
 }
 
-/// What the marks stand for.
+/// The legend of the marks.
 pub fn legend(powders: &[&str], more: &[(&str, &str)]) -> String {
     let swatch = |drawing: &str, name: &str| {
         format!(
@@ -127,7 +127,7 @@ fn upright(scale: &Scale, right: f64, label: &str) -> String {
     )
 }
 
-/// Numbers, or names, and the label of the horizontal axis.
+/// Numbers or names, and the label, of the horizontal axis.
 fn level(scale: &Scale, ticks: &[(f64, String)], bottom: f64, label: &str) -> String {
     let numbers: String = ticks
         .iter()
@@ -149,7 +149,7 @@ fn level(scale: &Scale, ticks: &[(f64, String)], bottom: f64, label: &str) -> St
     )
 }
 
-/// Names along an axis: as many as have room.
+/// Names along an axis: as many as fit.
 fn names(levels: &[String], room: f64) -> Vec<(f64, String)> {
     let each = room / levels.len().max(1) as f64;
     let every = (38.0 / each).ceil().max(1.0) as usize;
@@ -157,7 +157,8 @@ fn names(levels: &[String], room: f64) -> Vec<(f64, String)> {
     levels.iter().enumerate().step_by(every).map(|(k, name)| (k as f64, shortened(name, letters))).collect()
 }
 
-/// Residuals of the simulator as it was over one covariate, with the course of the extended one and its 90 % band.
+/// Residuals of the original simulator over one covariate, with the curve of the extended one and
+/// its 90 % band.
 pub fn residuals(report: &Report, curve: &Curve) -> String {
     const HEIGHT: f64 = 258.0;
     let order = powders(&report.rows);
@@ -193,7 +194,7 @@ pub fn residuals(report: &Report, curve: &Curve) -> String {
     drawing += &format!("<path class=\"zero\" d=\"M{LEFT} {:.1}H{right:.1}\"/>", y.at(0.0));
     for (k, (at, residual, powder)) in points.iter().enumerate() {
         match at {
-            // Runs of one name stand beside each other.
+            // Runs of one name are placed side by side.
             Some(place) if is_named => {
                 drawing += &mark(*powder, x.at(place + 0.25 * (((k * 7) % 11) as f64 / 5.0 - 1.0)), y.at(*residual));
             }
@@ -221,7 +222,7 @@ pub fn residuals(report: &Report, curve: &Curve) -> String {
     figure(&column_with_unit(&curve.covariate), &summary, HEIGHT, &drawing)
 }
 
-/// Course and band over numbers.
+/// Curve and band over numbers.
 fn ribbon(x: &Scale, y: &Scale, course: &[[f64; 3]]) -> String {
     if course.is_empty() {
         return String::new();
@@ -238,7 +239,7 @@ fn ribbon(x: &Scale, y: &Scale, course: &[[f64; 3]]) -> String {
     )
 }
 
-/// Course and band over names.
+/// Curve and band over names.
 fn steps(x: &Scale, y: &Scale, course: &[[f64; 3]]) -> String {
     let of = |[place, mean, half]: &[f64; 3]| {
         let (from, to) = (x.at(place - 0.38), x.at(place + 0.38));
@@ -255,10 +256,10 @@ fn steps(x: &Scale, y: &Scale, course: &[[f64; 3]]) -> String {
     course.iter().map(of).collect()
 }
 
-/// One side of before and after: what was predicted of a row, and its SD.
+/// One side of a before/after comparison: the prediction for a row, and its SD.
 pub type Side = fn(&Row) -> (Option<f64>, f64);
 
-/// Predicted against measured angles; both sides on the scale of all rows.
+/// Predicted against measured angles; both sides share the scale of all rows.
 pub fn predicted(report: &Report, caption: &str, side: Side) -> String {
     const HEIGHT: f64 = 340.0;
     let order = powders(&report.rows);
@@ -306,7 +307,8 @@ pub fn predicted(report: &Report, caption: &str, side: Side) -> String {
     format!("<div>{}<p class=\"note\">{summary}</p></div>", figure(caption, &summary, HEIGHT, &drawing))
 }
 
-/// The statistic of this campaign beside what one of twenty campaigns without an effect exceeds.
+/// The statistic of this campaign against the value exceeded by one in twenty campaigns without an
+/// effect.
 pub fn null_scale(check: &NullCheck) -> String {
     const HEIGHT: f64 = 74.0;
     let both = check.statistic.zip(check.threshold95);
@@ -339,7 +341,7 @@ pub fn null_scale(check: &NullCheck) -> String {
     figure("The statistic here, and of campaigns with nothing wrong", &summary, HEIGHT, &drawing)
 }
 
-/// A bar from zero to `value` on a scale that all bars of a table share.
+/// A bar from zero to `value` on a scale shared by all bars of a table.
 pub fn bar(value: f64, low: f64, high: f64, class: &str) -> String {
     let x = |value: f64| 160.0 * (value.clamp(low, high) - low) / (high - low);
     let (zero, end) = (x(0.0), if value.is_finite() { x(value) } else { x(0.0) });

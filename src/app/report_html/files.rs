@@ -1,11 +1,11 @@
-//! How the files were read: what each column was taken as, and what was left out.
+//! How the files were read: how each column was interpreted, and what was left out.
 
 use super::sections::{row, section, table};
 use super::words::{column_with_unit, text, upper};
 use flip_discover::Report;
 use flip_discover::reading::{ColumnRead, FileRead, TakenAs};
 
-/// Rows that are named of those left out; the document has all.
+/// Maximum number of left-out rows that are listed; the document has all.
 const ROWS_SHOWN: usize = 20;
 
 pub fn files(report: &Report) -> String {

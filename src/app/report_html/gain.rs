@@ -1,4 +1,5 @@
-//! Before and after: what the simulator predicts as it was and with what was found, on the rows of the file and on rows left out.
+//! Before and after: predictions of the original and of the extended simulator, on the rows of the
+//! file and on rows left out.
 
 use super::figures;
 use super::sections::{row, section, table};

@@ -1,4 +1,5 @@
-//! The report of an investigation as one HTML page that needs nothing else: no script, no font, no other file.
+//! The report of an investigation as one self-contained HTML page: no script, no font, no other
+//! file.
 //!
 //! ```text
 //! mod.rs         the page: sentence and verdict first, provenance last
@@ -11,7 +12,8 @@
 //! style.css      light, dark, phone and paper
 //! ```
 //!
-//! The same report always makes the same bytes. A server must answer it with [`POLICY`]: under a stricter one the page has no style.
+//! The same report always gives the same bytes. A server must send it with [`POLICY`]: under a
+//! stricter policy the page has no style.
 
 mod figures;
 mod files;
@@ -61,7 +63,7 @@ pub fn html(report: &Report) -> String {
     )
 }
 
-/// Class and words of a verdict.
+/// CSS class and wording of a verdict.
 fn badge(verdict: Verdict) -> (&'static str, &'static str) {
     match verdict {
         Verdict::NoDiscrepancy => ("none", "No discrepancy shown"),
@@ -72,7 +74,7 @@ fn badge(verdict: Verdict) -> (&'static str, &'static str) {
     }
 }
 
-/// Sentence, verdict and p, and what the verdict means.
+/// Sentence, verdict and p-value, and the meaning of the verdict.
 fn first(report: &Report) -> String {
     let is_unjudged = report.unjudged.is_some() && report.verdict == Verdict::NoDiscrepancy;
     let (class, name) = if is_unjudged { ("doubt", "Could not be judged") } else { badge(report.verdict) };

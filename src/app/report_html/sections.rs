@@ -1,4 +1,4 @@
-//! The parts of a report below its sentence. A part without anything to say is empty.
+//! The sections of a report below its sentence. A section without content is empty.
 
 use super::figures::{self, bar};
 use super::traces::is_of_traces;
@@ -9,14 +9,14 @@ use super::words::{
 use flip_discover::report::{CauseReport, Channel, Experiment, Finding, PowderEffect, Report, SideChannel, Verdict};
 use flip_discover::{Mechanism, is_told};
 
-/// Figures of residuals at most.
+/// Maximum number of residual figures.
 const FIGURES_MAX: usize = 8;
-/// Inclusion probability from which a cause is told of beyond its bar.
+/// Inclusion probability from which a cause is described in more than its bar.
 const TOLD: f64 = 0.1;
-/// Steps of colour of an effect.
+/// Number of colour shades of an effect.
 const SHADES: f64 = 4.0;
 
-/// A part: heading, a line that says how to read it, content.
+/// A section: heading, a line that explains how to read it, content.
 pub fn section(title: &str, intro: &str, content: &str) -> String {
     match content {
         "" => String::new(),
@@ -24,7 +24,7 @@ pub fn section(title: &str, intro: &str, content: &str) -> String {
     }
 }
 
-/// Headings beginning with `>` stand left.
+/// A table; headings starting with `>` are left-aligned.
 pub(super) fn table(class: &str, headings: &[&str], rows: &str) -> String {
     let heading = |label: &&str| match label.strip_prefix('>') {
         Some(label) => format!("<th scope=\"col\" class=\"left\">{label}</th>"),
@@ -41,7 +41,8 @@ pub(super) fn row(head: &str, cells: &[String]) -> String {
     format!("<tr><th scope=\"row\">{head}</th>{cells}</tr>")
 }
 
-/// Covariates in the order in which a reader wants to see them: of findings, of causes from the most probable on, all others.
+/// Covariates in the order a reader wants to see them: those of findings, those of causes by
+/// decreasing probability, all others.
 fn covariates(report: &Report) -> Vec<&str> {
     let of_findings = report.findings.iter().filter_map(|finding| finding.covariate.as_deref());
     let of_unexplained = report.unexplained.iter().filter_map(|it| it.covariate.as_deref());
@@ -150,7 +151,7 @@ pub fn evidence(report: &Report) -> String {
     )
 }
 
-/// What is known of the probable causes; nothing where nothing is wrong.
+/// What is known of the probable causes; empty if nothing is wrong.
 fn causes(report: &Report) -> String {
     if report.verdict == Verdict::NoDiscrepancy {
         return String::new();
@@ -199,7 +200,7 @@ pub fn by_powder(report: &Report) -> String {
         }
     }
     let cells = |of: &dyn Fn(&Finding) -> Option<PowderEffect>| -> Vec<String> {
-        // Degrees and percent have shades of their own.
+        // Degrees and percent have separate shades.
         let most = |unit: &str| {
             let alike = findings.iter().filter(|it| it.unit == unit);
             let all = alike.flat_map(|f| f.by_powder.iter().map(|it| it.effect).chain([f.effect]));
@@ -230,7 +231,7 @@ pub fn by_powder(report: &Report) -> String {
     )
 }
 
-/// What was measured beside the angle, by itself.
+/// Measurements other than the angle.
 pub fn beside(report: &Report) -> String {
     let line = |it: &SideChannel| {
         let (name, looked_at) = match it.channel {
@@ -288,7 +289,7 @@ pub fn blind_spots(report: &Report) -> String {
     }
 }
 
-/// Columns that are no conditions; nothing where there is none.
+/// Columns that are not conditions; empty if there are none.
 pub fn left_out(report: &Report) -> String {
     let rows: String = report
         .left_out
@@ -309,7 +310,7 @@ pub fn left_out(report: &Report) -> String {
 }
 
 pub fn null_check(report: &Report) -> String {
-    // Balance readings have their own.
+    // Balance readings have their own section.
     if report.traces.as_ref().is_some_and(|it| it.null_check == report.null_check) {
         return String::new();
     }

@@ -11,7 +11,7 @@ use flip_discover::report::{
 use flip_discover::{FitSet, Report};
 use std::collections::BTreeMap;
 
-/// Nothing but a verdict.
+/// A report with only a verdict.
 fn bare(verdict: Verdict) -> Report {
     Report {
         schema_version: SCHEMA_VERSION,
@@ -43,7 +43,7 @@ fn bare(verdict: Verdict) -> Report {
     }
 }
 
-/// Every part, with every text from `word`.
+/// A report with every section, and every text from `word`.
 fn full(verdict: Verdict, word: &str) -> Report {
     let owned = || word.to_owned();
     let rows: Vec<Row> = (0..12)
@@ -174,7 +174,7 @@ fn full(verdict: Verdict, word: &str) -> Report {
 const VERDICTS: [Verdict; 5] =
     [Verdict::NoDiscrepancy, Verdict::Cause, Verdict::Ambiguous, Verdict::Unexplained, Verdict::Hint];
 
-/// Every tag closes the one that was opened last.
+/// Checks that every closing tag matches the last opened one.
 fn check_balance(page: &str) {
     let mut open: Vec<&str> = Vec::new();
     let mut rest = page.strip_prefix("<!DOCTYPE html>").expect("begins as HTML does");
@@ -190,7 +190,7 @@ fn check_balance(page: &str) {
             (false, false) => open.push(name),
         }
         rest = &rest[end + 1..];
-        // A style sheet may hold `>`.
+        // A style sheet may contain `>`.
         if name == "style" && !tag.starts_with('/') {
             rest = &rest[rest.find("</style>").expect("a style sheet ends")..];
         }
@@ -198,7 +198,7 @@ fn check_balance(page: &str) {
     assert_eq!(open, Vec::<&str>::new());
 }
 
-/// What stands between the tags, without the style sheet.
+/// The text between the tags, without the style sheet.
 fn words_of(page: &str) -> String {
     let body = page.split("<body>").nth(1).unwrap();
     body.split('<').map(|piece| piece.split_once('>').map_or(piece, |(_, words)| words)).collect()
@@ -258,7 +258,7 @@ fn a_part_without_anything_to_say_is_not_there() {
 #[test]
 fn every_number_of_every_figure_is_finite() {
     let mut reports = VERDICTS.map(|verdict| full(verdict, "relative_humidity_pct")).to_vec();
-    // One run, all alike, nothing measured, numbers that are none.
+    // One run, all values equal, nothing measured, and numbers that are not finite.
     let mut one = full(Verdict::Cause, "rest_min");
     one.rows.truncate(1);
     let mut alike = full(Verdict::Cause, "rest_min");

@@ -1,4 +1,4 @@
-//! What balance readings say, by themselves.
+//! Findings on balance readings alone.
 
 use super::figures;
 use super::sections::{experiment_card, row, section, table};

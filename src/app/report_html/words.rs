@@ -1,17 +1,18 @@
-//! How a report writes names and numbers. Everything that comes from a file passes through [`text`], names too: they come unescaped.
+//! Formatting of names and numbers in a report. Everything from a file passes through [`text`],
+//! including names: they arrive unescaped.
 
 pub use flip_discover::names::{cause, column, form, level, lower, parameter, with_unit, words};
 
 use flip_discover::numerics::{Dependence, Varied};
 use flip_discover::report::Numerics;
 
-/// Begins large, for the beginning of a sentence.
+/// Capitalizes the first letter, for the start of a sentence.
 pub fn upper(phrase: &str) -> String {
     let mut letters = phrase.chars();
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
-/// Text as HTML: nothing in it is markup, and no control character is left.
+/// Text as HTML: no markup takes effect, and control characters are removed.
 pub fn text(raw: &str) -> String {
     let mut out = String::with_capacity(raw.len());
     for c in raw.chars() {
@@ -29,7 +30,7 @@ pub fn text(raw: &str) -> String {
     out
 }
 
-/// What simulated heaps say of how they are computed, on one line.
+/// Summary of the numerics check on simulated heaps, on one line.
 pub fn numerics(of: &Numerics) -> String {
     let told = |it: &Dependence| {
         let (what, per) = match it.varied {
@@ -50,7 +51,7 @@ pub fn numerics(of: &Numerics) -> String {
     format!("{} <small>{heaps} heaps of {}, 99 % intervals</small>", all.join("; "), text(&of.set.source))
 }
 
-/// At most so many letters.
+/// Truncates to at most `most` letters.
 pub fn shortened(raw: &str, most: usize) -> String {
     match raw.chars().count() > most {
         true => raw.chars().take(most.max(2) - 1).chain(['…']).collect(),
@@ -58,7 +59,7 @@ pub fn shortened(raw: &str, most: usize) -> String {
     }
 }
 
-/// Fixed decimals and a true minus; a dash for what is no number.
+/// Fixed decimals and a true minus sign; a dash if it is not a number.
 pub fn num(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return "–".to_owned();
@@ -84,7 +85,7 @@ pub fn interval([low, high]: [f64; 2], decimals: usize) -> String {
     format!("[{}, {}]", num(low, decimals), num(high, decimals))
 }
 
-/// As many decimals as three significant digits need.
+/// Number of decimals for three significant digits.
 pub fn decimals_of(value: f64) -> usize {
     match value.abs() {
         size if !size.is_finite() || size == 0.0 => 0,
@@ -92,7 +93,7 @@ pub fn decimals_of(value: f64) -> usize {
     }
 }
 
-/// A chance: two digits that say something.
+/// A probability with two informative digits.
 pub fn chance(p: f64) -> String {
     num(
         p,
@@ -106,7 +107,7 @@ pub fn chance(p: f64) -> String {
     )
 }
 
-/// A share as `93 %`; what is nearly none or nearly all is not rounded to it.
+/// A share as `93 %`; nearly none or nearly all is not rounded to none or all.
 pub fn percent(share: f64) -> String {
     match share {
         s if s > 0.0 && s < 0.005 => "&lt; 1 %".to_owned(),
@@ -115,7 +116,7 @@ pub fn percent(share: f64) -> String {
     }
 }
 
-/// Seconds, or minutes, or hours.
+/// A duration in seconds, minutes or hours.
 pub fn duration(seconds: f64) -> String {
     match seconds {
         s if s < 100.0 => format!("{} s", num(s, 0)),
@@ -132,7 +133,7 @@ pub fn column_with_unit(name: &str) -> String {
     }
 }
 
-/// From where to where, without the condition that stands above it; not escaped yet.
+/// A range, without the name of the condition that is its heading; not escaped yet.
 pub fn span<'a>(span: &'a str, label: &str) -> &'a str {
     span.strip_suffix(&lower(label)).map_or(span, str::trim_end)
 }

@@ -20,7 +20,8 @@ pub(super) struct Arguments {
     /// Name of the person who checked spoon, vial and funnel.
     #[arg(long, value_name = "NAME", default_value = "")]
     by: String,
-    /// Confirm that the spoon holds no powder, the vial is empty or removed and the arm's path is clear: the arm may move. Without it nothing moves.
+    /// Confirm that the spoon holds no powder, the vial is empty or removed and the arm's path is
+    /// clear: the arm may move. Without it nothing moves.
     #[arg(long, requires = "by")]
     spoon_empty: bool,
     /// Confirm that the funnel is empty: the gate may open.
@@ -31,7 +32,7 @@ pub(super) struct Arguments {
     keep: bool,
 }
 
-/// The document of `flip bench check`, as it is printed and kept.
+/// The document of `flip bench check`, as printed and stored.
 #[derive(Debug, Serialize)]
 struct Document {
     bench: BenchFile,
@@ -39,7 +40,7 @@ struct Document {
     report: Report,
 }
 
-/// Ask every device, and print what is wrong. Exit status 1 if something is.
+/// Tests every device, and prints what is wrong. Exit status 1 if something is.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let bench = read("config", &arguments.config)?;
     let looked = Looked::by(&arguments.by, arguments.spoon_empty, arguments.funnel_empty)?;

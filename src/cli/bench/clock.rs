@@ -1,29 +1,30 @@
-//! Processor time, and how it spreads over repeated windows.
+//! Processor time, and its spread over repeated windows.
 
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 
-/// Processor time of this process so far, all threads together, s.
+/// Processor time of this process so far, over all threads, s.
 fn processor_s() -> f64 {
     let time = clock_gettime(ClockId::ProcessCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
-/// Processor time that `run` takes, s, and what it returns.
+/// Processor time used by `run`, s, and its result.
 pub(super) fn core_s<T>(run: impl FnOnce() -> T) -> (f64, T) {
     let before = processor_s();
     let value = run();
     (processor_s() - before, value)
 }
 
-/// Peak memory of this process so far, MiB, where the system tells.
+/// Peak memory of this process so far, MiB, where the system reports it.
 pub(super) fn rss_mb() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     line.split_whitespace().next()?.parse::<f64>().ok().map(|kb| kb / 1024.0)
 }
 
-/// A quantity over windows, which differ in what the scene does in them and in what else the machine does.
+/// A quantity over windows, which differ in what the scene does during them and in what else the
+/// machine does.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Spread {
     pub median: f64,
@@ -32,7 +33,7 @@ pub(super) struct Spread {
 }
 
 impl Spread {
-    /// Of at least one value.
+    /// The spread of at least one value.
     pub(super) fn of(values: &[f64]) -> Self {
         let mut sorted = values.to_vec();
         sorted.sort_unstable_by(f64::total_cmp);
@@ -40,12 +41,12 @@ impl Spread {
         Self { median: (sorted[(n - 1) / 2] + sorted[n / 2]) / 2.0, min: sorted[0], max: sorted[n - 1] }
     }
 
-    /// Of `windows` runs of `measure`.
+    /// The spread of `windows` runs of `measure`.
     pub(super) fn over(windows: u32, measure: impl FnMut(u32) -> f64) -> Self {
         Self::of(&(0..windows).map(measure).collect::<Vec<_>>())
     }
 
-    /// Every value times `factor`, which is above zero.
+    /// Multiplies every value by `factor`, which is positive.
     pub(super) fn scaled(self, factor: f64) -> Self {
         Self { median: self.median * factor, min: self.min * factor, max: self.max * factor }
     }

@@ -1,4 +1,5 @@
-//! `flip bench`: the bench and its devices, and what the simulator costs on this machine beside others on the same scene.
+//! `flip bench`: the bench and its devices, and the cost of the simulator on this machine compared
+//! with others on the same scene.
 
 mod check;
 mod clock;
@@ -19,7 +20,7 @@ use flip_sim::column;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Grains of a bed: fewer make no column, more take hours.
+/// Allowed number of grains in a bed: fewer do not form a column, more take hours.
 const PARTICLES: std::ops::RangeInclusive<u32> = 100..=200_000;
 
 /// Arguments of `flip bench`.
@@ -31,7 +32,8 @@ pub(super) struct Arguments {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
-    /// Show the bench, whether it may be used, and its balance's repeatability; works while a server runs.
+    /// Show the bench, whether it may be used, and its balance's repeatability; works while a
+    /// server runs.
     Status,
     /// Clear a latched bench or arm after a person has checked it: weighings may go on.
     Clear(upkeep::ClearArguments),
@@ -41,7 +43,8 @@ enum What {
     Reserve(turns::ReserveArguments),
     /// Release the bench before the reservation ends.
     Release(turns::ReleaseArguments),
-    /// Confirm that the vial is in for the weighing whose turn it is, and wait until the dose has ended.
+    /// Confirm that the vial is in for the weighing whose turn it is, and wait until the dose has
+    /// ended.
     VialReady(turns::VialReadyArguments),
     /// Find out which balance is connected.
     Probe(probe::Arguments),
@@ -78,7 +81,7 @@ struct BedDocument {
     simulator: &'static str,
 }
 
-/// Run one of them and print what it found.
+/// Runs the chosen subcommand and prints its result.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.what {
         What::Status => upkeep::status(common),
@@ -118,7 +121,7 @@ fn require_particles(field: &'static str, particles: u32) -> Result<(), FieldErr
     Err(FieldError::new(field, message))
 }
 
-/// A bed of the simulator's own making.
+/// A bed made by the simulator itself.
 fn settle(particles: u32) -> Result<Vec<[f64; 3]>, Failure> {
     column::bed(particles).map_err(|cause| Failure::Failed(anyhow::anyhow!("the bed of {particles}: {cause}")))
 }
@@ -128,7 +131,7 @@ fn write_bed(file: &Path, centres: &[[f64; 3]]) -> Result<(), Failure> {
     Ok(std::fs::write(file, lines.concat())?)
 }
 
-/// A bed that [`write_bed`] or another program wrote.
+/// Reads a bed written by [`write_bed`] or another program.
 fn read_bed(file: &Path) -> Result<Vec<[f64; 3]>, Failure> {
     let bad = |line: usize| {
         let message = format!("{}: line {line} is not `x,y,z`", file.display());

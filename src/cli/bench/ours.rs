@@ -1,4 +1,5 @@
-//! The simulator's own costs: the released column flowing and at rest, at several sizes, and the two experiments built on it.
+//! Costs of the simulator itself: the released column flowing and at rest, at several sizes, and
+//! the two experiments built on it.
 
 use super::clock::{Spread, core_s};
 use super::{Failure, settle};
@@ -13,22 +14,24 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::time::Instant;
 
-/// When the first window begins, after the release, s: the column collapses from then on. As in `benches/peers/scene.py`.
+/// Start of the first window, after the release, s: the column collapses from then on. As in
+/// `benches/peers/scene.py`.
 const START_S: f64 = 0.004;
 /// Length of a window, s. As in `benches/peers/scene.py`.
 const WINDOW_S: f64 = 0.002;
-/// When a column of 2000 grains rests, after the release, s; higher ones take longer as sqrt(height).
+/// When a column of 2000 grains has come to rest, after the release, s; taller ones take longer as
+/// sqrt(height).
 const REST_S: f64 = 0.3;
-/// Particle-substeps that a measurement takes at least, for the clock's sake.
+/// Minimum number of particle-substeps in a measurement, for the clock's resolution.
 const ENOUGH: f64 = 4e6;
 
 fn substeps(seconds: f64) -> u32 {
     (seconds / SUBSTEP_S).round() as u32
 }
 
-/// A column whose windows can be timed one after the other.
+/// A column whose windows can be timed one after another.
 pub(super) struct Windows {
-    /// Before the first window.
+    /// State before the first window.
     start: Column,
     column: Column,
     /// Core-seconds per simulated second of each window.
@@ -37,7 +40,7 @@ pub(super) struct Windows {
 }
 
 impl Windows {
-    /// The column shortly after its release: it flows.
+    /// The column shortly after its release, flowing.
     pub(super) fn flowing(centres_m: &[[f64; 3]]) -> Self {
         Self::after(Column::new(centres_m), START_S)
     }
@@ -53,7 +56,7 @@ impl Windows {
         Self { start: column.clone(), column, costs: Vec::new(), overlaps: Vec::new() }
     }
 
-    /// Time the next window: the same stretch as often as the clock needs.
+    /// Times the next window: the same stretch, repeated as often as the clock needs.
     pub(super) fn time_next(&mut self) {
         let steps = substeps(WINDOW_S);
         let repeats = (ENOUGH / (self.column.particles() as f64 * f64::from(steps))).ceil();
@@ -68,7 +71,7 @@ impl Windows {
         self.overlaps.push(self.column.overlaps().0);
     }
 
-    /// All of them.
+    /// Times all of them.
     pub(super) fn time(mut self, windows: u32) -> Self {
         (0..windows).for_each(|_| self.time_next());
         self
@@ -78,8 +81,8 @@ impl Windows {
         &self.column
     }
 
-    /// Nanoseconds of a core per grain for one build of the neighbour list, in the first window: what it costs more to build one in
-    /// every substep.
+    /// Core-nanoseconds per grain for one build of the neighbour list, in the first window: the
+    /// extra cost of building one in every substep.
     pub(super) fn list_ns(&self) -> f64 {
         let steps = substeps(WINDOW_S);
         let (mut seldom, mut always) = (self.start.clone(), self.start.clone());
@@ -94,7 +97,7 @@ impl Windows {
         1e9 * (built_s - plain_s) / (more as f64 * self.start.particles() as f64)
     }
 
-    /// Operations and bytes of all windows, and how many particle-substeps they were.
+    /// Operations and bytes of all windows, and their number of particle-substeps.
     pub(super) fn count(&self) -> (Work, f64) {
         let steps = self.costs.len() as u32 * substeps(WINDOW_S);
         (self.start.clone().count(steps), self.start.particles() as f64 * f64::from(steps))
@@ -104,18 +107,18 @@ impl Windows {
         Spread::of(&self.costs)
     }
 
-    /// Mean over the windows' ends, in diameters.
+    /// Mean over the ends of the windows, in diameters.
     pub(super) fn overlap_mean(&self) -> f64 {
         self.overlaps.iter().sum::<f64>() / self.overlaps.len().max(1) as f64
     }
 
-    /// Nanoseconds of a core for one substep of one grain.
+    /// Core-nanoseconds for one substep of one grain.
     pub(super) fn ns_per_particle_substep(&self) -> Spread {
         self.cost().scaled(1e9 * SUBSTEP_S / self.column.particles() as f64)
     }
 }
 
-/// What one number of grains costs.
+/// Costs at one number of grains.
 #[derive(Debug, Serialize)]
 pub(super) struct Size {
     pub particles: u32,
@@ -135,7 +138,7 @@ pub(super) struct Size {
     pub bytes_per_particle: f64,
 }
 
-/// Cost per grain at each size, on beds of the simulator's own.
+/// Cost per grain at each size, on beds made by the simulator itself.
 pub(super) fn sizes(particles: &[u32], windows: u32) -> Result<Vec<Size>, Failure> {
     let mut sizes: Vec<Size> = Vec::new();
     for &particles in particles {
@@ -168,13 +171,14 @@ pub(super) fn sizes(particles: &[u32], windows: u32) -> Result<Vec<Size>, Failur
     Ok(sizes)
 }
 
-/// Core-seconds of one heap of 2000 grains of the default powder; every window pours another seed.
+/// Core-seconds of one heap of 2000 grains of the default powder; every window uses another seed.
 pub(super) fn heap(windows: u32, seed: u64) -> Spread {
     let settings = repose::Settings::default();
     Spread::over(windows, |k| core_s(|| repose(&ParameterSet::default(), &settings, seed + u64::from(k))).0)
 }
 
-/// Core-seconds of one step of a weighing: 2500 grains of the default powder at 24 degrees, an 8 mm shake, until they are quiet.
+/// Core-seconds of one step of a weighing: 2500 grains of the default powder at 24 degrees, an 8 mm
+/// shake, until they are at rest.
 pub(super) fn weighing_step(windows: u32, seed: u64) -> Spread {
     let mut spoon = Dispenser::new(&ParameterSet::default(), &dispense::Settings::default(), seed);
     for _ in 0..3 {
@@ -192,7 +196,7 @@ pub(super) fn weighing_step(windows: u32, seed: u64) -> Spread {
 pub(super) struct Threads {
     pub threads: usize,
     pub simulations: usize,
-    /// Clock time of all of them on one thread, s.
+    /// Wall-clock time of all of them on one thread, s.
     pub one_thread_s: Spread,
     /// The same on all threads.
     pub all_threads_s: Spread,
@@ -200,7 +204,7 @@ pub(super) struct Threads {
     pub speed_up: f64,
 }
 
-/// Time two copies of a column per thread on one thread and on all, taking turns.
+/// Times two copies of a column per thread, on one thread and on all, in turn.
 pub(super) fn threads(scene: &Windows, windows: u32) -> Result<Threads, Failure> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let column = &scene.start;

@@ -1,4 +1,5 @@
-//! Other simulators on the released column: one process each, timed window by window in turn with this one.
+//! Other simulators on the released column: one process each, timed window by window in turn with
+//! this simulator.
 
 use super::clock::{Spread, rss_mb};
 use super::ours::Windows;
@@ -11,9 +12,9 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
-/// Names that `run.sh one` knows.
+/// Names known to `run.sh one`.
 const PEERS: [&str; 5] = ["lammps-hooke", "lammps-soft", "lammps-full", "newton-xpbd", "taichi-pbd"];
-/// Where a clone keeps the scripts.
+/// Location of the scripts in a clone.
 const SCRIPTS: &str = "benches/peers";
 
 /// One simulator on one bed.
@@ -23,7 +24,7 @@ pub(super) enum Row {
     Measured {
         #[serde(flatten)]
         report: Report,
-        /// Core-seconds per simulated second over this simulator's, median over median.
+        /// Core-seconds per simulated second relative to this simulator's, median over median.
         ratio: f64,
     },
     NotMeasured {
@@ -33,37 +34,38 @@ pub(super) enum Row {
     },
 }
 
-/// What a peer prints at its end, and what this simulator says likewise.
+/// Summary printed by a peer at its end, and made by this simulator likewise.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Report {
     pub peer: String,
     pub version: String,
     pub particles: usize,
     pub dt_s: f64,
-    /// Solver iterations in each time step.
+    /// Solver iterations per time step.
     pub iterations: u32,
     pub windows: u32,
     pub core_s_per_sim_s: Spread,
     pub particle_steps_per_core_s: f64,
-    /// Mean overlap of the pairs that overlap, in diameters.
+    /// Mean overlap of overlapping pairs, in diameters.
     pub overlap_mean: f64,
     /// Peak memory of the process, MiB.
     pub rss_mb: Option<f64>,
 }
 
-/// Where scripts and beds come from.
+/// Source of scripts and beds.
 pub(super) struct Peers {
-    /// `run.sh` and its scripts; none when no peers are to run.
+    /// `run.sh` and its scripts; none if no peers are to run.
     scripts: Option<PathBuf>,
     /// Beds `bed_N.csv` made elsewhere.
     beds: Option<PathBuf>,
 }
 
 impl Peers {
-    /// `folder` holds the scripts, or beds in `data`, or both; without scripts of its own those of this clone run.
+    /// `folder` holds the scripts, or beds in `data`, or both; if it has no scripts, those of this
+    /// clone are used.
     ///
     /// # Errors
-    /// Names the flag when there are no scripts.
+    /// Names the flag if there are no scripts.
     pub(super) fn new(folder: Option<&Path>) -> Result<Self, FieldError> {
         let Some(folder) = folder else { return Ok(Self { scripts: None, beds: None }) };
         let has_scripts = |folder: &&Path| folder.join("scene.py").is_file() && folder.join("newton_xpbd.py").is_file();
@@ -76,7 +78,8 @@ impl Peers {
         Ok(Self { scripts: Some(scripts.to_owned()), beds })
     }
 
-    /// The bed of `particles` grains: the given one, else one of the simulator's own; and which of the two it is.
+    /// The bed of `particles` grains: the given one, else one made by the simulator itself; and
+    /// which of the two it is.
     pub(super) fn bed(&self, particles: u32) -> Result<(Vec<[f64; 3]>, &'static str), Failure> {
         let given = self.beds.as_ref().map(|beds| beds.join(format!("bed_{particles}.csv")));
         match given.filter(|file| file.is_file()) {
@@ -85,7 +88,7 @@ impl Peers {
         }
     }
 
-    /// Time every simulator on a bed, window by window in turn. The first row is this simulator's.
+    /// Times every simulator on a bed, window by window in turn. The first row is this simulator's.
     pub(super) fn compare(&self, centres_m: &[[f64; 3]], windows: u32) -> Result<(Windows, Vec<Row>), Failure> {
         let mut ours = Windows::flowing(centres_m);
         let folder = std::env::temp_dir().join(format!("flip-bench-{}", std::process::id()));
@@ -109,7 +112,7 @@ impl Peers {
             }
         }
         let reports: Vec<_> = peers.into_iter().map(|peer| peer.and_then(Peer::finish)).collect();
-        // What is left behind in a folder for temporary files is no reason to lose the measurement.
+        // Leftovers in a temporary folder are no reason to lose the measurement.
         let _ = std::fs::remove_dir_all(&folder);
         let flip = of_flip(&ours, centres_m.len());
         let ratio = |report: &Report| report.core_s_per_sim_s.median / flip.core_s_per_sim_s.median;
@@ -148,7 +151,7 @@ struct Peer {
 }
 
 impl Peer {
-    /// Start one and wait until it is at the first window.
+    /// Starts one and waits until it has reached the first window.
     fn start(scripts: &Path, name: &str, bed: &Path) -> Result<Self, String> {
         let errors = bed.with_file_name(format!("{name}.stderr"));
         let stderr = std::fs::File::create(&errors).map_err(|e| e.to_string())?;
@@ -171,7 +174,7 @@ impl Peer {
 
     fn window(&mut self) -> Result<(), String> {
         let asked = self.windows.write_all(b"\n").and_then(|()| self.windows.flush());
-        // A process that has gone says why on stderr.
+        // A process that has exited gives the reason on stderr.
         if asked.is_err() {
             return Err(self.last_words());
         }
@@ -188,7 +191,7 @@ impl Peer {
         serde_json::from_str(&line).map_err(|e| format!("its report: {e}"))
     }
 
-    /// Read lines up to one that is `wanted`.
+    /// Reads lines up to one that is `wanted`.
     fn wait_for(&mut self, wanted: impl Fn(&str) -> bool) -> Result<String, String> {
         let mut line = String::new();
         loop {
@@ -209,7 +212,7 @@ impl Peer {
     }
 }
 
-/// The last line that speaks of an error, else the last.
+/// The last line that mentions an error, else the last.
 fn last_line(errors: &Path) -> String {
     let text = std::fs::read_to_string(errors).unwrap_or_default();
     let names_it = |line: &&str| line.contains("rror");
@@ -220,7 +223,7 @@ fn last_line(errors: &Path) -> String {
 mod tests {
     use super::*;
 
-    /// Scripts whose `run.sh` is `body`.
+    /// Scripts whose `run.sh` has the content `body`.
     fn scripts(body: &str) -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("run.sh"), body).unwrap();

@@ -1,4 +1,4 @@
-//! `flip bench probe`: which balance is plugged in here?
+//! `flip bench probe`: identifies the connected balance.
 
 use super::super::Common;
 use super::super::failure::Failure;
@@ -16,7 +16,8 @@ pub(super) struct Arguments {
     /// Port of the balance: a path such as `/dev/ttyUSB0`, or `tcp://host:port`.
     #[arg(long, value_name = "PORT")]
     port: String,
-    /// Baud rate; if given, only this setting is tried [default: 1200 to 115200 with 8N1, 7E1, 8O1 and 7O1 in turn, for at most 90 s].
+    /// Baud rate; if given, only this setting is tried [default: 1200 to 115200 with 8N1, 7E1, 8O1
+    /// and 7O1 in turn, for at most 90 s].
     #[arg(long, value_name = "N")]
     baud: Option<u32>,
     /// Data bits for `--baud`, 7 or 8.
@@ -39,7 +40,7 @@ fn parity(name: &str) -> Result<Parity, FieldError> {
     }
 }
 
-/// Ask in every dialect, and print who answered. Nothing is tared, zeroed or set.
+/// Queries every protocol, and prints which one answered. Nothing is tared, zeroed or set.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     if arguments.port.trim().is_empty() {
         return Err(FieldError::new("port", "must be a path, as /dev/ttyUSB0, or tcp://host:port").into());
@@ -60,7 +61,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     }
 }
 
-/// A line on stderr for each setting, where there are several.
+/// Prints a line on stderr for each setting, if there are several.
 fn tell(port: &str, Attempt { number, of, serial }: &Attempt) {
     if *of > 1 {
         let Serial { baud, data_bits, parity } = serial;
@@ -71,7 +72,7 @@ fn tell(port: &str, Attempt { number, of, serial }: &Attempt) {
     }
 }
 
-/// `>` went to the balance, `<` came from it.
+/// `>` was sent to the balance, `<` was received from it.
 fn transcript(exchanges: &[Exchange]) -> String {
     let line = |exchange: &Exchange| match exchange.direction {
         Direction::Sent => format!("> {}\n", exchange.text),

@@ -1,4 +1,5 @@
-//! Where the kernel stands below the two limits of the machine: arithmetic and memory (roofline model, Williams et al. 2009).
+//! The kernel compared with the machine's two limits: arithmetic and memory (roofline model,
+//! Williams et al. 2009).
 
 use super::clock::{Spread, core_s};
 use super::ours::Windows;
@@ -6,23 +7,24 @@ use flip_sim::column;
 use flip_sim::law::SUBSTEP_S;
 use serde::Serialize;
 
-/// Sizes read for the bandwidths, bytes: within a core's first and second cache, and beyond most caches.
+/// Buffer sizes for the bandwidth measurements, bytes: within a core's first- and second-level
+/// cache, and beyond most caches.
 const BUFFERS: [(&str, usize); 3] = [("16 KiB", 16 << 10), ("512 KiB", 512 << 10), ("512 MiB", 512 << 20)];
-/// Bytes to read for one bandwidth.
+/// Bytes to read for one bandwidth measurement.
 const READ: usize = 2 << 30;
-/// Rounds of the arithmetic peak.
+/// Rounds for the arithmetic peak.
 const ROUNDS: u32 = 20_000_000;
 
-/// The machine's limits on one core and the kernel below them.
+/// The machine's limits on one core, and the kernel compared with them.
 #[derive(Debug, Serialize)]
 pub(super) struct Roofline {
-    /// Multiply and add without fusing, in registers, 10^9 operations per second.
+    /// Unfused multiply and add, in registers, 10^9 operations per second.
     pub peak_gflop_s: Spread,
     pub bandwidths: Vec<Bandwidth>,
     pub scenes: Vec<Scene>,
 }
 
-/// Reading in order.
+/// Sequential reading.
 #[derive(Debug, Serialize)]
 pub(super) struct Bandwidth {
     pub buffer: String,
@@ -33,19 +35,19 @@ pub(super) struct Bandwidth {
 #[derive(Debug, Serialize)]
 pub(super) struct Scene {
     pub scene: String,
-    /// Memory that the scene holds, bytes.
+    /// Memory size of the scene, bytes.
     pub bytes: usize,
-    /// For one substep of one grain, counted as executed, rebuilds of the neighbour list included.
+    /// Per substep of one grain, counted as executed, including rebuilds of the neighbour list.
     pub flops: f64,
     /// Divisions and square roots among them.
     pub slow_flops: f64,
     pub streamed_bytes: f64,
     pub gathered_bytes: f64,
-    /// What the kernel reaches, 10^9 operations per second.
+    /// Rate reached by the kernel, 10^9 operations per second.
     pub gflop_s: f64,
-    /// What it streams and gathers, 10^9 bytes per second.
+    /// Data streamed and gathered by the kernel, 10^9 bytes per second.
     pub gb_s: f64,
-    /// Bandwidth of reading as many bytes as the scene holds in order, 10^9 bytes per second.
+    /// Bandwidth of reading sequentially as many bytes as the scene holds, 10^9 bytes per second.
     pub bandwidth_gb_s: f64,
     /// The lower of the arithmetic peak and flops / streamed_bytes * bandwidth.
     pub roof_gflop_s: f64,
@@ -53,7 +55,7 @@ pub(super) struct Scene {
     pub share_of_roof: f64,
 }
 
-/// Measure the limits, and place the scenes below them.
+/// Measures the limits, and compares the scenes with them.
 pub(super) fn roofline(scenes: &[(String, &Windows)], windows: u32) -> Roofline {
     let peak = Spread::over(windows, |_| {
         let (spent, flops) = core_s(|| column::multiply_add(ROUNDS));
@@ -80,7 +82,8 @@ fn place(name: &str, windows: &Windows, peak: f64, repeats: u32) -> Scene {
     let (work, particle_substeps) = windows.count();
     let each = |total: u64| total as f64 / particle_substeps;
     let (flops, streamed, gathered) = (each(work.flops), each(work.streamed_bytes), each(work.gathered_bytes));
-    // The windows differ in how often they build the list, and the count is over all: so is the time.
+    // The windows differ in how often they build the list; the count is over all windows, so the
+    // time must be too.
     let mean_cost = windows.costs.iter().sum::<f64>() / windows.costs.len() as f64;
     let rate = windows.column().particles() as f64 / SUBSTEP_S / mean_cost * 1e-9;
     let bandwidth = bandwidth(bytes, repeats).median;

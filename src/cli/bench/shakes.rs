@@ -1,4 +1,4 @@
-//! `flip bench calibrate-shake`: what the arm makes of commanded shakes.
+//! `flip bench calibrate-shake`: the arm's actual shakes against the commanded ones.
 
 use super::super::Common;
 use super::super::benches::read;
@@ -27,12 +27,13 @@ pub(super) struct Arguments {
     /// Name of the person who checked the spoon.
     #[arg(long, value_name = "NAME")]
     by: String,
-    /// Confirm that the spoon holds no powder and the arm's path is clear; it shakes away from the vial.
+    /// Confirm that the spoon holds no powder and the arm's path is clear; it shakes away from the
+    /// vial.
     #[arg(long)]
     spoon_empty: bool,
 }
 
-/// Asks for an end when it is dropped, as by Ctrl-C.
+/// Requests the end of the work when dropped, as by Ctrl-C.
 struct EndOnDrop(Arc<AtomicBool>);
 
 impl Drop for EndOnDrop {
@@ -41,7 +42,7 @@ impl Drop for EndOnDrop {
     }
 }
 
-/// Shake an empty spoon, keep the line through what was executed, and print it.
+/// Shakes an empty spoon, stores the fitted line through the executed shakes, and prints it.
 ///
 /// The data folder is held meanwhile, so that no server weighs on the same bench.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {

@@ -11,15 +11,16 @@ use flip_sim::{self as sim, column};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Grains of the column that other simulators run too.
+/// Grain counts of the column on which other simulators run too.
 const COMPARED: [u32; 2] = [2000, 10_000];
-/// More windows than this say nothing new.
+/// Maximum number of windows; more give no new information.
 const WINDOWS_MAX: u32 = 100;
 
 /// Arguments of `flip bench sim`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Also run other simulators: the folder of their scripts (benches/peers), or one whose data folder holds beds bed_N.csv.
+    /// Also run other simulators: the folder of their scripts (benches/peers), or one whose data
+    /// folder holds beds bed_N.csv.
     #[arg(long, value_name = "DIR")]
     peers: Option<PathBuf>,
     /// Windows per measurement; median, minimum and maximum are printed.
@@ -47,7 +48,7 @@ pub(super) struct Document {
     pub roofline: Roofline,
 }
 
-/// One of the compared columns as this simulator sees it.
+/// Results of this simulator for one of the compared columns.
 #[derive(Debug, Serialize)]
 pub(super) struct Scene {
     pub particles: usize,
@@ -59,7 +60,7 @@ pub(super) struct Scene {
     pub resting_overlap_mean: f64,
 }
 
-/// Measure everything and print it.
+/// Measures everything and prints it.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     if !(1..=WINDOWS_MAX).contains(&arguments.windows) {
         let message = format!("must be from 1 to {WINDOWS_MAX}, got {}", arguments.windows);

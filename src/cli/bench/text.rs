@@ -16,7 +16,7 @@ fn percent(share: f64, decimals: usize) -> String {
     format!("{:.decimals$} %", 100.0 * share)
 }
 
-/// Everything, medians with least and most over the windows.
+/// All tables, medians with minimum and maximum over the windows.
 pub(super) fn of(d: &Document) -> String {
     [
         format!(

@@ -1,4 +1,4 @@
-//! `flip bench reserve|release|vial-ready`: whose turn it is.
+//! `flip bench reserve|release|vial-ready`: turns on the bench.
 
 use super::super::Common;
 use super::super::benches::BenchArguments;
@@ -45,7 +45,7 @@ pub(in super::super) struct VialReadyArguments {
     bench: BenchArguments,
 }
 
-/// Have the bench for oneself for a while.
+/// Reserves the bench for a while.
 pub(in super::super) fn reserve(common: &Common, arguments: &ReserveArguments) -> Result<(), Failure> {
     let ReserveArguments { owner, seconds, id } = arguments;
     let request = ReservationRequest { owner: owner.clone(), seconds: *seconds, id: id.clone() };
@@ -53,7 +53,7 @@ pub(in super::super) fn reserve(common: &Common, arguments: &ReserveArguments) -
     common.print(&reserved, || format!("{} has the bench until {}: {}", reserved.owner, reserved.until, reserved.id))
 }
 
-/// Give the bench back.
+/// Releases the bench.
 pub(in super::super) fn release(common: &Common, arguments: &ReleaseArguments) -> Result<(), Failure> {
     let found = with_writer(common, async |app| {
         app.release_bench(&arguments.id).await?;
@@ -62,7 +62,7 @@ pub(in super::super) fn release(common: &Common, arguments: &ReleaseArguments) -
     common.print(&found, || "nobody has the bench for himself any more".to_owned())
 }
 
-/// Say that a vial is in, and wait for the dose.
+/// Confirms that a vial is in, and waits for the dose.
 pub(in super::super) fn vial_ready(common: &Common, arguments: &VialReadyArguments) -> Result<(), Failure> {
     let VialReadyArguments { id, by, vial, bench } = arguments;
     let said = VialReadyRequest { by: by.clone(), vial: vial.clone() };

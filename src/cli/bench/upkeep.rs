@@ -1,4 +1,4 @@
-//! `flip bench status|clear|resume|repeatability`: what a person does to a bench.
+//! `flip bench status|clear|resume|repeatability`: a person's work on a bench.
 
 use super::super::Common;
 use super::super::benches::BenchArguments;
@@ -22,7 +22,8 @@ pub(in super::super) struct ClearArguments {
     /// Confirm that the vial is empty or new and that the balance will be tared.
     #[arg(long)]
     vial_ready: bool,
-    /// Let waiting weighings start at the next start-up, even after a stop; otherwise the bench is held.
+    /// Let waiting weighings start at the next start-up, even after a stop; otherwise the bench is
+    /// held.
     #[arg(long)]
     resume: bool,
     /// A bench of devices needs its bench file, so that its arm is notified.
@@ -52,13 +53,13 @@ pub(in super::super) struct RepeatabilityArguments {
     readability_mg: f64,
 }
 
-/// Print what the bench is and whether it may be used.
+/// Prints the state of the bench and whether it may be used.
 pub(in super::super) fn status(common: &Common) -> Result<(), Failure> {
     let found = with_reader(common, async |app| Ok(app.bench().await?))?;
     common.print(&found, || text(&found))
 }
 
-/// A person has looked: weighings may go on.
+/// Clears the bench after a person's check: weighings may go on.
 pub(in super::super) fn clear(common: &Common, arguments: &ClearArguments) -> Result<(), Failure> {
     let ClearArguments { by, note, looked, vial_ready, resume, bench } = arguments;
     let (looked, vial_ready, resume) = (*looked, *vial_ready, *resume);
@@ -67,14 +68,14 @@ pub(in super::super) fn clear(common: &Common, arguments: &ClearArguments) -> Re
     common.print(&found, || text(&found))
 }
 
-/// Let weighings begin again after a stop.
+/// Lets weighings start again after a stop.
 pub(in super::super) fn resume(common: &Common, arguments: &ResumeArguments) -> Result<(), Failure> {
     let request = ResumeRequest { by: arguments.by.clone(), note: arguments.note.clone() };
     let found = with_writer(common, async |app| Ok(app.resume_bench(request).await?))?;
     common.print(&found, || text(&found))
 }
 
-/// Keep a check of how well the balance repeats.
+/// Stores a repeatability check of the balance.
 pub(in super::super) fn repeatability(common: &Common, arguments: &RepeatabilityArguments) -> Result<(), Failure> {
     let RepeatabilityArguments { readings_mg, readability_mg } = arguments.clone();
     let request = RepeatabilityRequest { readings_mg, readability_mg };

@@ -1,4 +1,5 @@
-//! What moves when a weighing is carried out: the simulator itself, a laboratory that is emulated around it, or devices.
+//! The apparatus that carries out a weighing: the simulator itself, a laboratory emulated around
+//! it, or real devices.
 
 use super::stand::{self, PileStand};
 use flip_bench::emulate::arm::GrainsSpoon;
@@ -28,23 +29,23 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Longest cause of a latch that is passed on, characters.
+/// Maximum length of a latch cause that is passed on, characters.
 const CAUSE_MAX: usize = 200;
-/// How long an arm under somebody's control is waited for before it is asked whether it is latched.
+/// How long to wait for an arm under another client's control before querying its latch.
 const ABANDONED_MAX: Duration = Duration::from_secs(10);
-/// How often it is looked at meanwhile.
+/// How often it is polled meanwhile.
 const LOOK_AGAIN: Duration = Duration::from_millis(20);
 
-/// Everything that one weighing needs.
+/// Everything that a weighing needs.
 #[derive(Debug, Clone)]
 pub struct Pouring {
-    /// What is asked for.
+    /// The ordered dose.
     pub order: Order,
-    /// What is known of the balance, and how accurate the mass must be.
+    /// Known accuracy of the balance, and how accurate the mass must be.
     pub accuracy: Accuracy,
-    /// Who decides what to do.
+    /// The controller that chooses the actions.
     pub controller: Controller,
-    /// The frame that the controller was made for.
+    /// The rules that the controller was made for.
     pub rules: Rules,
     /// The simulated balance.
     pub balance: balance::Settings,
@@ -52,18 +53,18 @@ pub struct Pouring {
     pub spoon: dispense::Settings,
     /// The simulated powder on the bench.
     pub set: ParameterSet,
-    /// What the arm makes of commanded shakes, if that was measured.
+    /// The arm's actual shakes against the commanded ones, if measured.
     pub shakes: Option<ShakeCalibration>,
-    /// What the powder is believed to do.
+    /// Predicted behaviour of the powder.
     pub forecast: Forecast,
     /// Seed of the simulated powder.
     pub seed: u64,
-    /// What the display must show before anything moves.
+    /// The check of the display before anything moves.
     pub pan: PanCheck,
 }
 
 impl Pouring {
-    /// Smallest net mass that may be weighed at the accuracy asked for, mg.
+    /// Smallest net mass that may be weighed at the requested accuracy, mg.
     pub fn minimum_mg(&self) -> f64 {
         let s = weigh::repeatability_mg(&self.accuracy, self.order.readability_mg);
         weigh::minimum_weight_mg(s, self.accuracy.class_pct / 100.0)
@@ -81,66 +82,70 @@ pub struct Poured {
     pub outcome: Outcome,
     /// True mass in the vial, mg; unknown on devices.
     pub dispensed_mg: Option<f64>,
-    /// Final reading, mg; none where the dose was aborted or nothing was read when all stood still.
+    /// Final reading, mg; none if the dose was aborted or there was no reading once everything was
+    /// at rest.
     pub reading_mg: Option<f64>,
-    /// What was measured beside it.
+    /// Further measurement data for that reading.
     pub measured: Option<MeasuredMass>,
-    /// Shakes made.
+    /// Number of shakes.
     pub shakes: u32,
     /// Bench time, s.
     pub seconds: f64,
-    /// What was done and read, in order.
+    /// Actions and readings, in order.
     pub ticks: Vec<Tick>,
-    /// Why it ended as it did, where that needs words.
+    /// Why it ended as it did, if that needs explaining.
     pub error: Option<String>,
-    /// Why a person must look before anything moves again.
+    /// Why a person must check the bench before anything moves again.
     pub must_look: Option<String>,
 }
 
-/// One weighing on the bench: what to weigh, who hears of each event before the motion that follows and may forbid it, and the stop flag.
-/// On every way out the spoon is level and away, or a person must look.
+/// One weighing on the bench: takes what to weigh, a callback that is notified of each event before
+/// the motion that follows and may forbid it, and the stop flag.
+/// On every exit the spoon is level and retracted, or a person must check the bench.
 pub type Pour =
     Arc<dyn Fn(&Pouring, &mut dyn FnMut(&Event<'_>) -> ControlFlow<()>, &AtomicBool) -> Poured + Send + Sync>;
 
-/// What makes a latched arm movable again.
+/// Makes a latched arm movable again.
 pub type Recover = Arc<dyn Fn(&str) -> Result<(), DeviceError> + Send + Sync>;
 
-/// Why the arm is latched, if it is.
+/// Returns why the arm is latched, if it is.
 pub type ArmLatch = Arc<dyn Fn() -> Result<Option<String>, DeviceError> + Send + Sync>;
 
-/// What the lane drives.
+/// The hardware, real or not, driven by the lane.
 #[derive(Clone)]
 pub struct Apparatus {
-    /// What it is made of.
+    /// The kind of bench.
     pub kind: BenchKind,
-    /// One weighing.
+    /// Carries out one weighing.
     pub pour: Pour,
-    /// Make the arm stand still at once, from any thread; returns when it was told.
+    /// Stops the arm at once, from any thread; returns once the command has been sent.
     pub halt: Arc<dyn Fn() + Send + Sync>,
-    /// What passed over the wires since this was last asked.
+    /// Takes the wire traffic since the last call.
     pub exchanges: Arc<dyn Fn() -> Vec<Exchange> + Send + Sync>,
-    /// Devices by role, as they said themselves when they were last open.
+    /// Devices by role, as they identified themselves when last open.
     pub devices: Arc<dyn Fn() -> BTreeMap<String, String> + Send + Sync>,
-    /// A person has looked and says that the arm may move: it levels and retracts the spoon. Takes the person's name.
+    /// Called after a person has checked the arm and confirmed that it may move: it levels and
+    /// retracts the spoon. Takes the person's name.
     pub recover: Recover,
-    /// Asks the arm whether it is latched, on a connection of its own.
+    /// Queries whether the arm is latched, over a separate connection.
     pub arm_latch: ArmLatch,
-    /// Whoever makes piles begins none while this is set: the bench is held.
+    /// No piles are started while this is set: the bench is held.
     pub held: Arc<AtomicBool>,
-    /// What an empty vial of the lab weighs, where that is known.
+    /// Mass of an empty vial of the laboratory, where known.
     pub empty_vial: Option<EmptyVial>,
-    /// Step of the balance's display, mg, where it is known beforehand.
+    /// Readability (display step) of the balance, mg, where known in advance.
     pub readability_mg: Arc<dyn Fn() -> Option<f64> + Send + Sync>,
-    /// What a powder did in earlier doses counts. Not where a dose has to follow from its seed alone.
+    /// Whether earlier doses of a powder inform the forecast. False where a dose must follow from
+    /// its seed alone.
     pub remembers: bool,
-    /// The spoon that doses.
+    /// The spoon used for dosing.
     pub spoon: Spoon,
-    /// Where piles are made for an angle of repose; the simulator has none.
+    /// The stand where piles are made for an angle of repose; the simulator has none.
     pub stand: Option<PileStand>,
 }
 
 impl Apparatus {
-    /// What has no devices: the simulator, or a test's formula.
+    /// An apparatus without devices: the simulator, or a test's formula.
     pub fn without_devices(pour: Pour) -> Self {
         Self {
             kind: BenchKind::Simulated,
@@ -170,7 +175,8 @@ pub fn simulated() -> Pour {
     })
 }
 
-/// The closed loop on a laboratory that is emulated in this process, around the simulator; its time is virtual, so a dose is quick and always the same.
+/// The closed loop on a laboratory emulated in this process, around the simulator; its time is
+/// virtual, so a dose is quick and deterministic.
 pub fn emulated(settings: lab::Settings) -> Apparatus {
     let wires = Wires::default();
     let (readability_mg, remembers) = (settings.balance.readability_mg, settings.remembers);
@@ -183,8 +189,9 @@ pub fn emulated(settings: lab::Settings) -> Apparatus {
             balance: flip_bench::emulate::balance::Settings { seed: pouring.seed, ..settings.balance.clone() },
             ..settings.clone()
         };
-        // A bench whose shakes nobody has measured executes less than it is asked for, and the gentlest shakes not at all: the spoon then climbs unshaken
-        // and lets go at once. This arm's are known.
+        // A bench with uncalibrated shakes executes less than it is commanded, and the gentlest
+        // shakes not at all: the spoon then climbs unshaken and releases the powder all at once.
+        // This arm's shakes are known.
         let measured = pouring.shakes.clone().or_else(|| settings.arm.shakes());
         let pouring = Pouring { shakes: measured, ..pouring.clone() };
         match Laboratory::start(settings, clock.clone(), Box::new(spoon)) {
@@ -195,17 +202,17 @@ pub fn emulated(settings: lab::Settings) -> Apparatus {
             Err(error) => not_begun(format!("the emulated laboratory cannot be set up: {error}")),
         }
     });
-    // Each dose has a laboratory of its own.
+    // Each dose has its own laboratory.
     let apparatus = wires.apparatus(BenchKind::Emulated, pour, Arc::new(|_| Ok(())), Some(readability_mg));
     Apparatus { stand: Some(stand), remembers, ..apparatus }
 }
 
-/// The closed loop on the devices of this file.
+/// The closed loop on the devices of this bench file.
 pub fn devices(file: BenchFile) -> Apparatus {
     devices_by(file, Clock::wall())
 }
 
-/// The same by another clock: of a laboratory that is emulated, and whose time is its own.
+/// The same with another clock: that of an emulated laboratory with its own time.
 pub fn devices_by(file: BenchFile, clock: Clock) -> Apparatus {
     let wires = Wires::default();
     let readability_mg = file.balance.readability_mg;
@@ -222,14 +229,15 @@ pub fn devices_by(file: BenchFile, clock: Clock) -> Apparatus {
     Apparatus { stand: Some(stand), arm_latch, empty_vial, spoon, ..apparatus }
 }
 
-/// Why the arm says that it is latched, if it is.
+/// Why the arm reports that it is latched, if it is.
 fn latch_cause(url: &str, tap: Tap) -> Result<Option<String>, DeviceError> {
     let arm = Arm::connect(url, tap, Deadlines::default())?;
     let cause: String = arm.description().latch_cause.chars().filter(|c| !c.is_control()).take(CAUSE_MAX).collect();
     Ok(Some(cause).filter(|cause| !cause.is_empty()))
 }
 
-/// The same where nobody of this process has control. An arm whose client is gone, as after a restart, brings its spoon back and latches itself then.
+/// The same where nothing in this process has control. An arm whose client has gone, as after a
+/// restart, first retracts its spoon and then latches itself.
 fn settled_latch(wires: &Wires, url: &str) -> Result<Option<String>, DeviceError> {
     let arm = Arm::connect(url, wires.tap(), Deadlines::default())?;
     let until = Instant::now() + ABANDONED_MAX;
@@ -240,17 +248,17 @@ fn settled_latch(wires: &Wires, url: &str) -> Result<Option<String>, DeviceError
     latch_cause(url, wires.tap())
 }
 
-/// What outlives the weighing that opened the devices.
+/// State that outlives the weighing that opened the devices.
 #[derive(Clone, Default)]
 pub(super) struct Wires {
     exchanges: Arc<Mutex<Vec<Exchange>>>,
     stopper: Arc<Mutex<Option<Stopper>>>,
     devices: Arc<Mutex<BTreeMap<String, String>>>,
-    /// Held by whoever moves devices: weighings and piles take turns.
+    /// Held while devices move: weighings and piles take turns.
     floor: Arc<Mutex<()>>,
-    /// Stop was pressed since somebody took the floor.
+    /// Stop was requested since the floor was taken.
     halted: Arc<AtomicBool>,
-    /// The bench is held: set by a stop before anything else, and until a person resumes.
+    /// The bench is held: set by a stop before anything else, until a person resumes.
     held: Arc<AtomicBool>,
 }
 
@@ -259,7 +267,8 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Wires {
-    /// Wait for one's turn. A stop from now on is for whoever has it, also while devices are being opened, which takes seconds.
+    /// Waits for its turn. From now on a stop applies to the holder, even while devices are being
+    /// opened, which takes seconds.
     pub(super) fn floor(&self) -> MutexGuard<'_, ()> {
         let floor = locked(&self.floor);
         self.halted.store(false, Ordering::SeqCst);
@@ -272,22 +281,22 @@ impl Wires {
         *locked(&self.stopper) = Some(stopper);
     }
 
-    /// Somebody of this process moves devices.
+    /// Whether this process is moving devices.
     fn is_open(&self) -> bool {
         locked(&self.stopper).is_some()
     }
 
-    /// Nothing moves any more.
+    /// Nothing moves any longer.
     pub(super) fn closed(&self) {
         *locked(&self.stopper) = None;
     }
 
-    /// Whether stop was pressed since somebody took the floor.
+    /// Whether stop was requested since the floor was taken.
     pub(super) fn was_halted(&self) -> bool {
         self.halted.load(Ordering::SeqCst)
     }
 
-    /// Whether the bench is held: a stop may have come while whoever has the floor waited for it.
+    /// Whether the bench is held: a stop may have come while the holder of the floor waited for it.
     pub(super) fn is_held(&self) -> bool {
         self.held.load(Ordering::SeqCst)
     }
@@ -330,7 +339,7 @@ impl Wires {
     }
 }
 
-/// Open the devices, weigh, close them.
+/// Opens the devices, weighs, closes them.
 fn on_devices(
     wires: &Wires,
     file: &BenchFile,
@@ -355,7 +364,8 @@ fn on_devices(
     wires.closed();
     let went_well = !weighed.must_look && !matches!(weighed.outcome, Outcome::Aborted | Outcome::Stopped);
     let mut poured = poured(weighed, None);
-    // Where FLIP's own window decides for a balance that flags nothing, the balance said nothing.
+    // For a balance that flags nothing, FLIP's own stability window decides: the balance itself
+    // reported nothing.
     if let Some(measured) = poured.measured.as_mut().filter(|_| file.balance.stable_by == StableBy::Window) {
         measured.stable_by_balance = false;
     }
@@ -365,7 +375,7 @@ fn on_devices(
     }
 }
 
-/// The devices could not be opened: nothing moved. A person must look at an arm that is latched.
+/// The devices could not be opened: nothing moved. A latched arm must be checked by a person.
 fn refused(error: DeviceError, latch: Result<Option<String>, DeviceError>) -> Poured {
     match latch {
         Ok(Some(cause)) => arm_latched(not_begun(error.to_string()), &cause),
@@ -373,10 +383,10 @@ fn refused(error: DeviceError, latch: Result<Option<String>, DeviceError>) -> Po
     }
 }
 
-/// The arm has latched itself: a person must look, and hears why in its own words.
+/// The arm has latched itself: a person must check it, and gets the reason in the arm's own words.
 fn arm_latched(poured: Poured, cause: &str) -> Poured {
     let said = format!("the arm is latched: {cause}. Look at spoon, vial and arm, then clear the bench");
-    // A latched arm refuses whatever it is asked: that is no cause.
+    // A latched arm refuses every command: that refusal is not the cause.
     let is_refusal = |error: &String| {
         ["the arm must not do this now", "the arm is latched"].iter().any(|refused| error.contains(refused))
     };

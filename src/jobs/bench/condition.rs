@@ -1,7 +1,9 @@
-//! What is known of the bench, in memory: a stop, a status and the lane look here and wait for no database.
+//! The state of the bench, in memory: a stop, a status query and the lane read it here without
+//! waiting for a database.
 //!
-//! The data folder's lock makes this process the only one that changes any of it, so what is here is true, and what is stored follows: a hold and a latch
-//! count from the moment they are here.
+//! The data folder's lock makes this process the only one that changes any of it, so this state is
+//! authoritative and the store follows: a hold and a latch take effect as soon as they are set
+//! here.
 
 use super::sign::StopSign;
 use flip_core::domain::bench_check::{CheckKind, Repeatability};
@@ -19,39 +21,39 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::OwnedMutexGuard;
 
-/// The end of a dose that could not be written down yet. Nothing begins before it is.
+/// The end of a dose that could not be recorded yet. Nothing starts until it is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Unwritten {
     /// The weighing.
     pub weighing: String,
     /// Since when.
     pub since: Timestamp,
-    /// What is in the way.
+    /// What prevents it.
     pub why: String,
 }
 
-/// What is known of the bench now.
+/// The current state of the bench.
 #[derive(Debug, Clone, Default)]
 pub struct Standing {
     /// Why it may not be used, until a person has cleared it.
     pub latch: Option<Latch>,
-    /// After a stop: nothing begins until a person resumes.
+    /// After a stop: nothing starts until a person resumes.
     pub held: Option<Held>,
-    /// Weighings that wait, in order.
+    /// Waiting weighings, in order.
     pub waiting: Vec<Waiting>,
-    /// The vial on the pan; none where the bench exchanges vials.
+    /// The vial on the pan; none if the bench exchanges vials.
     pub vial: Option<Vial>,
-    /// The newest check of how well the balance repeats.
+    /// The newest repeatability check of the balance.
     pub repeatability: Option<Repeatability>,
-    /// Who has it for himself.
+    /// The current reservation of the bench.
     pub reservation: Option<Reservation>,
-    /// The weighing that moves.
+    /// The weighing in motion.
     pub moving: Option<String>,
-    /// The end of a dose that could not be written down yet.
+    /// The end of a dose that could not be recorded yet.
     pub unwritten: Option<Unwritten>,
 }
 
-/// A weighing that moves.
+/// A weighing in motion.
 struct Moving {
     weighing: Weighing,
     stop: Arc<StopSign>,
@@ -67,39 +69,40 @@ struct Known {
     reservation: Option<Reservation>,
     moving: Option<Moving>,
     unwritten: Option<Unwritten>,
-    /// The weighing whose vial somebody says is in, and the vial's name if he gave one.
+    /// The weighing whose vial was confirmed as in, and the vial's name if given.
     ready: Option<(String, Option<String>)>,
-    /// Stops so far: whoever resumes must not take away one that came meanwhile.
+    /// Number of stops so far: resuming must not undo a stop that came meanwhile.
     stops: u64,
 }
 
-/// Shared by the lane and by whoever asks.
+/// Shared by the lane and by requests.
 #[derive(Clone, Default)]
 pub(super) struct Condition {
     known: Arc<Mutex<Known>>,
-    /// One at a time reads which weighings wait, so that the last one read last.
+    /// Serializes reading which weighings wait, so that the last result is also the newest.
     reading: Arc<tokio::sync::Mutex<()>>,
-    /// Held by whoever clears the bench, by the lane while it writes an ending down, and for a moment when it begins: one comes after the other.
+    /// Held while the bench is cleared, while the lane records an ending, and briefly when it
+    /// starts a weighing: these exclude each other.
     alone: Arc<tokio::sync::Mutex<()>>,
-    /// The same as `held`, for whoever moves the bench beside the lane.
+    /// The same as `held`, for code that moves the bench outside the lane.
     flag: Arc<AtomicBool>,
 }
 
-/// What a stop found, and what is to be stored of it.
+/// What a stop found, and what to store about it.
 #[derive(Debug, Clone)]
 pub(super) struct Halted {
-    /// The weighing that moved.
+    /// The weighing that was moving.
     pub weighing: Option<String>,
-    /// The hold that begins with it, unless there is one already.
+    /// The hold that starts with the stop, unless there is one already.
     pub held: Held,
-    /// Who stopped: the record is written by another task, later.
+    /// Who stopped: the record is written later, by another task.
     pub who: Option<Who>,
 }
 
 impl Known {
     fn halt(&mut self, by: Option<&str>) -> Halted {
         self.stops += 1;
-        // Whoever stops may take the vial away.
+        // The person who stops may take the vial away.
         self.ready = None;
         let weighing = self.moving.as_ref().map(|moving| {
             moving.stop.press();
@@ -118,12 +121,12 @@ impl Known {
 }
 
 impl Condition {
-    /// Of a bench that whoever makes piles asks by this flag whether it is held.
+    /// A condition whose hold is also available as this flag, for pile making.
     pub fn of(flag: Arc<AtomicBool>) -> Self {
         Self { flag, ..Self::default() }
     }
 
-    /// Read what is stored.
+    /// Loads what is stored.
     pub async fn load(&self, store: &Store) -> store::Result<()> {
         let (latch, held, pan) = (store.latch().await?, store.held().await?, store.pan().await?);
         let repeatability = store.newest_check(CheckKind::Repeatability).await?.map(|it| it.1);
@@ -138,7 +141,8 @@ impl Condition {
         Ok(())
     }
 
-    /// Weighings began or ceased to wait. Where that cannot be read, the lane reads it at its next look.
+    /// Called when weighings start or cease to wait. If they cannot be read, the lane reads them at
+    /// its next poll.
     pub async fn refresh(&self, store: &Store) {
         let _one = self.reading.lock().await;
         match store.waiting_weighings().await {
@@ -147,12 +151,13 @@ impl Condition {
         }
     }
 
-    /// Wait until nobody clears the bench and no ending is being written down; neither begins while this is held.
+    /// Waits until the bench is not being cleared and no ending is being recorded; neither starts
+    /// while this is held.
     pub async fn alone(&self) -> OwnedMutexGuard<()> {
         self.alone.clone().lock_owned().await
     }
 
-    /// All of it, as others see it.
+    /// A snapshot of everything, as presented to others.
     pub fn standing(&self, exchanges_vials: bool) -> Standing {
         let known = self.known();
         Standing {
@@ -172,38 +177,39 @@ impl Condition {
         self.known().pan.clone()
     }
 
-    /// The balance was checked anew, and the check is stored.
+    /// Sets a new repeatability check, which is already stored.
     pub fn set_repeatability(&self, found: Repeatability) {
         self.known().repeatability = Some(found);
     }
 
-    /// Somebody has it for himself, or nobody any more, and that is stored.
+    /// Sets or clears the reservation, which is already stored.
     pub fn set_reservation(&self, reservation: Option<Reservation>) {
         self.known().reservation = reservation;
     }
 
-    /// Nobody may use the bench from now on; where it is latched already the first reason stays.
+    /// Latches the bench from now on; if it is latched already, the first reason stays.
     pub fn latch(&self, latch: Latch) {
         let mut known = self.known();
         known.ready = None;
         known.latch.get_or_insert(latch);
     }
 
-    /// A person has cleared it, and that is stored.
+    /// Clears the latch, after a person's clearance has been stored.
     pub fn cleared(&self) {
         let mut known = self.known();
         (known.latch, known.ready) = (None, None);
         known.pan = known.pan.emptied();
     }
 
-    /// The stop of whatever moves and a hold, at once: what moves hears of it before its next motion, and nothing else begins.
+    /// Stops anything that moves and holds the bench, at once: the motion is stopped before its
+    /// next step, and nothing else starts.
     pub fn halt(&self, by: Option<&str>) -> Halted {
         let mut known = self.known();
         self.flag.store(true, Ordering::SeqCst);
         known.halt(by)
     }
 
-    /// The same, if it is this weighing that moves; what is known of it.
+    /// The same, if it is this weighing that moves; returns what is known of it.
     pub fn halt_weighing(&self, id: &str, by: Option<&str>) -> Option<(Weighing, Halted)> {
         let mut known = self.known();
         let moving = known.moving.as_ref().map(|moving| moving.weighing.clone()).filter(|it| it.id == id)?;
@@ -211,26 +217,28 @@ impl Condition {
         Some((moving, known.halt(by)))
     }
 
-    /// Stop what moves because the process ends: nobody has to resume. Whether something did.
+    /// Stops any motion because the process ends: nobody has to resume. Returns whether something
+    /// moved.
     pub fn stop_moving(&self) -> bool {
         let known = self.known();
         known.moving.iter().for_each(|moving| moving.stop.press());
         known.moving.is_some()
     }
 
-    /// Hold the bench, which is stored.
+    /// Holds the bench; the hold is already stored.
     pub fn hold(&self, held: Held) {
         let mut known = self.known();
         self.flag.store(true, Ordering::SeqCst);
         known.held.get_or_insert(held);
     }
 
-    /// How often it was stopped so far.
+    /// Number of stops so far.
     pub fn stops(&self) -> u64 {
         self.known().stops
     }
 
-    /// A person lets doses begin again, and that is stored. `false`: a stop came since there were so many, and holds.
+    /// Resumes the bench, which is already stored. `false`: there has been another stop since
+    /// `stops`, and it holds.
     pub fn resume(&self, stops: u64) -> bool {
         let mut known = self.known();
         if known.stops != stops {
@@ -241,7 +249,8 @@ impl Condition {
         true
     }
 
-    /// Somebody says that the vial of a weighing is in. `false`: a stop came since there were so many, and whoever stopped may have taken it away.
+    /// Confirms that the vial of a weighing is in. `false`: there has been another stop since
+    /// `stops`, and the vial may have been taken away.
     pub fn vial_is_in(&self, weighing: &str, vial: Option<String>, stops: u64) -> bool {
         let mut known = self.known();
         if known.stops != stops {
@@ -251,23 +260,23 @@ impl Condition {
         true
     }
 
-    /// Whether somebody says so of this weighing.
+    /// Whether that was confirmed for this weighing.
     pub fn is_vial_in(&self, weighing: &str) -> bool {
         self.known().ready.as_ref().is_some_and(|(ready, _)| ready == weighing)
     }
 
-    /// Nothing keeps the oldest weighing from being looked at.
+    /// Whether the oldest weighing may be considered.
     pub fn is_free(&self) -> bool {
         let known = self.known();
         known.latch.is_none() && known.unwritten.is_none()
     }
 
-    /// Begin with a weighing, unless something keeps the bench from it. From here on a stop finds it.
+    /// Starts a weighing, unless something prevents it. From here on a stop finds it.
     pub fn take_turn(&self, weighing: &Weighing, stop: &Arc<StopSign>, wants_vial: bool) -> bool {
-        // Somebody clears the bench, and its arm may move: the lane is woken when he is done.
+        // The bench is being cleared, and its arm may move: the lane is woken afterwards.
         let Ok(_alone) = self.alone.try_lock() else { return false };
         let mut known = self.known();
-        // A stop since the last look has made it void.
+        // A stop since the check has invalidated it.
         if wants_vial && known.ready.as_ref().is_none_or(|(ready, _)| *ready != weighing.id) {
             return false;
         }
@@ -278,13 +287,14 @@ impl Condition {
         true
     }
 
-    /// The vial that a weighing is for, as far as it has a name.
+    /// The vial that a weighing is for, if it has a name.
     pub fn vial_of(&self, weighing: &Weighing) -> Option<String> {
         let said = self.known().ready.clone().filter(|(ready, _)| *ready == weighing.id);
         said.and_then(|(_, vial)| vial).or_else(|| weighing.asked.vial.clone())
     }
 
-    /// The bench is armed for a weighing, and this is known of its pan: what somebody said about the vial is spent.
+    /// Marks the bench as armed for a weighing, with this state of the pan: the confirmation of the
+    /// vial is used up.
     pub fn armed(&self, weighing: Weighing, pan: Pan) {
         let mut known = self.known();
         (known.pan, known.ready) = (pan, None);
@@ -293,25 +303,25 @@ impl Condition {
         }
     }
 
-    /// The weighing that moves has come so far.
+    /// Updates the state of the weighing in motion.
     pub fn advance(&self, state: WeighingState) {
         if let Some(moving) = &mut self.known().moving {
             moving.weighing.state = state;
         }
     }
 
-    /// Nothing moves any more, and this is known of the pan.
+    /// Marks everything as at rest, with this state of the pan.
     pub fn stands(&self, pan: Pan) {
         let mut known = self.known();
         (known.moving, known.pan) = (None, pan);
     }
 
-    /// The weighing whose turn it was was not begun.
+    /// The weighing whose turn it was has not been started.
     pub fn not_begun(&self) {
         self.known().moving = None;
     }
 
-    /// The end of a dose cannot be written down yet, or is.
+    /// Sets or clears the ending that cannot be recorded yet.
     pub fn set_unwritten(&self, unwritten: Option<Unwritten>) {
         self.known().unwritten = unwritten;
     }

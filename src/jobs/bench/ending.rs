@@ -1,4 +1,4 @@
-//! How a dose ended, kept in memory until it is written down: nothing else begins before that.
+//! How a dose ended, kept in memory until it is recorded: nothing else starts before that.
 
 use super::apparatus::{Poured, Pouring};
 use super::condition::{Condition, Unwritten};
@@ -12,30 +12,30 @@ use flip_store::{self as store, Store, now};
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-/// First pause before an ending that could not be written is tried again; each is twice as long as the one before.
+/// First delay before retrying to record an ending; each is twice as long as the previous one.
 const AGAIN: Duration = Duration::from_millis(100);
-/// Longest pause.
+/// Maximum delay.
 const AGAIN_MAX: Duration = Duration::from_secs(2);
-/// How often it is asked meanwhile whether the process ends.
+/// How often shutdown is polled while waiting.
 const ASK_EVERY: Duration = Duration::from_millis(50);
 
 /// How a dose ended.
 pub(super) struct Ended {
     ending: Ending,
     ticks: Option<Vec<Tick>>,
-    /// Why a person must look.
+    /// Why a person must check the bench.
     must_look: Option<String>,
     /// What happened to the pan.
     touched: Touched,
 }
 
-/// What a dose did to what stands on the pan.
+/// What a dose did to the vial on the pan.
 enum Touched {
     /// Nothing: the bench was not opened, or nothing moved.
     Not,
-    /// Nobody knows what it holds.
+    /// Its content is unknown.
     Unknown,
-    /// It was set to zero, and shows this now, mg.
+    /// It was tared, and now shows this, mg.
     Known { tare_mg: f64, shown_mg: f64, step_mg: f64 },
 }
 
@@ -50,13 +50,13 @@ impl Ended {
         Self::bare(cause, Touched::Not)
     }
 
-    /// Somebody stopped it before the bench was opened: nothing moved.
+    /// Stopped before the bench was opened: nothing moved.
     pub(super) fn stopped_before() -> Self {
         let ending = Ending::bare(WeighingState::Aborted, Outcome::Stopped, "stopped before anything moved");
         Self { ending, ticks: None, must_look: None, touched: Touched::Not }
     }
 
-    /// Whoever poured failed in the middle of it.
+    /// The pouring code panicked midway.
     pub(super) fn panicked(cause: String, has_devices: bool) -> Self {
         let must_look = has_devices.then(|| cause.clone());
         Self { must_look, ..Self::bare(cause, Touched::Unknown) }
@@ -70,12 +70,12 @@ impl Ended {
         self.ending.reading_mg
     }
 
-    /// Nobody has to look first.
+    /// Whether work may continue without a check by a person.
     pub(super) fn may_go_on(&self) -> bool {
         self.must_look.is_none()
     }
 
-    /// These were thrown away before it.
+    /// Adds the overdoses discarded before it.
     pub(super) fn discarded(&mut self, discarded_mg: Vec<f64>) {
         if let Some(measured) = &mut self.ending.measured {
             measured.discarded_mg = discarded_mg;
@@ -107,12 +107,13 @@ impl LaneThread {
             devices: (self.apparatus.devices)(),
             ..measured
         });
-        // The verdict is that of the reading, and so is the error. What was not weighed has none.
+        // The verdict is that of the reading, and so is the error. A dose that was not weighed has
+        // none.
         let is_weighed = matches!(poured.outcome, Outcome::Within | Outcome::Under | Outcome::Over | Outcome::Blocked);
         let error_mg = poured.reading_mg.filter(|_| is_weighed).map(|reading_mg| reading_mg - weighing.target_mg);
         let error = match (refused, heard.unrecorded) {
             (Some(refused), _) => Some(refused),
-            // What the loop itself says of it knows no reason.
+            // The loop itself reports no reason for this.
             (None, Some(why)) if poured.outcome == Outcome::Aborted && poured.must_look.is_none() => Some(why),
             _ => poured.error,
         };
@@ -132,7 +133,7 @@ impl LaneThread {
         Ended { ending, ticks: Some(poured.ticks), must_look, touched }
     }
 
-    /// Why nothing was poured into what stands on the pan, and what to do.
+    /// Why nothing was poured into the vial on the pan, and what to do.
     pub(super) fn refused(&self, weighing: &Weighing, before: &Pan, flaw: VialFlaw) -> String {
         let named = |name: Option<&str>| name.map_or_else(|| "a vial".to_owned(), |name| format!("vial `{name}`"));
         let wanted = named(self.condition.pan().vial.and_then(|vial| vial.name).as_deref());
@@ -148,7 +149,7 @@ impl LaneThread {
         )
     }
 
-    /// What is known of the pan after a dose that began with this one.
+    /// State of the pan after a dose that started from this state.
     pub(super) fn pan_after(&self, weighing: &Weighing, before: &Pan, ended: &Ended) -> Pan {
         let during = self.condition.pan();
         match (&ended.touched, during.vial.clone()) {
@@ -166,8 +167,8 @@ impl LaneThread {
         }
     }
 
-    /// Write the ending down, again and again until it is; nothing else begins meanwhile. If the process ends before, the next start finds a weighing
-    /// whose end is not on record.
+    /// Records the ending, retrying until it succeeds; nothing else starts meanwhile. If the
+    /// process ends first, the next start finds a weighing without a recorded end.
     pub(super) fn write_down(&self, weighing: &Weighing, ended: &Ended, pan: &Pan) {
         let latch = ended.must_look.as_ref().map(|reason| Latch {
             at: now(),
@@ -176,7 +177,7 @@ impl LaneThread {
             bench: Some(self.apparatus.kind),
         });
         latch.iter().cloned().for_each(|latch| self.condition.latch(latch));
-        // Whoever clears the bench comes before this or after it, never between what is known here and what is stored.
+        // A clearance comes before or after this, never between the update in memory and the store.
         let mut alone = Some(self.runtime.block_on(self.condition.alone()));
         self.condition.stands(pan.clone());
         let (mut pause, since) = (AGAIN, now());
@@ -195,7 +196,8 @@ impl LaneThread {
         self.condition.set_unwritten(None);
     }
 
-    /// Without a record nobody knows later what stands on the bench: a person must look, also if the database comes back.
+    /// Without a record nobody knows later what is on the bench: a person must check it, even if
+    /// the database comes back.
     fn latch_if_gone(&self, weighing: &Weighing, error: &store::Error) {
         if matches!(error, store::Error::Gone(_)) && self.apparatus.kind.has_devices() {
             let (weighing, bench) = (Some(weighing.id.clone()), Some(self.apparatus.kind));
@@ -203,7 +205,7 @@ impl LaneThread {
         }
     }
 
-    /// Whether the process ends while one waits.
+    /// Whether the process shuts down during this delay.
     fn closes_within(&self, pause: Duration) -> bool {
         let mut left = pause;
         while !self.closing.load(Ordering::SeqCst) && !left.is_zero() {
@@ -227,7 +229,7 @@ impl LaneThread {
         latch: Option<&Latch>,
         pan: &Pan,
     ) -> store::Result<()> {
-        // Before the trace: its file would make a folder where the database is no more.
+        // Before the trace: writing its file would recreate a folder that the database has lost.
         self.store.is_in_place()?;
         let ending = self.with_trace(ended);
         self.journal.hear(&weighing.id, (self.apparatus.exchanges)(), None);
@@ -243,7 +245,7 @@ impl LaneThread {
         tx.commit().await
     }
 
-    /// The ending with its ticks as a file; where there is no room for that, without.
+    /// The ending with its ticks as a file; without them if there is no room.
     fn with_trace(&self, ended: &Ended) -> Ending {
         let Some(ticks) = &ended.ticks else { return ended.ending.clone() };
         let trace = serde_json::to_vec(ticks).map_err(|error| store::Error::Corrupt(error.to_string()));
@@ -253,7 +255,8 @@ impl LaneThread {
     }
 }
 
-/// Weighings that were moving when the process ended, or whose last write failed after it had been made: what lies in their vials nobody knows.
+/// Handles weighings that were moving when the process ended, or whose last write failed despite
+/// having been committed: the content of their vials is unknown.
 pub(super) async fn record_interrupted(store: &Store, condition: &Condition) -> store::Result<()> {
     let interrupted = store.interrupted_weighings().await?;
     if interrupted.is_empty() {

@@ -1,20 +1,20 @@
-//! The thread that tells the arm to stand still: whoever presses stop does not wait for the arm's answer.
+//! The thread that commands the arm to stop: a stop request does not wait for the arm's reply.
 
 use std::io;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 
-/// Tells the arm. Dropping it ends its thread.
+/// Notifies the arm. Dropping it ends its thread.
 pub(super) struct Halter {
     halt: Arc<dyn Fn() + Send + Sync>,
     say: Sender<()>,
 }
 
 impl Halter {
-    /// With a thread of its own.
+    /// Creates it with its own thread.
     ///
     /// # Errors
-    /// The system has none left.
+    /// The system cannot spawn a thread.
     pub fn start(halt: Arc<dyn Fn() + Send + Sync>) -> io::Result<Self> {
         let (say, hear) = channel();
         let telling = halt.clone();
@@ -22,10 +22,10 @@ impl Halter {
         Ok(Self { halt, say })
     }
 
-    /// Tell the arm now; nothing is waited for.
+    /// Commands the arm to stop now, without waiting.
     pub fn tell(&self) {
         if self.say.send(()).is_err() {
-            // The thread broke down in an earlier stop. This one has its own.
+            // The thread panicked during an earlier stop. This stop gets its own.
             let halt = self.halt.clone();
             if let Err(error) = std::thread::Builder::new().name("stop".into()).spawn(move || halt()) {
                 tracing::error!(%error, "the arm could not be told of a stop: it hears of it before its next motion");
@@ -36,7 +36,7 @@ impl Halter {
 
 fn tell(hear: &Receiver<()>, halt: &(dyn Fn() + Send + Sync)) {
     while hear.recv().is_ok() {
-        // One message stops for all who asked until it is sent.
+        // One message serves all requests queued until it is sent.
         while hear.try_recv().is_ok() {}
         halt();
     }

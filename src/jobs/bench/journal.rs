@@ -1,7 +1,8 @@
-//! What the lane hears of a dose, kept in memory in its order until it is written down.
+//! Events of a dose as the lane receives them, kept in memory in order until they are recorded.
 //!
-//! A motion that may let powder fall waits until what it follows is committed. The way back waits for nothing: after a stop the spoon is levelled at once,
-//! and what was heard is written when the database lets it, at the latest before the dose's end.
+//! A motion that may release powder waits until the event before it is committed. The way back
+//! waits for nothing: after a stop the spoon is levelled at once, and the events are written as
+//! soon as the database allows, at the latest before the end of the dose.
 
 use super::condition::Condition;
 use flip_bench::hardware::wire::{Direction, Exchange};
@@ -18,15 +19,15 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// Entries written in one transaction.
 const BATCH: usize = 100;
 
-/// What is to be written down, in order.
+/// Entries still to be written, in order.
 #[derive(Default)]
 pub(super) struct Journal {
     pending: Mutex<VecDeque<Entry>>,
-    /// One writes at a time.
+    /// Serializes writing.
     writing: tokio::sync::Mutex<()>,
 }
 
-/// One thing that was heard, with what had passed over the wires until then.
+/// One event, with the wire traffic up to then.
 #[derive(Clone)]
 struct Entry {
     weighing: String,
@@ -58,7 +59,7 @@ impl Said {
 }
 
 impl Journal {
-    /// This was heard, and this passed over the wires before it.
+    /// Adds an event and the wire traffic before it.
     pub fn hear(&self, weighing: &str, exchanges: Vec<Exchange>, event: Option<&Event<'_>>) {
         let said = event.and_then(Said::of);
         if said.is_some() || !exchanges.is_empty() {
@@ -67,16 +68,17 @@ impl Journal {
         }
     }
 
-    /// Write down all that waits, after whoever writes now.
+    /// Writes all pending entries, after any writer at work now.
     ///
     /// # Errors
-    /// [`store::Error`]: what was not written still waits.
+    /// [`store::Error`]: unwritten entries stay pending.
     pub async fn write_down(&self, store: &Store, condition: &Condition) -> store::Result<()> {
         let _one = self.writing.lock().await;
         self.write(store, condition).await
     }
 
-    /// The same, unless somebody writes now: he finds what came meanwhile, or whoever writes after him does.
+    /// The same, unless a write is in progress: that writer picks up new entries, or the next one
+    /// does.
     ///
     /// # Errors
     /// As [`Self::write_down`].
@@ -132,7 +134,7 @@ impl Entry {
     }
 }
 
-/// Write down what passed over the wires.
+/// Records wire traffic in the audit trail.
 pub(in crate::jobs) async fn audit_exchanges(
     tx: &mut Tx,
     weighing: Option<&str>,

@@ -1,4 +1,5 @@
-//! The thread that owns the bench, and the record that it keeps: nothing moves unless what it is about to do is committed.
+//! The thread that owns the bench, and the record it keeps: nothing moves unless the intended
+//! motion is committed.
 
 use super::apparatus::{Apparatus, Pouring};
 use super::condition::Condition;
@@ -21,9 +22,9 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 use tokio::runtime::Handle;
 
-/// The lane also looks for work on its own this often.
+/// How often the lane polls for work by itself.
 const LOOK: Duration = Duration::from_secs(1);
-/// Index of the seeds of doses that are made again.
+/// Seed index for repeated doses.
 const RETRY: u64 = 7;
 
 /// The thread that owns the bench.
@@ -33,18 +34,18 @@ pub(super) struct LaneThread {
     pub condition: Condition,
     pub closing: Arc<AtomicBool>,
     pub runtime: Handle,
-    /// What was heard of the dose and is not written down yet.
+    /// Events of the dose that are not recorded yet.
     pub journal: Arc<Journal>,
 }
 
-/// What the lane heard of a pour beside its result.
+/// What the lane learnt of a pour in addition to its result.
 #[derive(Default)]
 pub(super) struct Heard {
     /// The bench was opened.
     pub began: bool,
-    /// What was wrong with what stands on the pan.
+    /// What was wrong with the vial on the pan.
     pub flaw: Option<VialFlaw>,
-    /// What could not be written down, and why.
+    /// What could not be recorded, and why.
     pub unrecorded: Option<String>,
 }
 
@@ -66,10 +67,11 @@ impl LaneThread {
         }
     }
 
-    /// The oldest intent, unless the bench is latched or somebody has to say first that its vial is in.
+    /// The oldest intent, unless the bench is latched or its vial must be confirmed first.
     async fn next(&self) -> store::Result<Option<Weighing>> {
         self.condition.refresh(&self.store).await;
-        // Nothing moves here: what the database says is moving was left so by a write that failed after it had been made.
+        // Nothing moves here: a weighing that the database lists as moving is left over from a
+        // write that failed despite having been committed.
         let alone = self.condition.alone().await;
         record_interrupted(&self.store, &self.condition).await?;
         drop(alone);
@@ -91,18 +93,19 @@ impl LaneThread {
         Ok(None)
     }
 
-    /// Somebody has to say that the vial of this weighing is in.
+    /// Whether a person must confirm that the vial of this weighing is in.
     pub(super) fn is_confirmed(&self, weighing: &Weighing) -> bool {
         weighing.vial_check.is_confirm() && !self.apparatus.kind.exchanges_vials()
     }
 
-    /// Arm, pour, record. Nothing moves unless `armed` is committed. `false`: something keeps the bench from it.
+    /// Arms, pours, records. Nothing moves unless `armed` is committed. `false`: the bench is not
+    /// available.
     fn carry_out(&self, weighing: &Weighing) -> store::Result<bool> {
         let stop = Arc::new(StopSign::default());
         if !self.condition.take_turn(weighing, &stop, self.is_confirmed(weighing)) {
             return Ok(false);
         }
-        // A shutdown between the look and the line above has not seen the flag.
+        // A shutdown between the check and the line above has not seen the flag.
         let armed = match self.closing.load(Ordering::SeqCst) {
             true => Ok(None),
             false => self.arm(weighing),
@@ -118,7 +121,8 @@ impl LaneThread {
         Ok(true)
     }
 
-    /// The bench is about to move; what was known of its pan. `None`: the weighing waits no longer.
+    /// Commits that the bench is about to move; returns the previous state of its pan. `None`: the
+    /// weighing is no longer waiting.
     fn arm(&self, weighing: &Weighing) -> store::Result<Option<Pan>> {
         self.runtime.block_on(async {
             let mut tx = self.store.write().await?;
@@ -144,7 +148,8 @@ impl LaneThread {
         self.write_down(weighing, &ended, &pan);
     }
 
-    /// Pour; while it is an overdose that may be thrown away, exchange the vial and pour again.
+    /// Pours; as long as the result is an overdose that may be discarded, exchanges the vial and
+    /// pours again.
     fn pour_until_kept(&self, mut pouring: Pouring, weighing: &Weighing, pan: &Pan, stop: &StopSign) -> Ended {
         let retries = match weighing.asked.on_overdose {
             OnOverdose::DiscardAndRetry { max } if self.apparatus.kind.exchanges_vials() => max,
@@ -175,7 +180,7 @@ impl LaneThread {
     }
 
     fn pour(&self, pouring: &Pouring, weighing: &Weighing, pan: &Pan, stop: &StopSign) -> Ended {
-        // Whoever stopped while it was prepared finds that nothing has moved.
+        // If it was stopped during preparation, nothing has moved.
         if stop.is_pressed() {
             return Ended::stopped_before();
         }
@@ -194,8 +199,9 @@ impl LaneThread {
         }
     }
 
-    /// Write down what is about to happen; it may not happen where that fails. After a stop nothing is about to happen but the way back, which waits for
-    /// no record; nor does it where the record has failed before.
+    /// Records what is about to happen; returns `Break` if that fails, so that it does not. After a
+    /// stop only the way back remains, which does not wait for a record; nor does it if recording
+    /// has failed before.
     fn hear(&self, heard: &mut Heard, id: &str, event: &Event<'_>, stop: &StopSign) -> ControlFlow<()> {
         heard.began = true;
         if let Event::Pan(flaw) = event {

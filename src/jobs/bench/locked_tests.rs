@@ -1,4 +1,5 @@
-//! A stop while another program holds the database: the spoon comes back although nothing can be written down.
+//! A stop while another program holds the database: the spoon returns although nothing can be
+//! recorded.
 
 use super::{Apparatus, Bench, Change, devices_by};
 use flip_bench::emulate::arm::{self, Flow, FormulaSpoon};
@@ -19,24 +20,24 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 use tokio::runtime::Handle;
 
-/// Longest that the test waits for anything: the store would wait for the lock ten times as long.
+/// Longest wait in the test: the store would wait for the lock ten times as long.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// What a stop is pressed at: this many of a dose's events, from the first.
+/// Number of a dose's events, from the first, at which stop is pressed.
 const MOMENTS: usize = 10;
 
-/// When stop is pressed, and what was found.
+/// When to press stop, and what was found.
 #[derive(Default)]
 struct Trial {
     /// Before the event of this number is on record, from 1.
     at: Mutex<usize>,
-    /// While its record waits for the lock, not before.
+    /// While its record waits for the lock, rather than before.
     waits: Mutex<bool>,
     held: Mutex<Option<Transaction<'static, Sqlite>>>,
     bench: OnceLock<Arc<Bench>>,
 }
 
 impl Trial {
-    /// Take the lock, and press stop.
+    /// Takes the lock, and presses stop.
     fn begin(&self, store: &Store, other: &SqlitePool, runtime: &Handle) {
         *self.held.lock().unwrap() = Some(runtime.block_on(other.begin_with("BEGIN IMMEDIATE")).unwrap());
         let bench = self.bench.get().unwrap().clone();
@@ -46,7 +47,7 @@ impl Trial {
         }
         let store = store.clone();
         std::thread::spawn(move || {
-            // The one connection that writes is taken: the record waits.
+            // The only writer connection is taken: the record waits.
             while store.writer().unwrap().num_idle() > 0 {
                 std::thread::yield_now();
             }
@@ -55,7 +56,7 @@ impl Trial {
     }
 }
 
-/// A store that knows a powder's set and the shipped policy, and that waits for a lock for ever.
+/// A store with a powder's set and the shipped policy, which waits for a lock indefinitely.
 async fn store(folder: &Path) -> (Store, ParameterSet) {
     let store = Store::open(folder).await.unwrap();
     let (set, shipped) = (ParameterSet::from_unit([0.5; 9]), shipped());
@@ -97,7 +98,8 @@ async fn ask(store: &Store, bench: &Bench, set: &ParameterSet, id: &str) {
     bench.planned().await;
 }
 
-/// A laboratory whose dose is stopped as the trial says; whether its spoon was level when stop was pressed, and the outcome when it had come back.
+/// Runs a dose that is stopped as the trial specifies; returns whether the spoon was level when
+/// stop was pressed, and the outcome once it had returned.
 fn stopped(
     laboratory: &Arc<Laboratory>,
     clock: Clock,
@@ -162,7 +164,7 @@ async fn a_stop_at_any_moment_of_a_dose_brings_the_spoon_back_although_another_p
             ended = store.weighing(&id).await.unwrap().unwrap().weighing;
         }
         assert_eq!((ended.outcome, ended.error), (Some(Outcome::Stopped), None), "{id}");
-        // What could not be written when it happened is on record, in its order.
+        // Events that could not be written when they happened are on record, in order.
         let records = store.audit_after(Some(&id), 0).await.unwrap();
         let kinds: Vec<&str> = records.iter().map(|record| &*record.kind).filter(|kind| *kind != "sent").collect();
         assert_eq!((kinds.first(), kinds.iter().filter(|kind| **kind == "outcome").count()), (Some(&"intent"), 1));

@@ -1,7 +1,9 @@
-//! The bench lane: one thread owns the bench and carries out weighings in the order of their intents.
+//! The bench lane: one thread owns the bench and carries out weighings in the order of their
+//! intents.
 //!
-//! A weighing is not a job. Powder cannot be taken back, so nothing here is ever tried again: the intent is committed
-//! before any motion, what was moving when the process ended is `unknown` at the next start, the bench is latched, and a person looks.
+//! A weighing is not a job. Powder cannot be taken back, so nothing here is ever retried: the
+//! intent is committed before any motion, a weighing that was moving when the process ended is
+//! `unknown` at the next start, the bench is latched, and a person must check it.
 //!
 //! ```text
 //!  [planned] --> [awaiting_vial] --> [armed] --> [dosing] --> [settling] --> [done]      within, under, over, not_stable, blocked
@@ -10,11 +12,15 @@
 //!                                       +--process ended-----------+-------> [unknown]   and the bench is latched
 //! ```
 //!
-//! A weighing waits for its vial only where the bench cannot exchange vials and nobody said that it need not.
+//! A weighing waits for its vial only if the bench cannot exchange vials and the request did not
+//! waive the confirmation.
 //!
-//! `lane.rs` is the thread, `journal.rs` the record it keeps, `prepare.rs` what a dose needs, `ending.rs` how it ended and how that is written down
-//! whatever the database does; `condition.rs` is what is known of the bench in memory; `sign.rs` is the stop of one dose, `halter.rs` tells the arm of it,
-//! and `records.rs` writes stops down afterwards; `turns.rs` is what people ask of the bench beside doses; `apparatus.rs` is what moves: the simulator, an emulated laboratory, or devices; `stand.rs` is where piles are made between weighings.
+//! `lane.rs` is the thread, `journal.rs` the record it keeps, `prepare.rs` gathers what a dose
+//! needs, `ending.rs` describes how it ended and records that whatever the database does;
+//! `condition.rs` is the state of the bench in memory; `sign.rs` is the stop of one dose,
+//! `halter.rs` notifies the arm of it, and `records.rs` writes stops down afterwards; `turns.rs`
+//! handles people's requests other than doses; `apparatus.rs` is what moves: the simulator, an
+//! emulated laboratory, or devices; `stand.rs` is where piles are made between weighings.
 
 mod apparatus;
 mod condition;
@@ -54,17 +60,17 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use tokio::runtime::Handle;
 
-/// Most weighings that may wait for the bench.
+/// Maximum number of weighings that may wait for the bench.
 pub const WAITING_MAX: i64 = 64;
 
-/// The lane's outside: wake it, stop what it does, say what it is like, shut it down.
+/// Handle to the lane: wakes it, stops it, reports its state, shuts it down.
 pub struct Bench {
     store: Store,
     apparatus: Apparatus,
     condition: Condition,
     records: Arc<Records>,
     halter: Halter,
-    /// One at a time reserves the bench or gives it back, so that what is known follows what is stored.
+    /// Serializes reserving and releasing the bench, so that memory follows the store.
     reserving: tokio::sync::Mutex<()>,
     closing: Arc<AtomicBool>,
     lane: Mutex<Option<Lane>>,
@@ -76,10 +82,11 @@ struct Lane {
 }
 
 impl Bench {
-    /// Record what the last process left moving, and read what is known of the bench.
+    /// Records what the last process left moving, and loads the state of the bench.
     pub(super) async fn open(store: Store, apparatus: Apparatus) -> store::Result<Self> {
         let (condition, records) = (Condition::of(apparatus.held.clone()), Arc::<Records>::default());
-        // Also where nobody weighs in this process: the lock on the data folder proves that no other one does.
+        // Even if this process does not weigh: the lock on the data folder proves that no other one
+        // does.
         record_interrupted(&store, &condition).await?;
         condition.load(&store).await?;
         records.keep_writing(&store);
@@ -89,17 +96,18 @@ impl Bench {
         Ok(Self { store, apparatus, condition, records, halter, reserving, closing, lane })
     }
 
-    /// What the spoon on this bench holds, whichever of these sets is the powder, mg; `None` without sets.
+    /// Capacity of this bench's spoon, whichever of these sets is the powder, mg; `None` without
+    /// sets.
     pub fn spoon_holds_mg<'a>(&self, sets: impl Iterator<Item = &'a ParameterSet>) -> Option<f64> {
         holds_mg(&self.apparatus.spoon, sets)
     }
 
-    /// It is FLIP's own spoon, or nobody has said what another one holds.
+    /// Whether it is FLIP's own spoon, or the capacity of another one was not given.
     pub fn spoon_is_usual(&self) -> bool {
         self.apparatus.spoon.is_usual()
     }
 
-    /// Begin to work.
+    /// Starts the lane.
     pub(super) async fn start(&self) -> store::Result<()> {
         self.forget_vials().await?;
         let (wake, woken) = sync_channel(1);
@@ -117,7 +125,7 @@ impl Bench {
         Ok(())
     }
 
-    /// Whoever exchanged a vial for the last process may have been wrong by now.
+    /// Vial confirmations given to the last process may be out of date.
     async fn forget_vials(&self) -> store::Result<()> {
         let mut tx = self.store.write().await?;
         tx.forget_vials(now()).await?;
@@ -126,39 +134,40 @@ impl Bench {
         Ok(())
     }
 
-    /// What is known of it now; no database is asked.
+    /// The current state of the bench; no database is queried.
     pub fn standing(&self) -> Standing {
         self.condition.standing(self.kind().exchanges_vials())
     }
 
-    /// The end of a dose that could not be written down yet: nothing begins before it is.
+    /// The end of a dose that could not be recorded yet: nothing starts before it is.
     pub fn unwritten(&self) -> Option<Unwritten> {
         self.standing().unwritten
     }
 
-    /// What kind of bench it is.
+    /// The kind of bench.
     pub fn kind(&self) -> BenchKind {
         self.apparatus.kind
     }
 
-    /// Step of the balance's display, mg, where it is known beforehand.
+    /// Readability (display step) of the balance, mg, where known in advance.
     pub fn readability_mg(&self) -> Option<f64> {
         let is_simulated = self.apparatus.kind == BenchKind::Simulated;
         (self.apparatus.readability_mg)().or(is_simulated.then(|| balance::Settings::default().readability_mg))
     }
 
-    /// Where piles are made, if anywhere.
+    /// The stand where piles are made, if any.
     pub fn stand(&self) -> Option<&PileStand> {
         self.apparatus.stand.as_ref()
     }
 
-    /// Its devices by role, as they said themselves when they were last open.
+    /// Its devices by role, as they identified themselves when last open.
     pub fn devices(&self) -> BTreeMap<String, String> {
         (self.apparatus.devices)()
     }
 
-    /// Stop whatever moves, and begin nothing until a person resumes. The flag and the hold are set when this returns, the arm is being told by a thread of its
-    /// own, and the record follows when the database lets it: this waits for nothing.
+    /// Stops anything that moves, and starts nothing until a person resumes. The flag and the hold
+    /// are set when this returns, a separate thread notifies the arm, and the record follows when
+    /// the database allows: this call does not block.
     pub fn halt(&self, by: Option<&str>) -> Option<String> {
         let halted = self.condition.halt(by);
         let weighing = halted.weighing.clone();
@@ -166,7 +175,7 @@ impl Bench {
         weighing
     }
 
-    /// The same, if it is this weighing that moves; what is known of it.
+    /// The same, if it is this weighing that moves; returns what is known of it.
     pub fn halt_weighing(&self, id: &str, by: Option<&str>) -> Option<Weighing> {
         let (weighing, halted) = self.condition.halt_weighing(id, by)?;
         self.halted(halted);
@@ -178,26 +187,26 @@ impl Bench {
         self.records.push(halted);
     }
 
-    /// A new check of how well the balance repeats is stored.
+    /// Sets a new repeatability check, which is already stored.
     pub fn repeats(&self, found: Repeatability) {
         self.condition.set_repeatability(found);
     }
 
-    /// Another intent is committed.
+    /// Called when another intent has been committed.
     pub async fn planned(&self) {
         self.condition.refresh(&self.store).await;
         self.wake();
     }
 
-    /// The lane has something to look at.
+    /// Wakes the lane to poll for work.
     pub fn wake(&self) {
         if let Some(lane) = &*self.lane() {
-            // Full means that it is about to look anyway.
+            // A full channel means that it is about to poll anyway.
             let _ = lane.wake.try_send(());
         }
     }
 
-    /// End a weighing that waits. `None`: it does not.
+    /// Ends a waiting weighing. `None`: it is not waiting.
     ///
     /// # Errors
     /// [`store::Error`]
@@ -212,7 +221,8 @@ impl Bench {
         Ok(ended)
     }
 
-    /// Stop what moves, level the spoon, and end the lane. Intents that wait stay planned, and nobody has to resume.
+    /// Stops any motion, levels the spoon, and ends the lane. Waiting intents stay planned, and
+    /// nobody has to resume.
     pub(super) async fn shutdown(&self) {
         self.closing.store(true, Ordering::SeqCst);
         if self.condition.stop_moving() {

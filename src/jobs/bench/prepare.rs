@@ -1,4 +1,5 @@
-//! What one weighing needs, from the store: policy, powder, checks of the bench, earlier doses.
+//! Gathers from the store what one weighing needs: policy, powder, checks of the bench, earlier
+//! doses.
 
 use super::apparatus::Pouring;
 use super::lane::LaneThread;
@@ -13,11 +14,12 @@ use flip_store::audit::About;
 use flip_store::weighings::Weighing;
 use flip_store::{self as store, now};
 
-/// Earlier doses of a powder that the forecast knows at most: its lot and the air of long ago are others.
+/// Maximum number of a powder's earlier doses that the forecast uses: older ones had another lot
+/// and other air.
 const REMEMBERED: u32 = 20;
 
 impl LaneThread {
-    /// Everything that one weighing on this pan needs.
+    /// Gathers everything for a weighing on this pan.
     pub(super) fn prepare(&self, weighing: &Weighing, pan: &Pan) -> store::Result<Pouring> {
         let missing = |what: &str| store::Error::Corrupt(format!("the weighing's {what} is gone"));
         self.runtime.block_on(async {
@@ -60,7 +62,8 @@ impl LaneThread {
         })
     }
 
-    /// What earlier doses of this powder on such a bench did, those that ran their course.
+    /// Falls of powder in earlier doses of this powder on such a bench, of those that ran their
+    /// course.
     async fn earlier(&self, powder: &str) -> store::Result<Vec<Vec<Fall>>> {
         let traces = self.store.traces_of(powder, self.apparatus.kind, REMEMBERED).await?;
         let falls = |trace: &String| {
@@ -68,14 +71,14 @@ impl LaneThread {
             let ticks: Vec<Tick> = serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
             Ok::<_, String>(Fall::of(&ticks))
         };
-        // A dose whose trace is lost is one that is not known; no other need wait for it.
+        // A dose whose trace is lost counts as unknown; the others are still used.
         let known = |trace: &String| {
             falls(trace).inspect_err(|error| tracing::warn!(trace, error, "an earlier dose cannot be read")).ok()
         };
         Ok(traces.iter().filter_map(known).collect())
     }
 
-    /// Say in the record that a dose was forecast from earlier ones.
+    /// Records that a dose was forecast from earlier ones.
     async fn record_earlier(&self, weighing: &str, doses: usize) -> store::Result<()> {
         let mut tx = self.store.write().await?;
         let said = serde_json::json!({ "action": "forecast from earlier doses of the powder", "doses": doses });
@@ -83,7 +86,7 @@ impl LaneThread {
         tx.commit().await
     }
 
-    /// What the display must show, where somebody has said that the vial is in.
+    /// What the display must show, where a person has confirmed that the vial is in.
     fn pan_check(&self, weighing: &Weighing, pan: &Pan, readability_mg: f64) -> PanCheck {
         match self.is_confirmed(weighing) {
             true => pan.check(readability_mg, self.apparatus.empty_vial),

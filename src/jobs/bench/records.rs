@@ -1,4 +1,5 @@
-//! Stops that are not written down yet: the arm has been told, and the record follows when the database lets it.
+//! Stops that are not recorded yet: the arm has been notified, and the record follows when the
+//! database allows.
 
 use super::condition::Halted;
 use flip_store::who::acting_maybe;
@@ -9,32 +10,32 @@ use std::time::Duration;
 use tokio::sync::Notify;
 use tokio::task::AbortHandle;
 
-/// Pause before a record that could not be written is tried again.
+/// Delay before retrying a record that could not be written.
 const AGAIN: Duration = Duration::from_millis(500);
 /// Stops written in one transaction.
 const BATCH: usize = 100;
 
-/// What is to be written down, in order.
+/// Records to be written, in order.
 #[derive(Default)]
 pub(super) struct Records {
     pending: Mutex<VecDeque<Halted>>,
-    /// One writes at a time.
+    /// Serializes writing.
     writing: tokio::sync::Mutex<()>,
     wake: Notify,
     task: Mutex<Option<AbortHandle>>,
 }
 
 impl Records {
-    /// Write this down when it can be.
+    /// Queues a record to be written when possible.
     pub fn push(&self, halted: Halted) {
         self.pending().push_back(halted);
         self.wake.notify_one();
     }
 
-    /// Write down all that waits.
+    /// Writes all pending records.
     ///
     /// # Errors
-    /// [`store::Error`]: what was not written still waits.
+    /// [`store::Error`]: unwritten records stay pending.
     pub async fn write_down(&self, store: &Store) -> store::Result<()> {
         let _one = self.writing.lock().await;
         loop {
@@ -52,7 +53,7 @@ impl Records {
         }
     }
 
-    /// Write down what comes, until this is closed.
+    /// Writes records as they come, until this is closed.
     pub fn keep_writing(self: &Arc<Self>, store: &Store) {
         let (records, store) = (self.clone(), store.clone());
         let task = tokio::spawn(async move {
@@ -67,10 +68,10 @@ impl Records {
         *self.task() = Some(task.abort_handle());
     }
 
-    /// Write down what waits a last time.
+    /// Writes pending records one last time.
     pub async fn close(&self, store: &Store) {
         {
-            // Not between what is stored and what is forgotten here.
+            // Not between storing records and removing them here.
             let _one = self.writing.lock().await;
             self.abandon();
         }
@@ -81,7 +82,7 @@ impl Records {
         }
     }
 
-    /// Nobody writes any more.
+    /// Marks that nothing more is written.
     pub fn abandon(&self) {
         if let Some(task) = self.task().take() {
             task.abort();

@@ -1,9 +1,10 @@
-//! The stop of one dose: a flag for whoever moves, and a bell for whoever waits.
+//! The stop of one dose: a flag for the code that moves, and a notification for the code that
+//! waits.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use tokio::sync::Notify;
 
-/// Anybody presses it; the lane alone waits for it.
+/// Anyone may press it; only the lane waits for it.
 #[derive(Debug, Default)]
 pub(super) struct StopSign {
     flag: AtomicBool,
@@ -11,24 +12,24 @@ pub(super) struct StopSign {
 }
 
 impl StopSign {
-    /// From now on nothing is begun, and nothing is waited for.
+    /// From now on nothing is started and nothing is waited for.
     pub fn press(&self) {
         self.flag.store(true, Ordering::SeqCst);
-        // Kept for whoever begins to wait afterwards.
+        // Kept for a waiter that arrives later.
         self.bell.notify_one();
     }
 
-    /// Somebody has pressed it.
+    /// Whether it has been pressed.
     pub fn is_pressed(&self) -> bool {
         self.flag.load(Ordering::SeqCst)
     }
 
-    /// What is looked at before every motion.
+    /// The flag that is checked before every motion.
     pub fn flag(&self) -> &AtomicBool {
         &self.flag
     }
 
-    /// Wait until somebody presses it.
+    /// Waits until it is pressed.
     pub async fn pressed(&self) {
         while !self.is_pressed() {
             self.bell.notified().await;

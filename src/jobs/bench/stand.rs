@@ -1,5 +1,5 @@
-//! What makes piles and takes their pictures when an angle of repose is measured: devices and whoever uploads frames, or a laboratory that is emulated,
-//! its camera too.
+//! Makes piles and takes their pictures when an angle of repose is measured: with devices and
+//! uploaded frames, or in an emulated laboratory with its own camera.
 
 use super::apparatus::Wires;
 use flip_bench::emulate::arm::{Flow, FormulaSpoon};
@@ -15,34 +15,35 @@ use std::ops::ControlFlow;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Bench seconds in a second of the room while an emulated gate is open: heartbeats are of the room, so that time may not stand.
+/// Bench seconds per wall-clock second while an emulated gate is open: heartbeats run on wall-clock
+/// time, so bench time must not stand still.
 const SPEED: f64 = 50.0;
-/// How long frames of a pile that rests may take to come.
+/// Timeout for the frames of a pile at rest.
 const FRAMES_MAX: Duration = Duration::from_secs(15 * 60);
-/// How often somebody is asked whether to go on waiting for them.
+/// How often the callback is polled for a stop while waiting for frames.
 const ASK_EVERY: Duration = Duration::from_millis(100);
 
 /// One pile to make.
 #[derive(Debug, Clone, Copy)]
 pub struct Piling<'a> {
-    /// The measurement, by its job.
+    /// The measurement, by its job id.
     pub job: &'a str,
     /// Which pile, from 1.
     pub number: u32,
-    /// How.
+    /// The procedure.
     pub procedure: &'a Procedure,
-    /// How steep the powder piles, degrees, where nothing real piles.
+    /// Angle of the powder's cone, degrees, where no real powder is piled.
     pub cone_deg: Option<f64>,
-    /// Seed of what is emulated.
+    /// Seed of the emulation.
     pub seed: u64,
 }
 
 /// Why there are no frames of a pile.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Unpiled {
-    /// Whoever was asked whether to go on said no.
+    /// The callback requested a stop.
     Stopped,
-    /// Something failed; a person must look before it is tried again.
+    /// Something failed; a person must check the bench before another attempt.
     Failed(String),
 }
 
@@ -52,25 +53,27 @@ impl From<DeviceError> for Unpiled {
     }
 }
 
-/// Make one pile and wait for its frames. Each step is told; `Break` ends it with the gate closed.
+/// Makes one pile and waits for its frames. Each step is reported; `Break` ends it with the gate
+/// closed.
 pub type Heaping =
     Arc<dyn Fn(&Piling<'_>, &mut dyn FnMut(&str) -> ControlFlow<()>) -> Result<Vec<Upload>, Unpiled> + Send + Sync>;
 
-/// Where piles are made.
+/// The stand where piles are made.
 #[derive(Clone)]
 pub struct PileStand {
-    /// Makes one.
+    /// Makes one pile.
     pub heap: Heaping,
-    /// What passed over the wires since this was last asked.
+    /// Wire traffic since it was last taken.
     pub exchanges: Arc<Mutex<Vec<Exchange>>>,
-    /// Where uploaded frames arrive; none where the camera is emulated.
+    /// Inbox for uploaded frames; none if the camera is emulated.
     pub inbox: Option<Arc<Inbox>>,
-    /// What is being made.
+    /// The pile being made.
     pub making: Making,
 }
 
 impl PileStand {
-    /// The pile that is being made: powder may run. None while one rests and waits for its frames.
+    /// The pile being made: powder may be flowing. None while a pile is at rest and waits for its
+    /// frames.
     pub fn piling(&self) -> Option<PileInMaking> {
         self.making.locked().clone()
     }
@@ -79,17 +82,17 @@ impl PileStand {
 /// A pile that is being made.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
 pub struct PileInMaking {
-    /// The measurement, by its job.
+    /// The measurement, by its job id.
     pub job: String,
     /// Which pile, from 1.
     pub pile: u32,
 }
 
-/// Which pile is being made, for whoever asks meanwhile; cheap to clone.
+/// Which pile is being made, for status queries; cheap to clone.
 #[derive(Debug, Clone, Default)]
 pub struct Making(Arc<Mutex<Option<PileInMaking>>>);
 
-/// Nothing is being made any more when this is dropped, also where making it panics.
+/// Clears the pile being made when dropped, including on a panic.
 struct UntilMade<'a>(&'a Making);
 
 impl Making {
@@ -109,7 +112,7 @@ impl Drop for UntilMade<'_> {
     }
 }
 
-/// A laboratory for each pile, and a camera over a cone as steep as the powder piles.
+/// A laboratory for each pile, and a camera over a cone with the powder's angle.
 pub(super) fn emulated(settings: lab::Settings, wires: Wires) -> PileStand {
     let (exchanges, tap) = recorder();
     let making = Making::default();
@@ -128,7 +131,7 @@ pub(super) fn emulated(settings: lab::Settings, wires: Wires) -> PileStand {
     PileStand { heap, exchanges, inbox: None, making }
 }
 
-/// Where exchanges are kept, and what hears them.
+/// Buffer of exchanges, and the tap that fills it.
 fn recorder() -> (Arc<Mutex<Vec<Exchange>>>, Tap) {
     let exchanges: Arc<Mutex<Vec<Exchange>>> = Arc::default();
     let hearing = exchanges.clone();
@@ -145,7 +148,7 @@ fn photographed(piling: &Piling<'_>) -> Result<Vec<Upload>, Unpiled> {
     uploads.map_err(|error| Unpiled::Failed(error.to_string()))
 }
 
-/// The devices of this file; frames are uploaded.
+/// The devices of this bench file; frames are uploaded.
 pub(super) fn devices(file: BenchFile, wires: Wires) -> PileStand {
     let (exchanges, tap) = recorder();
     let inbox = Arc::new(Inbox::default());
@@ -153,7 +156,7 @@ pub(super) fn devices(file: BenchFile, wires: Wires) -> PileStand {
     let making = Making::default();
     let told = making.clone();
     let heap: Heaping = Arc::new(move |piling, go_on| {
-        // Until the frames have come: the arm must not walk into the picture.
+        // Held until the frames have arrived: the arm must not move into the picture.
         let _floor = wires.floor();
         let under_way = told.begin(piling);
         made(&wires, &tap, &file, Clock::wall(), piling, go_on)?;
@@ -163,7 +166,7 @@ pub(super) fn devices(file: BenchFile, wires: Wires) -> PileStand {
     PileStand { heap, exchanges, inbox: Some(inbox), making }
 }
 
-/// Make the pile; the devices are given back when it rests.
+/// Makes the pile; the devices are released once it is at rest.
 fn made(
     wires: &Wires,
     tap: &Tap,
@@ -188,7 +191,7 @@ fn made(
     }
 }
 
-/// Where frames arrive while a pile waits for them.
+/// Receives frames while a pile waits for them.
 #[derive(Default)]
 pub struct Inbox {
     waiting: Mutex<Option<Waiting>>,
@@ -202,24 +205,25 @@ struct Waiting {
     uploads: Vec<Upload>,
 }
 
-/// Which pile waits, and how many frames of how many it has.
+/// The pile waiting for frames, and how many it has and needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
 pub struct Awaited {
     /// Which pile, from 1.
     pub pile: u32,
-    /// Frames that have come.
+    /// Frames received.
     pub have: u32,
-    /// Frames that are wanted.
+    /// Frames needed.
     pub wanted: u32,
 }
 
 impl Inbox {
-    /// The pile of this measurement that waits for frames.
+    /// The pile of this measurement that is waiting for frames.
     pub fn awaits(&self, job: &str) -> Option<Awaited> {
         self.locked().as_ref().filter(|it| it.job == job).map(Waiting::awaited)
     }
 
-    /// A frame has come; what the pile now has. `None`: no pile of this measurement waits for one.
+    /// Adds a frame; returns the pile's new count. `None`: no pile of this measurement is waiting
+    /// for one.
     pub fn add(&self, job: &str, frame: Upload) -> Option<Awaited> {
         let mut waiting = self.locked();
         let open = waiting.as_mut().filter(|it| it.job == job && it.uploads.len() < it.wanted)?;

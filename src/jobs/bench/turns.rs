@@ -1,6 +1,8 @@
-//! What people ask of the bench beside doses: to resume, to clear, to have it for oneself; and that a vial is in.
+//! People's requests to the bench other than doses: resume, clear, reserve, and confirm that a vial
+//! is in.
 //!
-//! Each may wait for the database, and a stop that comes meanwhile wins: whoever asks says how many stops there were when he did.
+//! Each may wait for the database, and a stop that comes meanwhile takes precedence: a request
+//! carries the number of stops at the time it was made.
 
 use super::Bench;
 use flip_bench::hardware::DeviceError;
@@ -12,31 +14,32 @@ use flip_store::weighings::Weighing;
 use flip_store::{self as store, new_id, now};
 use tokio::sync::OwnedMutexGuard;
 
-/// What became of what somebody asked of the bench.
+/// Result of a request to the bench.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Change {
-    /// It is so now.
+    /// It was carried out.
     Made,
-    /// It was so, or can no longer be.
+    /// It was so already, or is no longer possible.
     Nothing,
-    /// The bench was stopped after it was asked.
+    /// The bench was stopped after the request was made.
     Void,
 }
 
 impl Bench {
-    /// How often it was stopped so far: whoever asks for something that a stop makes void takes this along from the beginning.
+    /// Number of stops so far: a request that a stop invalidates carries this number from its
+    /// beginning.
     pub fn stops(&self) -> u64 {
         self.condition.stops()
     }
 
-    /// Let doses begin again, if nobody has stopped since there were so many stops; the record says who did.
+    /// Lets doses start again, unless there has been a stop since `stops`; records who resumed.
     ///
     /// # Errors
-    /// [`store::Error`]: it is held as before.
+    /// [`store::Error`]: the bench is still held.
     pub async fn resume(&self, by: &str, note: &str, stops: u64) -> store::Result<Change> {
         self.records.write_down(&self.store).await?;
         let mut tx = self.store.write().await?;
-        // A stop from here on is written down after this transaction.
+        // A stop from here on is recorded after this transaction.
         if self.stops() != stops {
             return Ok(Change::Void);
         }
@@ -49,12 +52,13 @@ impl Bench {
         Ok(if resumed { Change::Made } else { Change::Void })
     }
 
-    /// Wait for one's turn to clear the bench: no dose begins or ends, and nobody else clears, while this is held. Wake the lane afterwards.
+    /// Waits for its turn to clear the bench: while this is held, no dose starts or ends, and no
+    /// other clearance runs. Wake the lane afterwards.
     pub async fn alone(&self) -> OwnedMutexGuard<()> {
         self.condition.alone().await
     }
 
-    /// Why it may not be used, also where the store alone knows.
+    /// Why the bench may not be used, including causes known only to the store.
     ///
     /// # Errors
     /// [`store::Error`]
@@ -67,11 +71,11 @@ impl Bench {
         Ok(stored)
     }
 
-    /// A person has looked: what was latched is free, if nobody has stopped since there were so many stops. The hold of a stop stays unless weighings are to
-    /// begin; if some wait, the bench is held.
+    /// Clears the latch after a person's check, unless there has been a stop since `stops`. The
+    /// hold of a stop stays unless `resume` is set; if weighings are waiting, the bench is held.
     ///
     /// # Errors
-    /// [`store::Error`]: it is latched as before.
+    /// [`store::Error`]: the bench is still latched.
     pub async fn clear(&self, by: &str, note: &str, resume: bool, stops: u64) -> store::Result<Change> {
         self.records.write_down(&self.store).await?;
         let pan = self.condition.pan().emptied();
@@ -92,7 +96,7 @@ impl Bench {
             tx.resume_bench(by, note, now()).await?;
         }
         tx.commit().await?;
-        // First the hold, so that nothing begins between the two.
+        // The hold comes first, so that nothing starts between the two.
         held.into_iter().for_each(|held| self.condition.hold(held));
         if resume {
             self.condition.resume(stops);
@@ -101,7 +105,8 @@ impl Bench {
         Ok(Change::Made)
     }
 
-    /// Somebody says that the vial of the weighing whose turn it is is in, if nobody has stopped since there were so many stops.
+    /// Confirms that the vial of the weighing whose turn it is is in, unless there has been a stop
+    /// since `stops`.
     ///
     /// # Errors
     /// [`store::Error`]
@@ -126,7 +131,8 @@ impl Bench {
         Ok(if said { Change::Made } else { Change::Void })
     }
 
-    /// Somebody has the bench for himself until then: whoever had it under this id, or somebody new if nothing waits.
+    /// Reserves the bench until then: extends the reservation with this id, or makes a new one if
+    /// nothing is waiting.
     ///
     /// # Errors
     /// [`store::Error`]
@@ -150,7 +156,7 @@ impl Bench {
         Ok(Ok(reservation))
     }
 
-    /// Whoever has the bench gives it back. `false`: it is not his.
+    /// Releases the reservation. `false`: the id is not that of the current one.
     ///
     /// # Errors
     /// [`store::Error`]
@@ -175,10 +181,12 @@ impl Bench {
         asked.unwrap_or_else(|error| Err(DeviceError::Faulted { device: "the arm", cause: error.to_string() }))
     }
 
-    /// A person has looked: a latched arm may move again. Nothing is written down here. A stop ends it where the arm hears of stops.
+    /// Lets a latched arm move again after a person's check. Nothing is recorded here. A stop
+    /// aborts it if the arm receives stops.
     ///
     /// # Errors
-    /// The arm cannot be reached, what latched it lasts, or it was stopped on its way.
+    /// The arm cannot be reached, the cause of the latch persists, or the arm was stopped on its
+    /// way.
     pub async fn recover(&self, person: &str) -> Result<(), DeviceError> {
         let (recover, person) = (self.apparatus.recover.clone(), person.to_owned());
         let recovered = tokio::task::spawn_blocking(move || recover(&person)).await;

@@ -1,6 +1,6 @@
-//! What can be hidden in balance readings.
+//! The effects that can be hidden in balance readings.
 
-/// What is hidden.
+/// The hidden effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TraceFamily {
     /// Nothing.
@@ -19,9 +19,10 @@ pub enum TraceFamily {
     FillLevel,
     Densification,
     Actuator,
-    /// The fill of the spoon acts and was not recorded: what is poured goes with it, and so does the number of shakes.
+    /// The fill of the spoon acts and was not recorded: the mass poured goes with it, and so does
+    /// the number of shakes.
     HiddenFill,
-    /// Readings wander, in each weighing in their own way: no cause of the catalogue.
+    /// Readings wander differently in each weighing: no cause of the catalogue.
     Wander,
 }
 
@@ -42,7 +43,7 @@ impl TraceFamily {
     ];
     pub const OTHERS: [Self; 2] = [Self::HiddenFill, Self::Wander];
 
-    /// Name of the family; that of a single cause is the cause's in the catalogue.
+    /// Name of the family; for a single cause, the cause's name in the catalogue.
     pub fn name(self) -> &'static str {
         match self {
             Self::NullPlain => "null_plain",

@@ -1,4 +1,4 @@
-//! Forms of effects: what moves the angle, as a function of the conditions of a run.
+//! Forms of effects: functions of the conditions of a run that move the angle.
 
 use super::laboratory::{Run, Value, column, stream};
 use rand::RngExt;
@@ -6,11 +6,12 @@ use rand_pcg::Pcg64;
 use std::f64::consts::TAU;
 use std::fmt;
 
-/// Largest argument of a shape: experiments and later days may go beyond the range of a column by so much.
+/// Largest argument of a shape: experiments and later days may go this far beyond the range of a
+/// column.
 const ARGUMENT_MAX: f64 = 1.3;
 /// Highest activity in [`Shape::Bet`], at the top of the range: the isotherm has its pole at 1.
 const BET_ACTIVITY_MAX: f64 = 0.72;
-/// Places at which the range of a shape is looked for.
+/// Grid points for finding the range of a shape.
 const PLACES: usize = 401;
 /// Range of a shape below which it is flat; heights are about 1.
 const FLAT: f64 = 1e-9;
@@ -32,9 +33,9 @@ pub enum Shape {
     Broken { knee: f64, before: f64, after: f64 },
     /// 1 - exp(-(u / time)^p).
     Stretched { time: f64, p: f64 },
-    /// The isotherm of Brunauer, Emmett and Teller: c a / ((1 - a) (1 + (c - 1) a)), a = 0.72 u.
+    /// The Brunauer-Emmett-Teller isotherm: c a / ((1 - a) (1 + (c - 1) a)), a = 0.72 u.
     Bet { c: f64 },
-    /// Catmull and Rom's spline through these heights at equal distances.
+    /// Catmull-Rom spline through these heights at equal distances.
     Spline(Vec<f64>),
     /// sin(2π (cycles u + phase)).
     Wave { cycles: f64, phase: f64 },
@@ -52,7 +53,7 @@ pub enum Shape {
     Fold { at: f64 },
     /// 1 / (u + offset).
     Reciprocal { offset: f64 },
-    /// So many steps of the same height.
+    /// This many steps of equal height.
     Stairs { steps: f64 },
 }
 
@@ -112,13 +113,13 @@ impl Shape {
         }
     }
 
-    /// A spline through so many random heights.
+    /// A spline through this many random heights.
     pub fn knots(count: usize, rng: &mut Pcg64) -> Self {
         Self::Spline((0..count).map(|_| rng.random_range(-1.0..1.0)).collect())
     }
 }
 
-/// Catmull and Rom's spline through heights at equal distances over 0 to 1, level at the ends and beyond.
+/// Catmull-Rom spline through heights at equal distances over 0 to 1, level at the ends and beyond.
 fn spline(heights: &[f64], u: f64) -> f64 {
     let last = heights.len() - 1;
     let place = u.min(1.0) * last as f64;
@@ -132,12 +133,12 @@ fn spline(heights: &[f64], u: f64) -> f64 {
         + (t3 - t2) * slope(left + 1)
 }
 
-/// Shapes one after the other, each brought to 0 to 1 over the range of its argument.
+/// A chain of shapes, each scaled to 0 to 1 over the range of its argument.
 #[derive(Debug, Clone)]
 pub struct Curve(Vec<(Shape, [f64; 2])>);
 
 impl Curve {
-    /// The last shape of the one before it, and so on to the first.
+    /// Composes the shapes, the first being applied first.
     pub fn of(shapes: Vec<Shape>) -> Self {
         let layer = |shape: Shape| {
             let values = || (0..PLACES).map(|k| shape.at(k as f64 / (PLACES - 1) as f64));
@@ -161,14 +162,15 @@ impl From<Shape> for Curve {
     }
 }
 
-/// Something that an effect is proportional to.
+/// A factor of an effect.
 #[derive(Debug, Clone)]
 pub enum Factor {
-    /// floor + (1 - floor) curve(u) with u = 0 at `from` and 1 at `to`; by the logarithm of the number if `log`.
+    /// floor + (1 - floor) curve(u) with u = 0 at `from` and 1 at `to`; by the logarithm of the
+    /// number if `log`.
     Number { column: &'static str, from: f64, to: f64, log: bool, floor: f64, curve: Curve },
     /// 1 for this name, else 0.
     Is { column: &'static str, name: &'static str },
-    /// A number from -1 to 1 that each name has for good, the same for all powders or not.
+    /// A fixed number from -1 to 1 for each name, the same for all powders or not.
     Level { column: &'static str, by_powder: bool, seed: u64 },
 }
 
@@ -179,7 +181,7 @@ impl Factor {
         Self::Number { column: name, from, to, log: false, floor: 0.0, curve: curve.into() }
     }
 
-    /// The same over the range of its logarithm, of at most 300 to 1.
+    /// The same over the range of its logarithm, with a ratio of at most 300.
     pub fn logarithm(name: &'static str, curve: impl Into<Curve>) -> Self {
         let [from, to] = column(name).range;
         Self::Number { column: name, from: from.max(to / 300.0), to, log: true, floor: 0.0, curve: curve.into() }
@@ -191,14 +193,14 @@ impl Factor {
         Self::Number { column: "ioniser_on", from: 1.0, to: 0.0, log: false, floor: 0.0, curve }
     }
 
-    /// Column that it looks at.
+    /// The column it depends on.
     pub fn column(&self) -> &'static str {
         match self {
             Self::Number { column, .. } | Self::Is { column, .. } | Self::Level { column, .. } => column,
         }
     }
 
-    /// What it is for a run.
+    /// Its value for a run.
     pub fn at(&self, run: &Run) -> f64 {
         match (self, &run.values[self.column()]) {
             (Self::Number { from, to, log, floor, curve, .. }, Value::Number(x)) => {
@@ -234,7 +236,7 @@ impl fmt::Display for Factor {
 /// A cause: scale (susceptibility · product of the factors - centre), degrees.
 #[derive(Debug, Clone)]
 pub struct Term {
-    /// One of each powder.
+    /// One for each powder.
     pub susceptibility: Vec<f64>,
     /// The first one's column is the covariate of the cause.
     pub factors: Vec<Factor>,
@@ -245,13 +247,13 @@ pub struct Term {
 }
 
 impl Term {
-    /// Not scaled yet.
+    /// Not yet scaled.
     pub fn new(susceptibility: Vec<f64>, factors: Vec<Factor>) -> Self {
         let centre = vec![0.0; susceptibility.len()];
         Self { susceptibility, factors, scale: 1.0, centre }
     }
 
-    /// What it adds to the angle of a run, degrees.
+    /// Contribution to the angle of a run, degrees.
     pub fn at(&self, run: &Run) -> f64 {
         let product: f64 = self.factors.iter().map(|factor| factor.at(run)).product();
         self.scale * (self.susceptibility[run.powder] * product - self.centre[run.powder])

@@ -1,4 +1,5 @@
-//! What is hidden where: laboratories of each family, drawn until the effect can be told from all else that was recorded.
+//! The hidden effect of each family: laboratories drawn until the effect can be distinguished from
+//! everything else recorded.
 
 use super::Family;
 use super::effect::{Curve, Factor, Shape, Term};
@@ -16,16 +17,18 @@ const REST: &str = "rest_min";
 const AGE: &str = "container_age_d";
 const ORDER: &str = "order_in_session";
 
-/// Laboratories drawn before a family is given up.
+/// Laboratories drawn before giving up on a family.
 const DRAWS: usize = 400;
-/// Largest effect on a run over the size: an effect that a run or two carry alone can be found by nobody.
+/// Largest effect on a run over the size: an effect that rests on only a run or two cannot be
+/// found.
 const PEAK_MAX: f64 = 3.5;
 const PEAK_MAX_WILD: f64 = 6.0;
-/// Least SD of a factor in the campaign, which goes from 0 to 1 over the range of a curve, and from -1 to 1 over names: what has hardly moved would
-/// be blown up without bound on other days.
+/// Least SD of a factor in the campaign, which goes from 0 to 1 over the range of a curve, and from
+/// -1 to 1 over names: a factor that hardly moved would be blown up without bound on other days.
 const MOVED_MIN: f64 = 0.1;
 const MOVED_MIN_NAMES: f64 = 0.3;
-/// Largest share of an effect's variance within a powder that another recorded column may explain, which would then be as right an answer.
+/// Largest share of an effect's variance within a powder that another recorded column may explain;
+/// above it, that column would be an equally right answer.
 const SHARED_MAX: f64 = 0.5;
 const SHARED_MAX_WILD: f64 = 0.9;
 /// Correlations of covariates that went together.
@@ -96,7 +99,7 @@ fn proposed(family: Family, size_deg: f64, rng: &mut Pcg64) -> Laboratory {
         Family::Recorded => outside(&mut new, rng),
         Family::Unrecorded => {
             let days = new.days as f64;
-            // The axis goes over three campaigns, for the wander does not end with the first.
+            // The axis spans three campaigns, because the wander does not end with the first.
             let curve: Curve = match rng.random_range(0..4u32) {
                 0 => Shape::knots(3 * new.days / rng.random_range(4..8u64) as usize, rng).into(),
                 1 => Shape::Wave { cycles: 3.0 * days / rng.random_range(9.0..22.0), phase: rng.random() }.into(),
@@ -155,7 +158,7 @@ fn laboratory(rng: &mut Pcg64) -> Laboratory {
         plates: rng.random_range(2..4u32) as usize,
         plate_daily: rng.random_bool(0.3),
         camera: rng.random_range(0.35..0.65),
-        // Off wherever nobody writes it down.
+        // Off if not recorded.
         ioniser: if recorded.contains(&"ioniser_on") { 0.3 } else { 0.0 },
         first_day: rng.random_bool(0.6).then(|| 19_723 + 7 * rng.random_range(0..120i64) - 3),
     };
@@ -181,7 +184,7 @@ fn record(laboratory: &mut Laboratory, name: &'static str) {
     }
 }
 
-/// Lets columns move together from day to day.
+/// Makes columns move together from day to day.
 fn tie(laboratory: &mut Laboratory, columns: &[&'static str], rng: &mut Pcg64) {
     columns.iter().for_each(|name| record(laboratory, name));
     laboratory.climate.wander_pct = 0.0;
@@ -192,20 +195,20 @@ fn tie(laboratory: &mut Laboratory, columns: &[&'static str], rng: &mut Pcg64) {
     });
 }
 
-/// How powders differ in what they feel.
+/// How powders differ in susceptibility.
 #[derive(Clone, Copy)]
 enum Pattern {
     /// By a quarter.
     Alike,
     /// By a factor of up to five.
     Graded,
-    /// Three of five feel it, or so.
+    /// About three of five feel it.
     Some,
     /// Those that take up water feel it most.
     Hygroscopic,
     /// Those that take up water feel it least.
     Dry,
-    /// The flatter the heap, the more.
+    /// The more, the flatter the heap.
     Flat,
     /// Sugar and salt alone.
     Soluble,
@@ -242,7 +245,8 @@ fn single(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
     laboratory.truth.covariate = Some(laboratory.terms[0].factors[0].column());
 }
 
-/// Adds a cause of the catalogue in one of at least three forms, and lets the columns be recorded that it takes to see it.
+/// Adds a cause of the catalogue in one of at least three forms, and records the columns needed to
+/// see it.
 fn add(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
     let (patterns, sign_of_all, factors): (&[Pattern], f64, Vec<Factor>) = match cause {
         Family::Humidity => {
@@ -363,7 +367,8 @@ fn add(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
         Family::Batch => {
             let form = rng.random_range(0..3u32);
             laboratory.habits.parallel_batches = form > 0;
-            // Each powder has its own lots; both jars of a powder differ in its own way; or fine grains in one of them, which come out last.
+            // Each powder has its own lots; both jars of a powder differ in its own way; or fine
+            // grains in one of them, which come out last.
             let level = Factor::Level { column: "batch", by_powder: form < 2, seed: rng.random() };
             let late = Shape::Smoothstep { from: 0.0, to: 1.0 };
             let factors = if form < 2 { vec![level] } else { vec![level, course(laboratory, late, 0.4)] };
@@ -372,7 +377,7 @@ fn add(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
         Family::MethodBias => (&[Pattern::Alike], sign(rng), vec![Factor::Is { column: "method", name: "camera" }]),
         Family::Operator => {
             let level = Factor::Level { column: "operator", by_powder: false, seed: rng.random() };
-            // Some grow careless in the course of a session.
+            // Some operators grow careless in the course of a session.
             let tired = Shape::Hill { half: 0.5, n: 2.0 };
             let factors = if rng.random_bool(0.35) { vec![level, course(laboratory, tired, 0.4)] } else { vec![level] };
             (&[Pattern::Alike, Pattern::Graded, Pattern::Flat], 1.0, factors)
@@ -385,7 +390,8 @@ fn add(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
     };
     let mut susceptibility = some(laboratory, patterns, sign_of_all, rng);
     if cause == Family::MethodBias {
-        // The camera is off by the same everywhere, by more on steep heaps in two ways, or too high on flat ones and too low on steep ones.
+        // The camera is off by the same everywhere, by more on steep heaps in two ways, or too high
+        // on flat ones and too low on steep ones.
         let form = rng.random_range(0..4u32);
         for (felt, powder) in susceptibility.iter_mut().zip(&laboratory.powders) {
             *felt *= match form {
@@ -396,7 +402,7 @@ fn add(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
             };
         }
     }
-    // An ioniser that nobody writes down is off.
+    // An unrecorded ioniser is off.
     factors.iter().map(Factor::column).filter(|name| *name != "ioniser_on").for_each(|name| record(laboratory, name));
     laboratory.terms.push(Term::new(susceptibility, factors));
 }
@@ -411,7 +417,7 @@ fn course(laboratory: &Laboratory, shape: Shape, floor: f64) -> Factor {
     Factor::Number { column: ORDER, from: 1.0, to, log: false, floor, curve: shape.into() }
 }
 
-/// Two single causes that share no covariate and have not been taken for one another.
+/// Two single causes that share no covariate and were not mistaken for each other.
 fn two_that_differ(rng: &mut Pcg64) -> [Family; 2] {
     let moisture = [Family::Humidity, Family::Deliquescence, Family::HumidAgeing, Family::Charge];
     let slow = [Family::Humidity, Family::Deliquescence, Family::ContainerAge, Family::Temperature];
@@ -433,7 +439,7 @@ fn two_that_differ(rng: &mut Pcg64) -> [Family; 2] {
     }
 }
 
-/// Adds an effect of a column that no mechanism belongs to.
+/// Adds an effect of a column without a mechanism.
 fn outside(laboratory: &mut Laboratory, rng: &mut Pcg64) {
     let columns = vec!["pressure_hpa", "hour_of_day", "lamp_nm", "noise_db", "supply_v", "balance_room_lux"];
     let name = one(columns, rng);
@@ -525,7 +531,7 @@ fn wild(rng: &mut Pcg64) -> Laboratory {
     new
 }
 
-/// Up to three shapes, one after the other, over the range that the column had; names have levels.
+/// Up to three chained shapes over the column's actual range; names have levels.
 fn any_factor(runs: &[Run], name: &'static str, floor: f64, rng: &mut Pcg64) -> Factor {
     let Some(numbers) = numbers(runs, name) else {
         return Factor::Level { column: name, by_powder: rng.random_bool(0.3), seed: rng.random() };
@@ -535,7 +541,8 @@ fn any_factor(runs: &[Run], name: &'static str, floor: f64, rng: &mut Pcg64) -> 
     Factor::Number { column: name, from, to: to.max(from + 1e-3), log: false, floor, curve }
 }
 
-/// Brings each cause to its size in the campaign. False if the effect could not be told from something else that was recorded, or not be found.
+/// Scales each cause to its size in the campaign. False if the effect could not be distinguished
+/// from something else recorded, or not be found.
 fn settled(laboratory: &mut Laboratory, wild: bool) -> bool {
     let runs = laboratory.campaign();
     let (peak_max, shared_max) = if wild { (PEAK_MAX_WILD, SHARED_MAX_WILD) } else { (PEAK_MAX, SHARED_MAX) };
@@ -598,7 +605,7 @@ pub fn within_powders(runs: &[Run], values: &[f64]) -> Vec<f64> {
     runs.iter().zip(values).map(|(run, value)| value - mean(&of_powder[&run.powder])).collect()
 }
 
-/// Pearson's; 0 if one of them is constant.
+/// Pearson correlation; 0 if one of them is constant.
 pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let (mean_a, mean_b) = (mean(a), mean(b));
     let sum = |f: &dyn Fn(f64, f64) -> f64| a.iter().zip(b).map(|(a, b)| f(a - mean_a, b - mean_b)).sum::<f64>();
@@ -606,7 +613,8 @@ pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
     if spread > 0.0 { sum(&|a, b| a * b) / spread } else { 0.0 }
 }
 
-/// Share of the variance of an effect that a column explains: by a straight line, or by the mean of each name.
+/// Share of the variance of an effect that a column explains: by a straight line, or by the mean of
+/// each name.
 fn explained(runs: &[Run], effect: &[f64], name: &str) -> f64 {
     if let Some(numbers) = numbers(runs, name) {
         return correlation(effect, &within_powders(runs, &numbers)).powi(2);

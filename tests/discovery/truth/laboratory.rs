@@ -1,6 +1,7 @@
-//! A laboratory: its powders, weather, habits and noise, and the runs that it makes day after day.
+//! A laboratory: its powders, weather, habits and noise, and its runs day after day.
 //!
-//! A day is the same whether it belongs to the campaign, to the days after it or to an experiment: each draws from streams of its own.
+//! A day is the same whether it belongs to the campaign, to the days after it or to an experiment:
+//! each draws from its own streams.
 
 use super::effect::{Factor, Term};
 use rand::{RngExt, SeedableRng};
@@ -9,7 +10,8 @@ use statrs::function::erf::erf;
 use std::collections::BTreeMap;
 use std::f64::consts::{SQRT_2, TAU};
 
-/// Powder, mean and SD of five repeats in degrees, whether it takes up water from the air, time of flow in s (the last two chosen here).
+/// Powder, mean and SD of five repeats in degrees, whether it takes up water from the air, flow
+/// time in s (the last two chosen here).
 pub const PUBLISHED: [(&str, f64, f64, bool, f64); 5] = [
     ("sand", 28.55, 1.94, false, 4.2),
     ("sugar", 31.41, 1.42, true, 5.1),
@@ -17,26 +19,27 @@ pub const PUBLISHED: [(&str, f64, f64, bool, f64); 5] = [
     ("semolina", 42.76, 1.97, false, 8.3),
     ("sodium_bicarbonate", 42.38, 2.48, true, 9.0),
 ];
-/// Relative change of the time of flow for a degree of effect, and its SD between repeats.
+/// Relative change of the flow time per degree of effect, and its SD between repeats.
 const FLOW_PER_DEG: f64 = 0.015;
 const FLOW_SD: f64 = 0.04;
-/// Age at which a container is changed at the latest, so that later days have no ages that the campaign had not.
+/// Latest age at which a container is changed, so that later days have no ages outside the
+/// campaign's.
 const CONTAINER_D: f64 = 28.0;
 /// Working days of a week.
 const WEEK_D: usize = 5;
 
-/// What can be recorded with a run.
+/// A quantity that can be recorded with a run.
 #[derive(Debug)]
 pub struct Column {
-    /// As in the file.
+    /// Name in the file.
     pub name: &'static str,
-    /// Where its numbers usually are; names have none.
+    /// Usual range of its numbers; names have none.
     pub range: [f64; 2],
-    /// Decimals that are written down.
+    /// Decimals written down.
     decimals: usize,
-    /// Chance that a campaign records it though its truth does not need it.
+    /// Chance that a campaign records it without its truth needing it.
     pub chance: f64,
-    /// Causes of the catalogue that work by it.
+    /// Causes of the catalogue that act through it.
     pub causes: &'static [&'static str],
 }
 
@@ -53,7 +56,7 @@ const fn of(
 /// Names instead of numbers.
 const NAMES: [f64; 2] = [f64::NAN; 2];
 
-/// In the order in which they are written. `day` counts days from the first of the campaign; nobody records it.
+/// In file order. `day` counts days from the first of the campaign; nobody records it.
 pub const COLUMNS: [Column; 23] = [
     of("day", [0.0, 60.0], 0, 0.0, &[]),
     of("order_in_session", [1.0, 10.0], 0, 0.8, &["order"]),
@@ -83,25 +86,25 @@ pub const COLUMNS: [Column; 23] = [
 /// The column of this name.
 ///
 /// # Panics
-/// There is none.
+/// No such column.
 pub fn column(name: &str) -> &'static Column {
     COLUMNS.iter().find(|column| column.name == name).unwrap_or_else(|| panic!("nothing is called {name}"))
 }
 
-/// What stands in a cell.
+/// The value of a cell.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
-    /// Rounded as it is written down.
+    /// Rounded as written down.
     Number(f64),
     /// A name.
     Name(String),
 }
 
 impl Value {
-    /// What the text means in this column.
+    /// Parses the text for this column.
     ///
     /// # Panics
-    /// It is no number and should be.
+    /// Not a number where one is required.
     pub fn parse(name: &str, text: &str) -> Self {
         if column(name).range[0].is_nan() {
             return Self::Name(text.to_owned());
@@ -113,15 +116,15 @@ impl Value {
 /// One angle of repose and its conditions.
 #[derive(Debug, Clone)]
 pub struct Run {
-    /// From the first day of the campaign.
+    /// Days since the first of the campaign.
     pub day: usize,
     /// Index into [`Laboratory::powders`].
     pub powder: usize,
-    /// The conditions as they were, recorded or not.
+    /// The true conditions, recorded or not.
     pub values: BTreeMap<&'static str, Value>,
-    /// Columns that somebody forgot to fill in.
+    /// Columns that were not filled in.
     forgotten: Vec<&'static str>,
-    /// What was measured.
+    /// Measured angle, degrees.
     repose_deg: f64,
 }
 
@@ -136,18 +139,19 @@ pub struct Powder {
     pub repeat_sd_deg: f64,
     /// Takes up water from the air.
     pub hygroscopic: bool,
-    /// Mean time of flow, s.
+    /// Mean flow time, s.
     pub flow_s: f64,
 }
 
 /// Weather in the room.
 #[derive(Debug, Clone)]
 pub struct Climate {
-    /// Between which the days' humidities are spread, %.
+    /// Range over which the days' humidities are spread, %.
     pub humidity_pct: [f64; 2],
     /// Correlation of a day's weather with that of the day before.
     pub persistence: f64,
-    /// Share of the season in the variance of the weather; its period in days and its phase in turns.
+    /// Share of the season in the variance of the weather; its period in days and its phase in
+    /// turns.
     pub season: f64,
     pub period_d: f64,
     pub phase: f64,
@@ -166,16 +170,17 @@ pub struct Habits {
     pub rest_is_free: bool,
     /// Heights of the funnel.
     pub heights_mm: Vec<f64>,
-    /// All powders have their containers changed together.
+    /// Whether all powders have their containers changed together.
     pub shared_containers: bool,
     /// Chance that a container is changed on a day.
     pub renewal: f64,
-    /// Two batches of each powder, A and B, are in use side by side; else one follows the other.
+    /// Two batches of each powder, A and B, are in use at the same time; otherwise one follows the
+    /// other.
     pub parallel_batches: bool,
-    /// How many operators; whether one works for a whole day.
+    /// Number of operators; whether one works for a whole day.
     pub operators: usize,
     pub operator_daily: bool,
-    /// How many base plates; whether one is used for a whole day.
+    /// Number of base plates; whether one is used for a whole day.
     pub plates: usize,
     pub plate_daily: bool,
     /// Shares of runs with the camera, and with the ioniser.
@@ -190,9 +195,9 @@ pub struct Habits {
 pub struct Tie {
     /// Two or three of humidity, temperature, rest and age of container.
     pub columns: Vec<&'static str>,
-    /// After which all containers are changed, if their age is among them.
+    /// Days after which all containers are changed, if their age is among them.
     pub period_d: usize,
-    /// SD of each about what moves them, as a share of its range.
+    /// SD of each around their driver, as a share of its range.
     pub jitter: f64,
 }
 
@@ -202,11 +207,11 @@ pub enum Kind {
     Normal,
     /// Student's t with 4 degrees of freedom.
     HeavyTails,
-    /// A gamma distribution of shape 4, which leans to the side of this sign.
+    /// A gamma distribution of shape 4, skewed to the side of this sign.
     Skewed(f64),
 }
 
-/// What makes repeats differ.
+/// The sources of scatter between repeats.
 #[derive(Debug, Clone)]
 pub struct Noise {
     /// SDs of days, and of days by powder, degrees.
@@ -219,7 +224,7 @@ pub struct Noise {
     pub scatter: Option<(Factor, f64)>,
 }
 
-/// What only the truth knows: see the fields of [`super::Case`] of the same names.
+/// The hidden truth: see the fields of [`super::Case`] of the same names.
 #[derive(Debug, Clone, Default)]
 pub struct Truth {
     pub family: &'static str,
@@ -232,7 +237,7 @@ pub struct Truth {
     pub size_deg: f64,
 }
 
-/// A laboratory with an effect, for as many days as one likes.
+/// A laboratory with an effect, for any number of days.
 #[derive(Debug, Clone)]
 pub struct Laboratory {
     pub seed: u64,
@@ -244,18 +249,18 @@ pub struct Laboratory {
     pub habits: Habits,
     pub tie: Option<Tie>,
     pub noise: Noise,
-    /// Columns of the file beside powder, angle and session.
+    /// Columns of the file in addition to powder, angle and session.
     pub recorded: Vec<&'static str>,
-    /// Share of cells that somebody forgot to fill in.
+    /// Share of cells that were not filled in.
     pub missing: f64,
     pub terms: Vec<Term>,
     pub truth: Truth,
 }
 
-/// What is the same all day.
+/// Conditions that are the same all day.
 struct Day {
     index: usize,
-    /// What moves humidity, and all that is tied to it: 0 to 1.
+    /// Driver of humidity, and of everything tied to it: 0 to 1.
     driver: f64,
     drift_pct: f64,
     temperature_c: f64,
@@ -266,7 +271,7 @@ struct Day {
     hour: f64,
     operator: usize,
     plate: usize,
-    /// Of each powder.
+    /// For each powder.
     age_d: Vec<f64>,
     lot: Vec<usize>,
 }
@@ -277,7 +282,7 @@ impl Laboratory {
         self.ordinary_days(0, self.days)
     }
 
-    /// So many days with all powders in random order.
+    /// This many days with all powders in random order.
     pub fn ordinary_days(&self, start: usize, days: usize) -> Vec<Run> {
         let mut runs = Vec::new();
         for day in &self.calendar(start + days)[start..] {
@@ -301,7 +306,7 @@ impl Laboratory {
         runs
     }
 
-    /// The runs that were asked for, on days from this one on.
+    /// The requested runs, on days from this one on.
     pub fn experiment(&mut self, start: usize, settings: &[BTreeMap<String, String>]) -> Vec<Run> {
         let mut sessions: Vec<Option<&String>> = Vec::new();
         for setting in settings {
@@ -363,7 +368,8 @@ impl Laboratory {
             let season = (TAU * (date as f64 / climate.period_d + climate.phase)).sin() * SQRT_2;
             let humid = climate.season.sqrt() * season + (1.0 - climate.season).sqrt() * weather[0];
             let warm = climate.warm_when_humid * humid + (1.0 - climate.warm_when_humid.powi(2)).sqrt() * weather[1];
-            // As many draws on every day, or the days of another number of days would be others.
+            // The same number of draws on every day; otherwise a different number of days would
+            // change the days.
             let all = rng.random_bool(habits.renewal);
             for powder in 0..self.powders.len() {
                 let one = rng.random_bool(habits.renewal);
@@ -420,7 +426,7 @@ impl Laboratory {
                 match *name {
                     "relative_humidity_pct" => humidity_pct = dry + (humid - dry) * level + 0.3 * normal(rng),
                     "temperature_c" => temperature_c = 18.5 + 6.5 * level + 0.1 * normal(rng),
-                    // Less than a factor of three, so that its logarithm goes along as well.
+                    // Less than a factor of three, so that its logarithm follows as well.
                     "rest_min" => rest_min = 60.0 + 110.0 * level,
                     _ => {}
                 }
@@ -494,7 +500,8 @@ impl Laboratory {
             let effect = self.effect_deg(run);
             let noise = day_deg + of_powder[run.powder] + scatter * powder.repeat_sd_deg * repeat + wrong;
             run.repose_deg = powder.mean_deg + effect + noise;
-            // A powder that piles steeper flows slower; how it is measured does not change its flow.
+            // A powder that piles steeper flows slower; the method of measurement does not change
+            // its flow.
             let material = !["method_bias", "operator", "base_friction", "funnel_height"]
                 .iter()
                 .any(|cause| self.truth.mechanisms.contains(cause));
@@ -504,12 +511,12 @@ impl Laboratory {
         }
     }
 
-    /// What the causes add to the angle of a run, degrees.
+    /// Contribution of the causes to the angle of a run, degrees.
     pub fn effect_deg(&self, run: &Run) -> f64 {
         self.terms.iter().map(|term| term.at(run)).sum()
     }
 
-    /// No batch is of one powder only.
+    /// Whether no batch is of one powder only.
     pub fn shares_batches(&self) -> bool {
         self.habits.parallel_batches
     }
@@ -551,7 +558,8 @@ fn rounded(name: &str, value: Value) -> Value {
     }
 }
 
-/// Year, month and day of a day since 1970, after Hinnant's `civil_from_days`: eras of 400 years that begin in March.
+/// Year, month and day of a day since 1970, after Hinnant's `civil_from_days`: eras of 400 years
+/// that begin in March.
 fn date(day: i64) -> String {
     let z = day + 719_468;
     let (era, of_era) = (z.div_euclid(146_097), z.rem_euclid(146_097));
@@ -563,25 +571,25 @@ fn date(day: i64) -> String {
     format!("{year:04}-{month:02}-{:02}", of_year - (153 * march + 2) / 5 + 1)
 }
 
-/// Random numbers of their own for every purpose: an FNV-1a hash of the three is the seed.
+/// A separate random stream for every purpose: an FNV-1a hash of the three is the seed.
 pub fn stream(seed: u64, purpose: &str, number: usize) -> Pcg64 {
     let bytes = seed.to_le_bytes().into_iter().chain((number as u64).to_le_bytes()).chain(purpose.bytes());
     let step = |hash: u64, byte: u8| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3);
     Pcg64::seed_from_u64(bytes.fold(0xcbf2_9ce4_8422_2325, step))
 }
 
-/// A standard normal draw, by Box and Muller.
+/// A standard normal draw (Box-Muller).
 pub fn normal(rng: &mut Pcg64) -> f64 {
     let (radius, turn) = (1.0 - rng.random::<f64>(), rng.random::<f64>());
     (-2.0 * radius.ln()).sqrt() * (TAU * turn).cos()
 }
 
-/// Mean; NaN of nothing.
+/// Mean; NaN if empty.
 pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Quantile with straight lines between the sorted values.
+/// Quantile with linear interpolation between the sorted values.
 pub fn percentile(values: &[f64], share: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -32,7 +32,7 @@ fn the_effect_of_each_cause_has_its_size_within_powders() {
         for cause in causes {
             let effect: Vec<f64> = case.runs.iter().map(|run| cause.at(run)).collect();
             let within = within_powders(&case.runs, &effect);
-            // Of 1 deg: nothing but rounding.
+            // Of 1 deg: only rounding.
             assert!((sd(&within) - case.size_deg).abs() < 1e-9, "{}: {}", case.name, sd(&within));
             assert!(within.iter().zip(&effect).all(|(a, b)| (a - b).abs() < 1e-9), "{}: no mean of 0", case.name);
         }
@@ -93,7 +93,8 @@ fn what_is_measured_scatters_about_the_truth() {
         rows.iter().zip(&case.noise_free_deg).map(|(row, truth)| row[1].parse::<f64>().unwrap() - truth).collect()
     };
     let all: Vec<f64> = campaigns.iter().flat_map(residuals).collect();
-    // Root of the mean square of the five repeat SDs, with 0.5² and 0.4². 8000 runs give it to 0.017 deg; four of these.
+    // Root of the mean square of the five repeat SDs, with 0.5² and 0.4². 8000 runs give it to
+    // 0.017 deg; four of these.
     assert!((sd(&all) - 2.150).abs() < 0.07, "{}", sd(&all));
     // 800 days of 0.5 deg and runs of 2.2 deg: 0.03 deg; five of them.
     assert!(mean(&all).abs() < 0.15, "{}", mean(&all));
@@ -116,7 +117,7 @@ fn covariates_that_are_confounded_went_together() {
         let columns = &case.laboratory.tie.as_ref().unwrap().columns;
         let [a, b] = [0, 1].map(|k| numbers(&case.runs, columns[k]).unwrap());
         assert!(correlation(&a, &b).abs() > 0.95, "{}", case.name);
-        // Whoever takes the logarithm of times sees them go together as well.
+        // The logarithms of times must move together as well.
         let [a, b] = [a, b].map(|x| x.into_iter().map(f64::ln_1p).collect::<Vec<_>>());
         assert!(columns[1] == "container_age_d" || correlation(&a, &b).abs() > 0.93, "{}", case.name);
         assert!(case.mechanism.is_some() && case.rivals.len() == 1 && !case.rivals.contains(&case.mechanism.unwrap()));
@@ -133,7 +134,8 @@ fn the_change_from_the_5th_to_the_95th_percentile_is_that_of_the_effect() {
             assert!(case.effect_5_95_deg.is_nan() && covariate == "batch");
             continue;
         };
-        // Every run twice with the covariate set, the term's formula written out, the powders weighted alike.
+        // Every run twice with the covariate set, the term's formula written out, the powders
+        // weighted alike.
         let term = &case.laboratory.terms[0];
         let mut change = 0.0;
         for powder in 0..5 {
@@ -166,7 +168,7 @@ fn the_change_over_two_columns_is_that_of_both_at_once() {
         let columns = ["relative_humidity_pct", "rest_min"];
         let [humid, rested] = columns.map(|column| case.span(column).unwrap());
         let term = &case.laboratory.terms[0];
-        // A product of one factor in each: what the runs were like otherwise does not matter.
+        // A product of one factor in each: the other conditions of the runs do not matter.
         let at = |factor: usize, text: &str| {
             let mut run = case.runs[0].clone();
             run.values.insert(columns[factor], Value::Number(text.parse().unwrap()));
@@ -181,7 +183,8 @@ fn the_change_over_two_columns_is_that_of_both_at_once() {
 
 #[test]
 fn the_effect_of_a_recorded_cause_depends_on_its_columns_alone() {
-    // Runs alike in powder and in all columns of the cause have the same effect, by the uploaded file.
+    // Runs alike in powder and in all columns of the cause have the same effect, by the uploaded
+    // file.
     for (family, seed) in once(Family::Recorded).chain(Family::SINGLES).flat_map(|f| SEEDS.map(move |seed| (f, seed))) {
         let case = case(family, 1.0, seed);
         let own: Vec<&str> = case.laboratory.terms[0].factors.iter().map(|factor| factor.column()).collect();
@@ -260,7 +263,7 @@ fn an_experiment_sets_what_it_was_asked_to_set() {
     assert_eq!((cell(206, "relative_humidity_pct"), cell(205, "ioniser_on")), ("65", "1"));
     assert_eq!(cell(200, "session"), cell(205, "session"));
     assert_ne!(cell(200, "session"), cell(206, "session"));
-    // The campaign stands as it was, and its truth with it; so do the days after.
+    // The campaign is unchanged, and its truth with it; so are the days after.
     let before = parsed(&case.csv);
     let same = |name: &str| {
         before.1.iter().zip(&rows).all(|(a, b)| {

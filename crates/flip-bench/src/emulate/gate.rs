@@ -21,26 +21,26 @@ const LINE_BYTES_MAX: usize = 40;
 /// Positions of the slide, thousandths.
 const CLOSED: f64 = 0.0;
 const OPEN: f64 = 1000.0;
-/// How long after a motion an end stop may stay silent, s.
+/// How long an end stop may stay silent after a motion, s.
 const SETTLE_S: f64 = 0.3;
 
-/// What can go wrong with a gate.
+/// Faults of a gate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Fault {
-    /// A request was obeyed and its reply is lost.
+    /// A request is obeyed but its reply is lost.
     LostLine,
     /// A reply with noise in it.
     GarbledLine,
-    /// A request that comes to the board with noise in it.
+    /// A request that reaches the board with noise in it.
     ChecksumError,
-    /// The slide jams half way, in whichever direction it goes, until it is freed.
+    /// The slide jams half way, in either direction, until it is freed.
     StuckHalfOpen,
-    /// The board starts again.
+    /// The board restarts.
     Reset,
     /// Nothing passes the wire any more, in either direction.
     Silence,
-    /// The board has no supply; the slide's spring closes it.
+    /// The board has no power; the slide's spring closes it.
     Unplug,
 }
 
@@ -56,7 +56,7 @@ impl Fault {
         Self::Unplug,
     ];
 
-    /// As the command line names it.
+    /// Name used on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::LostLine => "lost-line",
@@ -84,9 +84,9 @@ impl FromStr for Fault {
 /// How an emulated gate is built.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// How long the board is silent after a reset. Default 2 s, as an Arduino's bootloader.
+    /// How long the board is silent after a reset. Default 2 s, like an Arduino's bootloader.
     pub boot: Duration,
-    /// How long the slide takes from end to end, s. Default 0.4, as the sketch moves it.
+    /// Travel time of the slide from end to end, s. Default 0.4, as in the sketch.
     pub travel_s: f64,
 }
 
@@ -96,7 +96,7 @@ impl Default for Settings {
     }
 }
 
-/// The board and its slide, shared with whoever else emulates the bench.
+/// The board and its slide, shared with the other emulators of the bench.
 #[derive(Clone)]
 pub struct Slide(Arc<Mutex<Board>>);
 
@@ -105,17 +105,17 @@ struct Board {
     settings: Settings,
     target: f64,
     motion: Motion,
-    /// Why the slide is to be closed; none while it is to be open.
+    /// Why the slide is to be closed; `None` while it is to be open.
     closed_for: Option<Why>,
     beat_at: Instant,
-    /// It says hello then; none once it has.
+    /// When it sends its HI; `None` once it has.
     hello_at: Option<Instant>,
-    /// Number of the newest line that was obeyed, and its reply; none before the first hello.
+    /// Number of the newest line obeyed, and its reply; `None` before the first HELLO.
     newest: Option<(u16, String)>,
     is_jammed: bool,
     is_silent: bool,
     is_unplugged: bool,
-    /// What befalls coming lines, and how many.
+    /// The fault of incoming lines, and how many it affects.
     pending: Option<(Fault, u32)>,
 }
 
@@ -139,13 +139,13 @@ impl Slide {
         })))
     }
 
-    /// How far the slide is open now, 0 to 1: powder flows above 0.
+    /// Current opening, 0 to 1: powder flows above 0.
     pub fn opening(&self) -> f64 {
         let board = self.locked();
         board.position() / OPEN
     }
 
-    /// Let this go wrong: with the next `lines` lines, or now for what is not of lines.
+    /// Inject this fault: into the next `lines` lines, or at once if it does not concern lines.
     pub fn cause(&self, fault: Fault, lines: u32) {
         let mut board = self.locked();
         match fault {
@@ -160,7 +160,7 @@ impl Slide {
         }
     }
 
-    /// Put right what [`Slide::cause`] broke; a board that was unplugged starts again.
+    /// Undo [`Slide::cause`]; a board that was unplugged restarts.
     pub fn repair(&self) {
         let mut board = self.locked();
         let (was_unplugged, was_jammed) = (board.is_unplugged, board.is_jammed);
@@ -185,7 +185,7 @@ impl Board {
         self.newest = None;
     }
 
-    /// Close by itself: nobody asks until it has arrived.
+    /// Close without a command; nothing polls the slide meanwhile, so wait until it has arrived.
     fn close_for(&mut self, why: Why) {
         self.closed_for = Some(why);
         self.head_for(CLOSED);
@@ -206,12 +206,13 @@ impl Board {
         self.motion = Motion { from, to, began_s: self.clock.now_s(), per_second };
     }
 
-    /// When a motion is over: for one that does not arrive, when its end stop has been silent long enough.
+    /// When a motion is over; for one that does not arrive, when its end stop has been silent long
+    /// enough.
     fn settled_s(&self) -> f64 {
         self.motion.ends_s() + if self.motion.to == self.target { 0.0 } else { SETTLE_S }
     }
 
-    /// State, opening, end stops and why it is closed, as the protocol writes them.
+    /// State, opening, end stops and closing reason, in the protocol's format.
     fn status(&self) -> String {
         let position = self.position().round();
         let state = match () {
@@ -234,7 +235,7 @@ impl Board {
         format!("{state} {position} {stops} {why}")
     }
 
-    /// What the board does by itself.
+    /// Unsolicited activity of the board.
     fn tick(&mut self, say: &mut dyn FnMut(&[u8])) {
         let now = Instant::now();
         if self.is_unplugged {
@@ -316,7 +317,7 @@ impl Board {
         }
     }
 
-    /// A gate that is closed already keeps its reason.
+    /// A gate that is already closed keeps its reason.
     fn asked_to_close(&mut self) {
         if self.closed_for.is_none() {
             self.closed_for = Some(Why::Asked);
@@ -324,7 +325,7 @@ impl Board {
         }
     }
 
-    /// The fault that befalls this line.
+    /// The fault that applies to this line.
     fn next_fault(&mut self) -> Option<Fault> {
         let (fault, lines) = self.pending?;
         self.pending = (lines > 1).then(|| (fault, lines - 1));
@@ -332,10 +333,11 @@ impl Board {
     }
 }
 
-/// An emulated gate on a port. On TCP each connection resets its board; a pseudo-terminal is reset by [`Fault::Reset`] alone.
+/// An emulated gate on a port. On TCP each connection resets its board; a pseudo-terminal is reset
+/// only by [`Fault::Reset`].
 pub struct EmulatedGate {
     slide: Slide,
-    /// Bytes of a line that has no end yet.
+    /// Bytes of an incomplete line.
     partial: Vec<u8>,
 }
 
@@ -359,7 +361,7 @@ impl Talker for EmulatedGate {
             match byte {
                 b'\n' | b'\r' if self.partial.is_empty() => {}
                 b'\n' | b'\r' => board.hear(&std::mem::take(&mut self.partial), say),
-                // What is too long is cut, so that its checksum is wrong.
+                // A line that is too long is cut, so that its checksum is wrong.
                 _ if self.partial.len() >= LINE_BYTES_MAX => {}
                 _ => self.partial.push(*byte),
             }

@@ -94,12 +94,12 @@ fn a_line_that_comes_again_is_answered_again_and_obeyed_once() {
     let closed = tell("4 CLOSE");
     tell("5 STATUS");
     assert_eq!(slide.opening(), 0.0);
-    // An opening that was on its way for long, and the newest line once more.
+    // An opening command that was delayed for long, and the newest line once more.
     assert_eq!(tell("2 OPEN 500"), framed("2 ERR OLD"));
     assert_eq!(tell("5 OPEN 500"), framed("5 OK MOVING 500 - ASKED"));
     assert_eq!(slide.opening(), 0.0);
     assert!(opened.starts_with("2 OK MOVING 0 C -") && closed.starts_with("4 OK MOVING 500 - ASKED"));
-    // Numbers go round.
+    // Numbers wrap around.
     assert!(tell("32772 STATUS").starts_with("32772 OK"));
     assert!(tell("65535 STATUS").starts_with("65535 OK"));
     assert!(tell("1 STATUS").starts_with("1 OK"));
@@ -152,7 +152,7 @@ fn heartbeats_keep_it_open_and_their_end_closes_it() {
     let opened = Instant::now();
     bench.driver.open_gate(Opening::FULL, Duration::from_millis(700)).unwrap();
     bench.wait_until_closed(Duration::from_secs(2));
-    // Six heartbeats and the half second after the last, if none comes late.
+    // Six heartbeats and the half second after the last, if none is late.
     assert!(opened.elapsed() >= Duration::from_millis(800) && bench.sent("BEAT") >= 3);
     assert_eq!(bench.driver.status().unwrap().closed_for, Some(Why::Beats));
     assert_eq!(bench.driver.close().unwrap().closed_for, Some(Why::Beats));
@@ -175,7 +175,7 @@ fn dropping_the_driver_closes_the_gate() {
     let Bench { slide, port, driver, .. } = Bench::open();
     drop(driver);
     assert_eq!(slide.opening(), 0.0);
-    // A board that was not reset says nothing by itself, and is asked.
+    // A board that was not reset sends nothing unsolicited, and is queried.
     let mut again = Gate::open_within(port.address(), Duration::from_millis(20), Tap::none()).unwrap();
     assert_eq!(again.status().unwrap().closed_for, Some(Why::Asked));
 }

@@ -1,6 +1,8 @@
-//! The emulated gripper: a Robotiq 2F-85 that takes frames of Modbus RTU apart by itself, so that the driver's bytes are checked by a second reader.
+//! The emulated gripper: a Robotiq 2F-85 that parses Modbus RTU frames itself, so that the driver's
+//! bytes are checked by an independent parser.
 //!
-//! Times and positions that the manual does not give (activation, stroke, where empty fingers stand) are estimates: not verified.
+//! Times and positions that the manual does not give (activation, stroke, where empty fingers stop)
+//! are estimates: not verified.
 
 mod frame;
 
@@ -24,36 +26,36 @@ const ILLEGAL_FUNCTION: u8 = 1;
 const ILLEGAL_ADDRESS: u8 = 2;
 /// How long an activation lasts, s.
 const ACTIVATION_S: f64 = 2.0;
-/// Where open and closed empty fingers stand, and where a spoon's handle stops them.
+/// Where open and closed empty fingers stop, and where a spoon's handle stops them.
 const OPEN_AT: f64 = 3.0;
 const CLOSED_AT: f64 = 228.0;
 const SPOON_AT: f64 = 189.0;
-/// What the motor draws while it moves, in units of 10 mA.
+/// Motor current while moving, in units of 10 mA.
 const MOVING_CURRENT: u8 = 0x0A;
-/// Too much current, the code of [`Fault::FaultCode`].
+/// Overcurrent, the code of [`Fault::FaultCode`].
 const OVERCURRENT: u8 = 0x0E;
-/// How late a slow reply is.
+/// Delay of a slow reply.
 const SLOW: Duration = Duration::from_millis(400);
 
-/// What can go wrong with a gripper.
+/// Faults of a gripper.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Fault {
-    /// A reply whose checksum is wrong.
+    /// A reply with a wrong checksum.
     CrcError,
-    /// A reply of another slave.
+    /// A reply from another slave.
     WrongSlave,
-    /// A request was obeyed and its reply is lost.
+    /// A request is obeyed but its reply is lost.
     LostFrame,
     /// A request is lost.
     LostRequest,
-    /// A reply that comes after the driver gave up.
+    /// A reply that arrives after the driver gave up.
     SlowReply,
-    /// No supply until it is plugged in again; the fingers stay where they are.
+    /// No power until it is plugged in again; the fingers stay where they are.
     Unplug,
-    /// Too much current: it stands still until it is activated again.
+    /// Overcurrent: it stands still until it is activated again.
     FaultCode,
-    /// What it held slipped out.
+    /// The object it held slipped out.
     DroppedSpoon,
 }
 
@@ -70,7 +72,7 @@ impl Fault {
         Self::DroppedSpoon,
     ];
 
-    /// As the command line names it.
+    /// Name used on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::CrcError => "crc-error",
@@ -96,7 +98,7 @@ impl FromStr for Fault {
     }
 }
 
-/// Where the spoon is, as seen from the fingers.
+/// Where the spoon is relative to the fingers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Spoon {
     /// Not between the fingers.
@@ -109,7 +111,7 @@ pub enum Spoon {
     Dropped,
 }
 
-/// The fingers, shared with whoever else emulates the bench.
+/// The fingers, shared with the other emulators of the bench.
 #[derive(Clone)]
 pub struct Fingers(Arc<Mutex<Body>>);
 
@@ -118,7 +120,7 @@ struct Body {
     spoon: Spoon,
     at_rack: bool,
     is_unplugged: bool,
-    /// What befalls coming frames: how many are spared first, and how many are befallen.
+    /// The fault of incoming frames: how many are spared first, and how many are affected.
     pending: Option<(Fault, u32, u32)>,
     is_active: bool,
     ready_at_s: f64,
@@ -158,7 +160,7 @@ impl Fingers {
         fingers
     }
 
-    /// The arm brought the fingers to the rack, where a spoon is taken or put back, or away from it.
+    /// The arm moved the fingers to the rack, where a spoon is taken or put back, or away from it.
     pub fn set_at_rack(&self, at_rack: bool) {
         let mut body = self.locked();
         body.at_rack = at_rack;
@@ -169,14 +171,14 @@ impl Fingers {
         };
     }
 
-    /// Where the spoon is now.
+    /// Where the spoon is.
     pub fn spoon(&self) -> Spoon {
         let mut body = self.locked();
         body.settle();
         body.spoon
     }
 
-    /// Let this go wrong: with the next `frames` frames, or now for what is not of frames.
+    /// Inject this fault: into the next `frames` frames, or at once if it does not concern frames.
     pub fn cause(&self, fault: Fault, frames: u32) {
         let mut body = self.locked();
         body.settle();
@@ -199,12 +201,12 @@ impl Fingers {
         }
     }
 
-    /// Let this befall one frame, after that many were spared.
+    /// Inject this fault into one frame, after sparing that many.
     pub fn cause_after(&self, spared: u32, fault: Fault) {
         self.locked().pending = Some((fault, spared, 1));
     }
 
-    /// Its supply is back: it knows nothing of what it holds and must be activated.
+    /// Restore power: it does not know what it holds and must be activated.
     pub fn plug_in(&self) {
         let mut body = self.locked();
         body.is_unplugged = false;
@@ -221,7 +223,7 @@ impl Body {
         (self.is_active, self.follows, self.fault, self.requested) = (false, false, 0, 0);
     }
 
-    /// What has happened by now: fingers that met the spoon hold it.
+    /// Update to now: fingers that met the spoon hold it.
     fn settle(&mut self) {
         let now_s = self.clock.now_s();
         if self.spoon == Spoon::InRack && self.motion.to == SPOON_AT && now_s >= self.motion.ends_s() {
@@ -237,7 +239,7 @@ impl Body {
         self.motion = Motion { from, to, began_s: now_s, per_second: self.motion.per_second };
     }
 
-    /// Take words for the three registers at [`ACTION`].
+    /// Apply the words written to the three registers at [`ACTION`].
     fn obey(&mut self, words: [u16; 3]) {
         let [[action, _], [_, position], [speed, _]] = words.map(u16::to_be_bytes);
         let now_s = self.clock.now_s();
@@ -312,7 +314,7 @@ impl Body {
         }
     }
 
-    /// The fault that befalls this frame.
+    /// The fault that applies to this frame.
     fn next_fault(&mut self) -> Option<Fault> {
         let (fault, spared, frames) = self.pending?;
         if spared > 0 {
@@ -327,9 +329,9 @@ impl Body {
 /// An emulated gripper on a port.
 pub struct EmulatedGripper {
     fingers: Fingers,
-    /// Bytes of a frame that is not whole.
+    /// Bytes of an incomplete frame.
     partial: Vec<u8>,
-    /// Replies that come late, and when.
+    /// Delayed replies, and when they are due.
     late: Vec<(Instant, Vec<u8>)>,
 }
 
@@ -342,7 +344,7 @@ impl EmulatedGripper {
     fn take(&mut self, frame: &[u8], say: &mut dyn FnMut(&[u8])) {
         let mut body = self.fingers.locked();
         let fault = body.next_fault();
-        // A slave does not answer what it cannot read or what is for another.
+        // A slave does not answer frames that it cannot parse or that are for another.
         let Ok((SLAVE, request)) = parse(frame) else { return };
         if body.is_unplugged || fault == Some(Fault::LostRequest) {
             return;

@@ -127,7 +127,7 @@ fn fingers_take_their_time_by_the_clock_of_the_room() {
     bench.driver.activate(no_spoon()).unwrap();
     let before = Instant::now();
     let closed = bench.driver.grip(Effort { speed: 0, force: 0 }).unwrap();
-    // 225 counts at 60 a second, twenty times as fast.
+    // 225 counts at 60 per second, twenty times as fast.
     assert!(before.elapsed() > Duration::from_millis(150) && closed.object == Object::AtPosition);
 }
 
@@ -140,7 +140,7 @@ fn activation_is_refused_while_a_spoon_is_held_and_nothing_is_sent_that_moves() 
         assert_eq!((bench.writes(), bench.fingers.spoon()), (before, Spoon::Held));
     };
     refused(&mut Bench::holding());
-    // Its supply was gone: it knows of no spoon, but the driver does.
+    // Power was lost: it knows of no spoon, but the driver does.
     let mut bench = Bench::holding();
     bench.fingers.cause(Fault::Unplug, 0);
     bench.fingers.plug_in();
@@ -170,7 +170,7 @@ fn a_read_is_repeated_once() {
         match (fault, bench.driver.status()) {
             (Fault::LostFrame | Fault::LostRequest, Err(DeviceError::Silent { .. })) => {}
             (Fault::CrcError | Fault::WrongSlave, Err(DeviceError::Garbled { .. })) => {}
-            // The first slow reply comes while the second is waited for, to the same question.
+            // The first slow reply arrives while the second is waited for, to the same request.
             (Fault::SlowReply, Ok(status)) => assert!(status.holds()),
             (_, other) => panic!("{fault:?}: {other:?}"),
         }
@@ -190,7 +190,7 @@ fn a_motion_is_never_sent_twice_and_goes_on_if_it_was_heard() {
         let mut bench = Bench::active();
         bench.fingers.set_at_rack(true);
         let before = bench.writes();
-        // The frame before the motion asks for the state.
+        // The frame before the motion requests the state.
         let fingers = bench.fingers.clone();
         fingers.cause_after(1, fault);
         let gripped = bench.driver.grip(Effort::FULL);

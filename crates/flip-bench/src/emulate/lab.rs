@@ -1,4 +1,5 @@
-//! A whole laboratory that is not there: balance, arm, gripper and gate around one vial, each on its own wire.
+//! A complete emulated laboratory: balance, arm, gripper and gate around one vial, each on its own
+//! wire.
 
 use super::arm::{self, Arm, Spoon as Powder};
 use super::balance::{self, Balance, Socket};
@@ -12,10 +13,10 @@ use crate::hardware::clock::Clock;
 use flip_core::domain::spoon::Spoon;
 use serde::{Deserialize, Serialize};
 
-/// Longest time of a motion, s of the room: one that is simulated takes long on a busy machine.
+/// Longest time of a motion, wall-clock s: a simulated one takes long on a busy machine.
 const MOTION_S: f64 = 120.0;
 
-/// What a laboratory is like.
+/// Settings of a laboratory.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
@@ -25,9 +26,10 @@ pub struct Settings {
     pub arm: arm::Settings,
     /// An empty vial.
     pub vial: Vial,
-    /// How FLIP is told to read.
+    /// FLIP's reading settings.
     pub readings: Readings,
-    /// FLIP expects of a powder what it did in earlier doses, as it does on devices. Default false: a dose follows from its seed alone.
+    /// FLIP bases its expectations of a powder on earlier doses, as it does on devices. Default
+    /// false: a dose depends only on its seed.
     pub remembers: bool,
 }
 
@@ -35,18 +37,18 @@ pub struct Settings {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Vial {
-    /// What it weighs, mg.
+    /// Its mass, mg.
     pub mass_mg: f64,
 }
 
 impl Default for Vial {
-    /// Some twelve grams, as of 20 ml.
+    /// About twelve grams, like one of 20 ml.
     fn default() -> Self {
         Self { mass_mg: 12_000.0 }
     }
 }
 
-/// A laboratory at work. Every plug is pulled when it is dropped.
+/// A running laboratory. Every plug is pulled when it is dropped.
 pub struct Laboratory {
     settings: Settings,
     pan: Pan,
@@ -63,7 +65,7 @@ pub struct Laboratory {
 }
 
 impl Laboratory {
-    /// Plug everything in; the spoon is the powder's.
+    /// Connect everything; the spoon belongs to the powder.
     ///
     /// # Errors
     /// The system has no pseudo-terminal, port or thread left.
@@ -78,7 +80,7 @@ impl Laboratory {
         Ok(Self { settings, pan, balance, arm, fingers, slide, gripper, gate })
     }
 
-    /// How FLIP finds the devices.
+    /// The bench file through which FLIP finds the devices.
     pub fn file(&self) -> BenchFile {
         let Settings { balance, .. } = &self.settings;
         let address = |port: &Port| Some(PortAddress { port: port.address().to_owned() });
@@ -96,18 +98,18 @@ impl Laboratory {
         }
     }
 
-    /// An empty vial in place of what stands on the balance, and another spoon in the arm's hand.
+    /// Put an empty vial on the balance, and another spoon into the arm's hand.
     pub fn prepare(&self, spoon: Box<dyn Powder>) {
         self.pan.add_mg(self.settings.vial.mass_mg - self.pan.final_load_mg());
         self.arm.set_spoon(spoon);
     }
 
-    /// Powder in the vial, mg: what no balance shows.
+    /// Powder in the vial, mg, which no balance shows.
     pub fn dispensed_mg(&self) -> f64 {
         self.pan.final_load_mg() - self.settings.vial.mass_mg
     }
 
-    /// What lies on the balance.
+    /// The load on the balance.
     pub fn pan(&self) -> &Pan {
         &self.pan
     }

@@ -1,7 +1,9 @@
-//! Devices that are not there: each speaks its true wire protocol over a pseudo-terminal, TCP or gRPC, and misbehaves as the real one does.
+//! Emulated devices: each speaks its real wire protocol over a pseudo-terminal, TCP or gRPC, and
+//! fails the way the real one does.
 //!
-//! Drivers cannot tell: they open a path or an address. What lies behind is a [`Pan`](pan::Pan) that powder falls on, read by an emulated balance and filled
-//! by an emulated arm, whose spoon is the simulator.
+//! Drivers cannot tell the difference: they open a path or an address. Behind it is a
+//! [`Pan`](pan::Pan) that powder falls on, read by an emulated balance and filled by an emulated
+//! arm, whose spoon is simulated.
 
 pub mod arm;
 pub mod balance;

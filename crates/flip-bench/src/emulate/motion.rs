@@ -1,39 +1,40 @@
-//! Something that moves at an even speed by the bench's clock.
+//! Motion at constant speed, by the bench clock.
 
 use crate::hardware::clock::Clock;
 
-/// A way from one position to another; standing where the two are one.
+/// A move from one position to another; at rest where the two are equal.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Motion {
-    /// Where it began.
+    /// Start position.
     pub from: f64,
-    /// Where it ends.
+    /// End position.
     pub to: f64,
-    /// Bench time when it began, s.
+    /// Bench time of the start, s.
     pub began_s: f64,
-    /// Speed, positions a second.
+    /// Speed, position units per second.
     pub per_second: f64,
 }
 
 impl Motion {
-    /// Standing there.
+    /// At rest at this position.
     pub(super) fn standing(at: f64) -> Self {
         Self { from: at, to: at, began_s: 0.0, per_second: 1.0 }
     }
 
-    /// Bench time when it ends, s.
+    /// Bench time of the end, s.
     pub(super) fn ends_s(&self) -> f64 {
         self.began_s + (self.to - self.from).abs() / self.per_second
     }
 
-    /// Where it is at that bench time, s.
+    /// Position at that bench time, s.
     pub(super) fn at(&self, now_s: f64) -> f64 {
         let way = self.to - self.from;
         self.from + (self.per_second * (now_s - self.began_s)).min(way.abs()) * way.signum()
     }
 }
 
-/// A standing clock moves only when somebody waits: what goes on until then is seen going on once, then waited out.
+/// A virtual clock advances only while something waits: motion in progress is observed once, then
+/// waited out.
 pub(super) fn wait_out(clock: &Clock, until_s: f64) {
     let remaining_s = until_s - clock.now_s();
     if matches!(clock, Clock::Virtual(_)) && remaining_s > 0.0 {

@@ -1,18 +1,18 @@
-//! What lies on the balance's pan, over time: powder that lands, a vial that somebody lifts.
+//! The load on the balance's pan over time: powder that lands, a vial that is lifted.
 
 use crate::hardware::clock::Clock;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// A load that changed: when, and by how much.
+/// A change of the load: when, and by how much.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Change {
     /// Bench time, s.
     pub at_s: f64,
-    /// What was added, mg; negative where something was taken.
+    /// Mass added, mg; negative where something was removed.
     pub mass_mg: f64,
 }
 
-/// The pan of one bench, shared by whoever adds to it and whoever weighs it.
+/// The pan of one bench, shared by everything that adds to it or weighs it.
 #[derive(Debug, Clone)]
 pub struct Pan {
     clock: Clock,
@@ -20,7 +20,7 @@ pub struct Pan {
 }
 
 impl Pan {
-    /// A pan that has held this since always, mg (a vial).
+    /// A pan that has always held this mass, mg (a vial).
     pub fn holding(mass_mg: f64, clock: Clock) -> Self {
         let first = Change { at_s: f64::NEG_INFINITY, mass_mg };
         Self { clock, changes: Arc::new(Mutex::new(vec![first])) }
@@ -31,12 +31,13 @@ impl Pan {
         &self.clock
     }
 
-    /// This lands on the pan now, mg; negative: it is taken away.
+    /// Let this mass land on the pan now, mg; negative: it is removed.
     pub fn add_mg(&self, mass_mg: f64) {
         self.add_at(self.clock.now_s(), mass_mg);
     }
 
-    /// This lands on the pan at that bench time, s, which may lie ahead (powder falls for some hundredths of a second).
+    /// Let this mass land on the pan at that bench time, s, which may be in the future (powder
+    /// falls for a few hundredths of a second).
     pub fn add_at(&self, at_s: f64, mass_mg: f64) {
         if mass_mg != 0.0 {
             self.locked().push(Change { at_s, mass_mg });
@@ -49,12 +50,13 @@ impl Pan {
         self.locked().iter().filter(|change| change.at_s <= now).map(|change| change.mass_mg).sum()
     }
 
-    /// True load when everything has landed, mg.
+    /// True load once everything has landed, mg.
     pub fn final_load_mg(&self) -> f64 {
         self.locked().iter().map(|change| change.mass_mg).sum()
     }
 
-    /// What a load cell that answers with this time constant shows now, mg: each change by its own exponential.
+    /// Current reading of a load cell with this time constant, mg: each change contributes its own
+    /// exponential.
     ///
     /// ```text
     /// m(t) = sum over changes before t of m_i (1 - exp(-(t - t_i) / tau))

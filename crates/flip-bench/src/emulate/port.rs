@@ -1,4 +1,4 @@
-//! Where an emulated device is plugged in: a pseudo-terminal or a TCP port, served by a thread of its own.
+//! Connection of an emulated device: a pseudo-terminal or a TCP port, served by its own thread.
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags};
@@ -13,18 +13,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// How often a device is asked whether it has something to say by itself.
+/// How often a device is given the chance to send something unsolicited.
 const IDLE: Duration = Duration::from_millis(10);
 
-/// A device that hears bytes and says bytes.
+/// A device that receives and sends bytes.
 pub trait Talker: Send + 'static {
-    /// Somebody plugged in or opened the port.
+    /// The port was connected or opened.
     fn connected(&mut self) {}
 
-    /// These bytes came; `say` sends bytes back.
+    /// These bytes were received; `say` sends bytes back.
     fn hear(&mut self, bytes: &[u8], say: &mut dyn FnMut(&[u8]));
 
-    /// Nothing came for some hundredths of a second.
+    /// Nothing was received for a few hundredths of a second.
     fn idle(&mut self, say: &mut dyn FnMut(&[u8])) {
         let _ = say;
     }
@@ -56,10 +56,11 @@ impl Port {
         Self::serve(path, move |unplugged| serve_pty(controller, terminal, device, unplugged))
     }
 
-    /// Serve `device` on a TCP port of this machine, one connection at a time; port 0 takes a free one.
+    /// Serve `device` on a TCP port of this machine, one connection at a time; port 0 picks a free
+    /// one.
     ///
     /// # Errors
-    /// The port cannot be had.
+    /// The port is not available.
     pub fn tcp(address: SocketAddr, device: impl Talker) -> std::io::Result<Self> {
         let listener = TcpListener::bind(address)?;
         listener.set_nonblocking(true)?;
@@ -74,12 +75,12 @@ impl Port {
         Ok(Self { address, unplugged, thread: Some(thread) })
     }
 
-    /// What a driver opens: a path or `tcp://host:port`.
+    /// The address a driver opens: a path or `tcp://host:port`.
     pub fn address(&self) -> &str {
         &self.address
     }
 
-    /// Pull the plug: whoever has the port open finds it gone.
+    /// Pull the plug: clients that have the port open find it gone.
     pub fn unplug(&mut self) {
         self.unplugged.store(true, Ordering::SeqCst);
         if let Some(thread) = self.thread.take() {
@@ -126,7 +127,7 @@ fn serve_tcp(listener: &TcpListener, mut device: impl Talker, unplugged: &Atomic
     }
 }
 
-/// Read once, and let the device answer.
+/// Read once, and let the device reply.
 fn listen(device: &mut impl Talker, stream: &mut (impl Read + Write)) -> std::io::Result<()> {
     let mut buffer = [0; 512];
     match stream.read(&mut buffer) {

@@ -1,4 +1,4 @@
-//! The file that says which devices make a bench, as TOML.
+//! The bench file: a TOML file that lists the devices of a bench.
 //!
 //! ```toml
 //! [balance]
@@ -38,7 +38,7 @@ pub struct BenchFile {
     pub balance: balance::Settings,
     /// The arm.
     pub arm: ArmAddress,
-    /// The gripper that holds the spoon, where FLIP can ask it.
+    /// The gripper that holds the spoon, where FLIP can query it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gripper: Option<PortAddress>,
     /// The gate under the funnel.
@@ -50,24 +50,25 @@ pub struct BenchFile {
     /// How readings are taken.
     #[serde(default)]
     pub readings: Readings,
-    /// What an empty vial weighs. Where the file does not say, FLIP learns it from vials that somebody called empty.
+    /// Mass of an empty vial. If the file does not give it, FLIP learns it from vials that were
+    /// declared empty.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vial: Option<EmptyVial>,
 }
 
-/// Where an arm's driver process listens.
+/// Address of an arm's driver process.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ArmAddress {
     /// `http://host:port`.
     pub url: String,
-    /// Longest time of one motion, s; the driver is told. Default 30.
+    /// Longest time of one motion, s; passed to the driver. Default 30.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion_s: Option<f64>,
 }
 
 impl ArmAddress {
-    /// How long its answers may take.
+    /// Timeouts for its answers.
     pub fn deadlines(&self) -> Deadlines {
         let usual = Deadlines::default();
         let motion = self.motion_s.and_then(|s| Duration::try_from_secs_f64(s).ok()).unwrap_or(usual.motion);
@@ -75,7 +76,7 @@ impl ArmAddress {
     }
 }
 
-/// Where a device is plugged in.
+/// Port of a device.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PortAddress {
@@ -87,18 +88,20 @@ pub struct PortAddress {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Readings {
-    /// Noise of one reading, mg: a display finer than this never stands still. Default 0.1.
+    /// Noise of one reading, mg: a display with finer steps never settles. Default 0.1.
     pub noise_mg: f64,
-    /// Wait this long after each motion and read once, s, as the published robot does (4 s), instead of watching the display settle. Default none.
+    /// Wait this long after each motion and read once, s, like the published robot (4 s), instead
+    /// of watching the display settle. Default none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fixed_wait_s: Option<f64>,
     /// Longest wait for a reading to settle while dosing, s. Default 6.
     pub settle_max_s: f64,
-    /// Longest wait for the balance to stand still before and after a dose, s. Default 20.
+    /// Longest wait for the balance to settle before and after a dose, s. Default 20.
     pub stand_max_s: f64,
-    /// Longest wait for the display to show another number where a shake changed nothing, s: a balance that weighs wanders, one that is stuck does not.
-    /// Default 60; an enclosed analytical balance stood for 10 s at most, for 18 s rounded to 1 mg (`docs/reliability.md`). 0: nobody waits, for the display
-    /// of this balance stands for minutes when all is well, as with zero tracking.
+    /// Longest wait for the display to change where a shake changed nothing, s: a working balance
+    /// wanders, a stuck one does not. Default 60; an enclosed analytical balance stood still for
+    /// 10 s at most, for 18 s rounded to 1 mg (`docs/reliability.md`). 0: no wait, for a balance
+    /// whose display stands still for minutes when all is well, as with zero tracking.
     pub life_s: f64,
 }
 
@@ -109,7 +112,7 @@ impl Default for Readings {
 }
 
 impl BenchFile {
-    /// Read the file's text.
+    /// Parse the text of a bench file.
     ///
     /// # Errors
     /// What is wrong with it, by line or field.

@@ -1,38 +1,41 @@
-//! Bench time: that of the room, or that of an emulated laboratory, which passes only when somebody waits.
+//! Bench time: wall-clock time, or that of an emulated laboratory, which passes only while
+//! something waits.
 //!
-//! A virtual clock makes an emulated dose quick and the same every time: the bench's thread is the only one that waits, motions and replies take their
-//! time by it, and nothing depends on how fast the machine is. Time-outs and dead-men are of the wall: they guard against what does not answer.
+//! A virtual clock makes an emulated dose quick and reproducible: the bench thread is the only one
+//! that waits, motions and replies take their time from it, and nothing depends on the speed of the
+//! machine. Timeouts and dead-men use wall-clock time: they guard against things that do not
+//! answer.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// A clock that drivers and emulators of one bench share. Clones show the same time.
+/// A clock shared by the drivers and emulators of one bench. Clones show the same time.
 #[derive(Debug, Clone)]
 pub enum Clock {
-    /// The time of the room; `speed` bench seconds pass in one, 1 on a real bench.
+    /// Wall-clock time; `speed` bench seconds pass per second, 1 on a real bench.
     Wall {
-        /// When it showed zero.
+        /// When the clock read zero.
         began: Instant,
-        /// Bench seconds in a second of the room.
+        /// Bench seconds per wall-clock second.
         speed: f64,
     },
-    /// Microseconds that somebody has waited.
+    /// Microseconds waited so far.
     Virtual(Arc<AtomicU64>),
 }
 
 impl Clock {
-    /// The time of the room.
+    /// A wall clock.
     pub fn wall() -> Self {
         Self::fast(1.0)
     }
 
-    /// The time of the room, this many times as fast: for emulated laboratories alone.
+    /// A wall clock that runs this many times as fast: for emulated laboratories only.
     pub fn fast(speed: f64) -> Self {
         Self::Wall { began: Instant::now(), speed }
     }
 
-    /// A clock that stands until somebody waits.
+    /// A clock that stands still except while something waits.
     pub fn standing() -> Self {
         Self::Virtual(Arc::default())
     }

@@ -1,6 +1,6 @@
-//! What can go wrong with a device.
+//! Errors of devices.
 
-/// A device did not do its part. The variants say what a caller can do about it.
+/// A device failed. The variants reflect what the caller can do about it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum DeviceError {
     /// No answer in time: check power and cables.
@@ -9,52 +9,52 @@ pub enum DeviceError {
         /// Which device.
         device: &'static str,
     },
-    /// What came is not what the protocol allows: check the dialect and the port's settings.
+    /// The data received does not follow the protocol: check the dialect and the port settings.
     #[error("{device} sent what cannot be read: {got}")]
     Garbled {
         /// Which device.
         device: &'static str,
-        /// What came, escaped.
+        /// The data received, escaped.
         got: String,
     },
-    /// The connection is gone or cannot be made.
+    /// The connection is lost or cannot be made.
     #[error("the connection to {device} is lost: {cause}")]
     Lost {
         /// Which device.
         device: &'static str,
-        /// In the system's words.
+        /// The system's message.
         cause: String,
     },
-    /// The device reports a fault of its own: look at it.
+    /// The device reports a fault: inspect it.
     #[error("{device} reports a fault: {cause}")]
     Faulted {
         /// Which device.
         device: &'static str,
-        /// In its own words.
+        /// The device's own message.
         cause: String,
     },
-    /// The device must not be asked for this now.
+    /// The device must not be commanded to do this now.
     #[error("{device} must not do this now: {cause}")]
     Forbidden {
         /// Which device.
         device: &'static str,
-        /// Why, and what to do first.
+        /// The reason, and what to do first.
         cause: String,
     },
-    /// The device cannot do this, and says so: nothing moved.
+    /// The device reports that it cannot do this: nothing moved.
     #[error("{device} cannot do this: {cause}")]
     Unsupported {
         /// Which device.
         device: &'static str,
-        /// In its own words.
+        /// The device's own message.
         cause: String,
     },
-    /// The device is latched: it moves again when a person has looked at it and cleared it.
+    /// The device is latched: it moves again once a person has inspected it and cleared the latch.
     #[error("{device} is latched: {cause}")]
     Latched {
         /// Which device.
         device: &'static str,
-        /// Why, in its own words.
+        /// The reason, as reported by the device.
         cause: String,
     },
 }
@@ -79,7 +79,7 @@ fn hint(device: &str) -> &'static str {
     if device == "the balance" { ": it may be in standby: switch it on" } else { "" }
 }
 
-/// The system's words for a port that cannot be opened, and what they mean.
+/// System messages for a port that cannot be opened, and what they mean.
 const LOST: [(&str, &str); 8] = [
     (
         "permission denied",

@@ -1,9 +1,11 @@
-//! The slide gate under the funnel: an Arduino on a serial port, 115200 8N1. Its sketch is in `gate_firmware/`.
+//! The slide gate under the funnel: an Arduino on a serial port, 115200 8N1. Its sketch is in
+//! `gate_firmware/`.
 //!
-//! Each line carries a number and a checksum (`gate/protocol.rs`), and the device obeys a number once, so a line whose reply is lost is sent again.
+//! Each line carries a number and a checksum (`gate/protocol.rs`), and the device obeys a number
+//! only once, so a line whose reply is lost can be sent again.
 //!
-//! While the gate is open a thread sends heartbeats, for no longer than the caller allowed; when they end, for whatever reason, the device closes by
-//! itself.
+//! While the gate is open, a thread sends heartbeats, for no longer than the caller allowed; when
+//! they stop, for any reason, the device closes the gate by itself.
 
 mod protocol;
 
@@ -18,22 +20,23 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// As messages name it.
+/// Name used in messages.
 const DEVICE: &str = "the gate";
 const SERIAL: Serial = Serial { baud: 115_200, data_bits: 8, parity: Parity::None };
-/// How long an answer may take.
+/// Reply timeout.
 const REPLY: Duration = Duration::from_millis(150);
-/// How often a line is sent at most.
+/// Maximum number of times a line is sent.
 const SENDS_MAX: usize = 3;
-/// How long a board may be silent after its port was opened, which resets it: the bootloader takes some 2 s.
+/// How long a board may be silent after its port was opened, which resets it: the bootloader takes
+/// about 2 s.
 const BOOT: Duration = Duration::from_secs(4);
-/// How often a heartbeat goes out: four may be lost.
+/// Heartbeat interval: four may be lost.
 const BEAT_EVERY: Duration = Duration::from_millis(100);
-/// How often the gate is asked whether it has arrived.
+/// How often the gate is polled while it moves.
 const ASK_EVERY: Duration = Duration::from_millis(20);
-/// Longest time that heartbeats may keep the gate open, whatever the caller allows.
+/// Maximum time that heartbeats keep the gate open, whatever the caller allows.
 const OPEN_MAX: Duration = Duration::from_secs(600);
-/// How long the slide may take.
+/// Maximum travel time of the slide.
 const TRAVEL_MAX: Duration = Duration::from_secs(3);
 
 /// How far to open, in thousandths of the full opening.
@@ -47,7 +50,7 @@ impl Opening {
     /// This fraction of the full opening.
     ///
     /// # Errors
-    /// It is not from 0.001 to 1.
+    /// It is not between 0.001 and 1.
     pub fn fraction(value: f64) -> Result<Self, FieldError> {
         let value = flip_core::domain::bounded("opening", value, 0.001, 1.0, "")?;
         Ok(Self((value * 1000.0).round() as u16))
@@ -61,10 +64,11 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// Open `port`, which resets the board, and wait until it says hello. The gate is then closed.
+    /// Open `port`, which resets the board, and wait for its HI. The gate is then closed.
     ///
     /// # Errors
-    /// [`DeviceError::Silent`] when no board answers, [`DeviceError::Faulted`] for another version of the protocol, [`DeviceError::Lost`].
+    /// [`DeviceError::Silent`] when no board answers, [`DeviceError::Faulted`] for another version
+    /// of the protocol, [`DeviceError::Lost`].
     pub fn open(port: &str, tap: Tap) -> Result<Self, DeviceError> {
         Self::open_within(port, BOOT, tap)
     }
@@ -80,10 +84,12 @@ impl Gate {
         Ok(Self { wire: Arc::new(Mutex::new(wire)), beats: None })
     }
 
-    /// Ask how things stand. What the heartbeats met since the gate was opened is told first, once.
+    /// Request the status. Trouble met by the heartbeats since the gate was opened is reported
+    /// first, once.
     ///
     /// # Errors
-    /// [`DeviceError::Faulted`] when the gate closed by itself while heartbeats went out, or the board was reset; the line failed.
+    /// [`DeviceError::Faulted`] when the gate closed by itself while heartbeats were sent, or the
+    /// board was reset; the line failed.
     pub fn status(&mut self) -> Result<GateStatus, DeviceError> {
         let mut wire = locked(&self.wire);
         match wire.trouble.take() {
@@ -92,14 +98,16 @@ impl Gate {
         }
     }
 
-    /// Open, and wait until the slide has arrived. Heartbeats go out for `at_most`; then the gate closes by itself.
+    /// Open, and wait until the slide has arrived. Heartbeats are sent for `at_most`; then the gate
+    /// closes by itself.
     ///
     /// # Errors
-    /// [`DeviceError::Faulted`] when the slide does not arrive; the line failed. The gate is then told to close, and without heartbeats it does.
+    /// [`DeviceError::Faulted`] when the slide does not arrive; the line failed. The gate is then
+    /// commanded to close, and closes anyway without heartbeats.
     pub fn open_gate(&mut self, opening: Opening, at_most: Duration) -> Result<GateStatus, DeviceError> {
         let opened = self.opened(opening, at_most);
         if opened.is_err() {
-            // What went wrong first is what the caller must know.
+            // The caller must get the first error.
             let _ = self.close();
         }
         opened
@@ -120,10 +128,12 @@ impl Gate {
         }
     }
 
-    /// Close, and wait until the end stop says so. A board that was reset is greeted again, which closes it as well.
+    /// Close, and wait until the end stop confirms it. A board that was reset gets a new HELLO,
+    /// which closes it as well.
     ///
     /// # Errors
-    /// [`DeviceError::Faulted`] when the slide does not arrive: powder may flow; the line failed: without heartbeats the gate closes by itself.
+    /// [`DeviceError::Faulted`] when the slide does not arrive: powder may flow; the line failed:
+    /// without heartbeats the gate closes by itself.
     pub fn close(&mut self) -> Result<GateStatus, DeviceError> {
         self.beats = None;
         {
@@ -156,7 +166,7 @@ impl Gate {
 
 impl Drop for Gate {
     fn drop(&mut self) {
-        // Whatever this says, heartbeats have ended and the device closes by itself.
+        // Whatever this returns, heartbeats have ended and the device closes by itself.
         let _ = self.close();
     }
 }
@@ -165,13 +175,13 @@ impl Drop for Gate {
 struct Wire {
     line: Line,
     seq: u16,
-    /// What the heartbeats met.
+    /// The error met by the heartbeats.
     trouble: Option<DeviceError>,
 }
 
 impl Wire {
-    /// Wait for the hello of a board that starts. One that was not reset says nothing, and is asked afterwards: bytes sent earlier could keep a
-    /// bootloader waiting.
+    /// Wait for the HI of a board that starts. One that was not reset is silent and is queried
+    /// afterwards: bytes sent earlier could keep a bootloader waiting.
     fn await_hello(&mut self, boot: Duration) -> Result<(), DeviceError> {
         let until = Instant::now() + boot;
         loop {
@@ -185,7 +195,7 @@ impl Wire {
         }
     }
 
-    /// Begin a session, which closes the gate.
+    /// Start a session, which closes the gate.
     fn hello(&mut self) -> Result<GateStatus, DeviceError> {
         self.line.discard_input()?;
         match self.ask("HELLO")? {
@@ -197,7 +207,8 @@ impl Wire {
         }
     }
 
-    /// One heartbeat, sent once: the next follows soon. Silence is no trouble yet: if it lasts the gate closes, and the next reply says so.
+    /// One heartbeat, sent once: the next follows soon. Silence is no error yet: if it lasts, the
+    /// gate closes, and the next reply reports it.
     fn beat(&mut self) -> Result<(), DeviceError> {
         match self.ask_up_to("BEAT", 1) {
             Ok(Said::Ok(GateStatus { closed_for: Some(why), .. })) => {
@@ -209,7 +220,7 @@ impl Wire {
         }
     }
 
-    /// Ask for what is answered with a status.
+    /// Send a request that is answered with a status.
     fn order(&mut self, request: &str) -> Result<GateStatus, DeviceError> {
         match self.ask(request)? {
             Said::Ok(status) => Ok(status),
@@ -221,7 +232,8 @@ impl Wire {
         self.ask_up_to(request, SENDS_MAX)
     }
 
-    /// Send a request under a new number until it is answered, this many times at most, and return the answer.
+    /// Send a request under a new number until it is answered, at most this many times, and return
+    /// the answer.
     fn ask_up_to(&mut self, request: &str, sends_max: usize) -> Result<Said, DeviceError> {
         self.seq = self.seq.checked_add(1).unwrap_or(1);
         let line = framed(&format!("{} {request}", self.seq));
@@ -236,7 +248,8 @@ impl Wire {
         Err(failure)
     }
 
-    /// The answer to the last line; one that the device could not read, and one that cannot be read, are to be asked for again.
+    /// The answer to the last line. A line that the device could not read, or an answer that cannot
+    /// be parsed, is to be retried.
     fn answer(&mut self) -> Result<Said, DeviceError> {
         let until = Instant::now() + REPLY;
         let mut failure = DeviceError::Silent { device: DEVICE };
@@ -251,7 +264,7 @@ impl Wire {
                 Ok(Reply { seq: 0, said: Said::Err(_) }) => {
                     return Err(DeviceError::Garbled { device: DEVICE, got: shown(&line) });
                 }
-                // The late answer to an earlier line.
+                // A late answer to an earlier line.
                 Ok(_) => {}
                 Err(error) => failure = error,
             }

@@ -1,11 +1,14 @@
 //! The gripper: a Robotiq 2F-85 on Modbus RTU, slave 9, 115200 8N1.
 //!
-//! Three registers are written at 1000 (action, position, speed and force) and three are read at 2000 (state, fault and echoed position, position
-//! and current). Frames and registers are those of Robotiq's instruction manuals for two-finger grippers.
+//! Three registers are written at 1000 (action, position, speed and force) and three are read at
+//! 2000 (state, fault and echoed position, position and current). Frames and registers follow
+//! Robotiq's instruction manuals for two-finger grippers.
 //!
-//! What is repeated: a read that brought no readable answer is sent once more. A write that moves the fingers never is: when its answer is lost the
-//! driver reads the position that the gripper echoes, and goes on if that is the one it asked for. Modbus RTU numbers no frames, so after a failure the
-//! driver waits until the wire is quiet, and bytes that nobody asked for are forgotten (and recorded) before each request.
+//! Retries: a read without a valid reply is sent once more. A write that moves the fingers is never
+//! repeated: when its reply is lost, the driver reads the position that the gripper echoes, and
+//! continues if it is the requested one. Modbus RTU does not number frames, so after a failure the
+//! driver waits until the wire is quiet, and unsolicited bytes are discarded (and recorded) before
+//! each request.
 //!
 //! Activation opens and closes the fingers over their whole stroke: see [`Gripper::activate`].
 
@@ -20,7 +23,7 @@ use tokio_modbus::client::{Client, rtu};
 use tokio_modbus::{Request, Response, Slave};
 use wire::{Wire, shown};
 
-/// As messages name it.
+/// Name used in messages.
 const DEVICE: &str = "the gripper";
 const SLAVE: Slave = Slave(9);
 /// First register written: action, position, speed and force.
@@ -30,53 +33,54 @@ const STATUS: u16 = 0x07D0;
 /// Bits of the action byte: activate, and go to the requested position.
 const ACTIVATE: u8 = 0x01;
 const GO: u8 = 0x08;
-/// Positions that are asked for.
+/// Commanded positions.
 const OPEN: u8 = 0x00;
 const CLOSED: u8 = 0xFF;
-/// How long an answer may take: a frame of 23 bytes lasts 2 ms.
+/// Reply timeout: a frame of 23 bytes lasts 2 ms.
 const REPLY: Duration = Duration::from_millis(250);
 /// How long the wire is left alone after a failure.
 const QUIET: Duration = Duration::from_millis(60);
-/// How often the gripper is asked whether it has arrived.
+/// How often the gripper is polled while it moves.
 const ASK_EVERY: Duration = Duration::from_millis(10);
-/// How long it may take until the gripper echoes the position that it was asked for.
+/// How long the gripper may take to echo the commanded position.
 const ECHO: Duration = Duration::from_millis(100);
-/// How long a motion may take: the whole stroke at the lowest speed (20 mm/s, not verified) lasts 4.3 s.
+/// How long a motion may take: the whole stroke at the lowest speed (20 mm/s, not verified) lasts
+/// 4.3 s.
 const MOTION_MAX: Duration = Duration::from_secs(7);
 /// How long an activation may take; the manual gives no time (not verified).
 const ACTIVATION_MAX: Duration = Duration::from_secs(10);
 
-/// Why the fingers stand where they stand (`gOBJ`).
+/// Object detection status (`gOBJ`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Object {
-    /// They are moving, or were not told to move.
+    /// The fingers are moving, or were not commanded to move.
     None,
-    /// Something stopped them while they opened.
+    /// Something stopped them while opening.
     Opening,
-    /// Something stopped them while they closed: it is held.
+    /// Something stopped them while closing: it is held.
     Closing,
-    /// They are where they were told to be: nothing is held, or it was lost.
+    /// They reached the commanded position: nothing is held, or it was lost.
     AtPosition,
 }
 
-/// What the gripper says of itself.
+/// Status reported by the gripper.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GripperStatus {
     /// Activation is complete (`gACT` 1, `gSTA` 3).
     pub activated: bool,
-    /// Fingers move, or activation is going on.
+    /// The fingers are moving, or activation is in progress.
     pub moving: bool,
-    /// What stopped the fingers; means little unless `follows`.
+    /// Object detection; means little unless `follows`.
     pub object: Object,
-    /// It follows the requested position (`gGTO`).
+    /// It moves to the requested position (`gGTO`).
     pub follows: bool,
     /// Its fault code, 0 for none; [`fault_words`] explains it.
     pub fault: u8,
-    /// The position it was asked for, 0 open to 255 closed.
+    /// The requested position, 0 open to 255 closed.
     pub requested: u8,
-    /// Where the fingers are, 0 open to 255 closed.
+    /// Actual position of the fingers, 0 open to 255 closed.
     pub position: u8,
-    /// Current of the motor, mA.
+    /// Motor current, mA.
     pub current_ma: u16,
 }
 
@@ -87,7 +91,7 @@ impl GripperStatus {
     }
 }
 
-/// How the fingers move; each from 0, the least that the gripper can, to 255.
+/// How the fingers move; each from 0, the gripper's minimum, to 255.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Effort {
     /// Speed.
@@ -97,16 +101,16 @@ pub struct Effort {
 }
 
 impl Effort {
-    /// All that the gripper can.
+    /// The gripper's maximum.
     pub const FULL: Self = Self { speed: 255, force: 255 };
 }
 
-/// A person has looked and says that no spoon is between the fingers. Spent when it is used.
+/// A person's confirmation that there is no spoon between the fingers. Consumed when used.
 #[derive(Debug)]
 pub struct NoSpoon(());
 
 impl NoSpoon {
-    /// `person` has looked.
+    /// `person` has checked.
     ///
     /// # Errors
     /// Nobody is named.
@@ -118,7 +122,8 @@ impl NoSpoon {
     }
 }
 
-/// The six bytes of the registers at 2000: state, reserved, fault, echoed position, position, current.
+/// Parse the six bytes of the registers at 2000: state, reserved, fault, echoed position, position,
+/// current.
 ///
 /// # Errors
 /// [`DeviceError::Garbled`]: another number of bytes, or a state that the gripper does not have.
@@ -164,16 +169,17 @@ pub fn fault_words(code: u8) -> &'static str {
     }
 }
 
-/// An open gripper. It must live on a thread that is not one of an asynchronous runtime: it waits.
+/// An open gripper. It blocks, so it must live on a thread outside any asynchronous runtime.
 pub struct Gripper {
     runtime: tokio::runtime::Runtime,
     wire: Wire,
-    /// It closed on something and was not told to open since. The gripper forgets that with its supply, the driver does not.
+    /// It closed on something and has not been commanded to open since. The gripper forgets that
+    /// when it loses power, the driver does not.
     gripped: bool,
 }
 
 impl Gripper {
-    /// Open `port`: a path, as `/dev/ttyUSB0`, or `tcp://host:port`. Nothing moves.
+    /// Open `port`: a path such as `/dev/ttyUSB0`, or `tcp://host:port`. Nothing moves.
     ///
     /// # Errors
     /// [`DeviceError::Lost`] with the reason.
@@ -188,13 +194,13 @@ impl Gripper {
         Ok(Self { runtime, wire, gripped: false })
     }
 
-    /// Ask for its state.
+    /// Read the status.
     ///
     /// # Errors
-    /// No readable answer, twice.
+    /// No valid reply, twice.
     pub fn status(&mut self) -> Result<GripperStatus, DeviceError> {
         let status = parse(&self.read(3)?)?;
-        // Fingers that follow and have arrived where they were told to be hold nothing any more.
+        // Fingers that follow and have reached their commanded position no longer hold anything.
         let is_empty = status.activated && status.follows && status.object == Object::AtPosition;
         self.gripped = status.holds() || (self.gripped && !is_empty);
         Ok(status)
@@ -208,15 +214,17 @@ impl Gripper {
         Ok(self.status()?.holds())
     }
 
-    /// Close the fingers until something stops them or they meet. Whether something is held is in the answer.
+    /// Close the fingers until something stops them or they meet. The returned status tells whether
+    /// something is held.
     ///
     /// # Errors
-    /// [`DeviceError::Forbidden`] before activation, [`DeviceError::Faulted`] with the gripper's fault; the fingers may then stand anywhere.
+    /// [`DeviceError::Forbidden`] before activation, [`DeviceError::Faulted`] with the gripper's
+    /// fault; the fingers may then be anywhere.
     pub fn grip(&mut self, effort: Effort) -> Result<GripperStatus, DeviceError> {
         self.go(CLOSED, effort)
     }
 
-    /// Open the fingers: what they hold falls, so the spoon must be in its rack.
+    /// Open the fingers: anything they hold falls, so the spoon must be in its rack.
     ///
     /// # Errors
     /// As for [`Gripper::grip`].
@@ -226,14 +234,16 @@ impl Gripper {
         Ok(status)
     }
 
-    /// Activate a gripper that is not active; one that is active and has no fault is left as it is.
+    /// Activate a gripper that is not active; an active one without a fault is left as it is.
     ///
-    /// The fingers open and close over their whole stroke: a spoon between them is dropped or bent. So it needs a person's word
-    /// that there is none, because a gripper that lost its supply no longer knows what it holds; and it is refused
-    /// whatever was said when gripper or driver know better.
+    /// The fingers open and close over their whole stroke: a spoon between them is dropped or bent.
+    /// So a person has to confirm that there is none, because a gripper that lost power no longer
+    /// knows whether it holds one; and activation is refused despite that confirmation when gripper
+    /// or driver know better.
     ///
     /// # Errors
-    /// [`DeviceError::Forbidden`] with what to do first, [`DeviceError::Faulted`] when activation does not complete.
+    /// [`DeviceError::Forbidden`] with what to do first, [`DeviceError::Faulted`] when activation
+    /// does not complete.
     pub fn activate(&mut self, _word: NoSpoon) -> Result<GripperStatus, DeviceError> {
         let status = self.status()?;
         self.check_empty(&status)?;
@@ -254,7 +264,8 @@ impl Gripper {
         self.status()
     }
 
-    /// A person took the spoon out of fingers that cannot open, so that the driver no longer counts it as held.
+    /// A person took the spoon out of fingers that cannot open: the driver no longer counts it as
+    /// held.
     pub fn taken_out(&mut self, _word: NoSpoon) {
         self.gripped = false;
     }
@@ -277,7 +288,7 @@ impl Gripper {
         Ok(())
     }
 
-    /// Move the fingers and wait until they stand.
+    /// Move the fingers and wait until they stop.
     fn go(&mut self, position: u8, effort: Effort) -> Result<GripperStatus, DeviceError> {
         let before = self.status()?;
         if !before.activated {
@@ -287,14 +298,15 @@ impl Gripper {
         }
         check_fault(&before)?;
         match self.write(ACTIVATE | GO, position, effort) {
-            // Whether it heard is in the position that it echoes, which the wait below looks at.
+            // Whether the command arrived shows in the echoed position, which the wait below
+            // checks.
             Ok(()) | Err(DeviceError::Silent { .. } | DeviceError::Garbled { .. }) => {}
             Err(error) => return Err(error),
         }
         self.arrival(position)
     }
 
-    /// Wait until the fingers stand, having been told to go to `position`.
+    /// Wait until the fingers, commanded to `position`, have stopped.
     fn arrival(&mut self, position: u8) -> Result<GripperStatus, DeviceError> {
         let asked = Instant::now();
         loop {
@@ -316,7 +328,7 @@ impl Gripper {
         }
     }
 
-    /// Bytes of this many status registers; asked twice if need be.
+    /// Read the bytes of this many status registers, with one retry.
     fn read(&mut self, registers: u16) -> Result<Vec<u8>, DeviceError> {
         match self.read_once(registers) {
             Err(DeviceError::Silent { .. } | DeviceError::Garbled { .. }) => self.read_once(registers),
@@ -342,9 +354,11 @@ impl Gripper {
     }
 
     fn call(&mut self, request: Request<'_>) -> Result<Response, DeviceError> {
-        // A context of its own for each request, because one that met an unreadable reply gives up the next as well.
+        // A new context for each request: one that got an unreadable reply gives up the next as
+        // well.
         let mut modbus = rtu::attach_slave(self.wire.clone(), SLAVE);
-        // The first layer says whether an answer came in time, the second whether it could be read, the third whether it is an exception.
+        // Outer result: whether a reply came in time; middle: whether it could be read; inner:
+        // whether it is an exception.
         match self.runtime.block_on(async { tokio::time::timeout(REPLY, modbus.call(request)).await }) {
             Ok(Ok(Ok(response))) => Ok(response),
             Ok(Ok(Err(exception))) => Err(faulted(format!("Modbus exception: {exception}"))),
@@ -355,7 +369,8 @@ impl Gripper {
         }
     }
 
-    /// Nothing came, or nothing that can be read; leaves the wire alone until whatever is still on its way has come.
+    /// Nothing, or nothing readable, was received; leaves the wire alone until anything still in
+    /// flight has arrived.
     fn unreadable(&self) -> DeviceError {
         std::thread::sleep(QUIET);
         let heard = self.wire.heard();
@@ -363,7 +378,8 @@ impl Gripper {
     }
 }
 
-/// A wait for activation (5) and a past silence (9) end by themselves; other faults need a person.
+/// A wait for activation (5) and past communication loss (9) clear by themselves; other faults need
+/// a person.
 fn check_fault(status: &GripperStatus) -> Result<(), DeviceError> {
     if matches!(status.fault, 0 | 5 | 9) {
         return Ok(());

@@ -1,4 +1,4 @@
-//! A wire that carries lines of text: a serial port or a TCP connection.
+//! A line-oriented wire: a serial port or a TCP connection.
 
 use super::DeviceError;
 use super::wire::{Tap, shown};
@@ -8,11 +8,11 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 
-/// Longest line that a device may send, bytes: more without an end is noise.
+/// Maximum length of a line, bytes: more without a line end is noise.
 const LINE_BYTES_MAX: usize = 512;
-/// How long one look at the wire lasts.
+/// How long one read waits.
 const LOOK: Duration = Duration::from_millis(5);
-/// How long a connection may take.
+/// Connect timeout.
 const CONNECT: Duration = Duration::from_secs(3);
 
 /// Parity bit of a serial port.
@@ -29,7 +29,7 @@ pub enum Parity {
 }
 
 impl Parity {
-    /// As in `8N1`.
+    /// Its letter, as in `8N1`.
     pub fn letter(self) -> char {
         match self {
             Self::None => 'N',
@@ -39,7 +39,7 @@ impl Parity {
     }
 }
 
-/// How a serial port is set.
+/// Settings of a serial port.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Serial {
@@ -65,13 +65,13 @@ impl<T: Read + Write + Send> Stream for T {}
 pub struct Line {
     device: &'static str,
     stream: Box<dyn Stream>,
-    /// Bytes that came and end no line yet.
+    /// Bytes received that do not form a complete line yet.
     partial: Vec<u8>,
     tap: Tap,
 }
 
 impl Line {
-    /// Open `port`: a path, as `/dev/ttyUSB0`, or `tcp://host:port`.
+    /// Open `port`: a path such as `/dev/ttyUSB0`, or `tcp://host:port`.
     ///
     /// # Errors
     /// [`DeviceError::Lost`] with the reason.
@@ -84,7 +84,7 @@ impl Line {
         Ok(Self { device, stream, partial: Vec::new(), tap })
     }
 
-    /// Which device, as messages name it.
+    /// Name of the device used in messages.
     pub fn device(&self) -> &'static str {
         self.device
     }
@@ -99,10 +99,11 @@ impl Line {
         sent.map_err(|error| DeviceError::Lost { device: self.device, cause: error.to_string() })
     }
 
-    /// The next line, without the CR or LF that ends it; empty lines are skipped.
+    /// Receive the next line, without the CR or LF that ends it; empty lines are skipped.
     ///
     /// # Errors
-    /// [`DeviceError::Silent`] after `limit`, [`DeviceError::Garbled`] when what comes has no end, [`DeviceError::Lost`]
+    /// [`DeviceError::Silent`] after `limit`, [`DeviceError::Garbled`] when the input has no line
+    /// end, [`DeviceError::Lost`]
     pub fn receive(&mut self, limit: Duration) -> Result<Vec<u8>, DeviceError> {
         let until = Instant::now() + limit;
         loop {
@@ -121,7 +122,7 @@ impl Line {
         }
     }
 
-    /// Forget what has come and was not asked for; returns what it was.
+    /// Discard unsolicited input; returns it.
     ///
     /// # Errors
     /// [`DeviceError::Lost`]
@@ -130,12 +131,12 @@ impl Line {
         while matches!(seen, Ok(1..)) && self.partial.len() <= 64 * LINE_BYTES_MAX {
             seen = self.look();
         }
-        // What came before the connection broke is on record too.
+        // Input from before the connection broke is recorded too.
         let forgotten = self.forget();
         seen.map(|_| forgotten)
     }
 
-    /// Give up what came and ends no line; it is on record.
+    /// Drop an incomplete line; it is recorded.
     fn forget(&mut self) -> Vec<u8> {
         let forgotten = std::mem::take(&mut self.partial);
         if !forgotten.is_empty() {
@@ -155,7 +156,7 @@ impl Line {
         }
     }
 
-    /// Wait shortly for bytes; how many came.
+    /// Wait briefly for bytes; returns how many arrived.
     fn look(&mut self) -> Result<usize, DeviceError> {
         let mut buffer = [0; 256];
         match self.stream.read(&mut buffer) {
@@ -201,7 +202,7 @@ fn open_serial(path: &str, serial: &Serial) -> serialport::Result<serialport::TT
 }
 
 impl Serial {
-    /// The same settings if a port can have them.
+    /// Returns the settings if they are valid for a port.
     ///
     /// # Errors
     /// The first field that is out of bounds.

@@ -1,8 +1,10 @@
-//! Is this reading final? A filter over what a balance shows while it comes to rest.
+//! Is this reading final? A filter over the readings of a balance while it settles.
 //!
-//! A balance's own stable flag is cautious: on the balance of which step responses were published it came 1.5 to 2.3 s after a load, when the display had
-//! been right for a second. The load cell itself answers within a few tenths, so three questions decide sooner: does the display stand, does an
-//! exponential through it say that it will stand, and has enough been seen? The flag is kept beside the answer.
+//! A balance's own stable flag is cautious: on the balance with published step responses it came
+//! 1.5 to 2.3 s after a load, when the display had been right for a second. The load cell itself
+//! responds within a few tenths of a second, so three criteria decide sooner: is the display
+//! constant, does a fitted exponential predict that it stays so, and are there enough readings? The
+//! flag is kept alongside the result.
 //!
 //! ```text
 //! m(t) = m_end + a exp(-(t - t_n) / tau)          fitted to the readings of the last window; t_n is the last one's time
@@ -22,35 +24,36 @@
 use flip_core::domain::bench::{Moment, Reading, Standing};
 use flip_core::domain::rest::Rest;
 
-/// Fewest readings that say anything.
+/// Fewest readings that allow a verdict.
 const READINGS_MIN: usize = 3;
 
-/// When a display counts as final.
+/// Criteria for a final display.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settling {
     /// Step of the display, mg, or the balance's noise where that is larger.
     pub step_mg: f64,
     /// Time constant of the load cell, s. Default 0.16 (A&D balance, 28 steps: 0.16, SD 0.03).
     pub tau_s: f64,
-    /// Time over which the display has to stand, s. Default 0.35, two time constants.
+    /// Time over which the display has to be constant, s. Default 0.35, two time constants.
     pub window_s: f64,
-    /// From the end of the motion until readings count, s. Default 0.3: powder falls for 0.05 s and a frame of a slow balance is 0.2 s old.
+    /// From the end of the motion until readings count, s. Default 0.3: powder falls for 0.05 s and
+    /// a frame of a slow balance is 0.2 s old.
     pub lag_s: f64,
 }
 
 impl Settling {
-    /// The usual settings for a balance that shows steps of `step_mg`.
+    /// Default settings for a display step of `step_mg`.
     pub fn new(step_mg: f64) -> Self {
         Self { step_mg, tau_s: 0.16, window_s: 0.35, lag_s: 0.3 }
     }
 }
 
-/// What a balance showed at some time.
+/// The display at one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shown {
     /// Since the end of the last motion, s.
     pub t_s: f64,
-    /// What it showed, mg.
+    /// Displayed mass, mg.
     pub mass_mg: f64,
     /// Its own stable flag.
     pub flag: bool,
@@ -59,9 +62,9 @@ pub struct Shown {
 /// A display that counts as final.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settled {
-    /// The last reading: what a person would have read, mg.
+    /// The last reading, as a person would have read it, mg.
     pub mass_mg: f64,
-    /// Where the exponential ends, mg: the better estimate, for whoever needs no multiple of the step.
+    /// Limit of the exponential, mg: the better estimate where no multiple of the step is needed.
     pub end_mg: f64,
     /// Since the end of the motion, s.
     pub t_s: f64,
@@ -69,10 +72,11 @@ pub struct Settled {
     pub flag: bool,
 }
 
-/// The final display, if the last of these readings is one; readings in order of time.
+/// The final display, if the last of these readings qualifies; readings in order of time.
 pub fn settled(settling: &Settling, shown: &[Shown]) -> Option<Settled> {
     let last = shown.last()?;
-    // A nanosecond: three frames of a tenth of a second are 0.2 s, whatever their sum rounds to.
+    // A nanosecond of slack: three frames of a tenth of a second are 0.2 s, whatever their sum
+    // rounds to.
     let enough = |s: &Shown| s.t_s >= settling.lag_s && last.t_s - s.t_s >= settling.window_s - 1e-9;
     let from = shown.iter().rposition(enough)?.min(shown.len().checked_sub(READINGS_MIN)?);
     let window = &shown[from..];
@@ -84,9 +88,11 @@ pub fn settled(settling: &Settling, shown: &[Shown]) -> Option<Settled> {
     is_final.then_some(Settled { mass_mg: last.mass_mg, end_mg, t_s: last.t_s, flag: last.flag })
 }
 
-/// A balance that was watched for a while with nothing moving; `None` if there are too few readings.
+/// Summary of a balance observed for a while with nothing moving; `None` if there are too few
+/// readings.
 ///
-/// `rest` is on the readings' own clock. `still` asks the same as [`settled`], of the last window alone: a slow drift does not make it restless, its slope says that there is one.
+/// `rest` uses the clock of the readings. `still` applies the criteria of [`settled`] to the last
+/// window alone: a slow drift does not make it restless, but shows in its slope.
 pub fn standing(settling: &Settling, shown: &[Shown]) -> Option<Standing> {
     let (first, last) = (shown.first()?, shown.last()?);
     let (slope_mg_s, scatter_mg) = line(shown)?;
@@ -104,7 +110,7 @@ pub fn standing(settling: &Settling, shown: &[Shown]) -> Option<Standing> {
     })
 }
 
-/// Largest less smallest; infinite if one of them is not a number.
+/// Largest minus smallest; infinite if one of them is not a number.
 fn spread_mg(shown: &[Shown]) -> f64 {
     if shown.iter().any(|s| !s.mass_mg.is_finite()) {
         return f64::INFINITY;
@@ -115,21 +121,23 @@ fn spread_mg(shown: &[Shown]) -> f64 {
     high - low
 }
 
-/// End and what is still to come of the exponential of this time constant through the readings, by least squares.
+/// Limit and remaining amplitude of an exponential with this time constant, fitted to the readings
+/// by least squares.
 fn exponential(tau_s: f64, shown: &[Shown]) -> Option<(f64, f64)> {
     let last_s = shown.last()?.t_s;
     let [end, a] = least_squares(shown, |t_s| libm::exp((last_s - t_s) / tau_s))?;
     Some((end, a))
 }
 
-/// Slope, mg/s, and standard deviation of the readings about the straight line.
+/// Slope, mg/s, and standard deviation of the readings about the fitted line.
 fn line(shown: &[Shown]) -> Option<(f64, f64)> {
     let [offset, slope] = least_squares(shown, |t_s| t_s)?;
     let squares: f64 = shown.iter().map(|s| (s.mass_mg - offset - slope * s.t_s).powi(2)).sum();
     Some((slope, (squares / (shown.len() - 2) as f64).sqrt()))
 }
 
-/// `[c, b]` of m = c + b x(t); `None` for fewer than three readings, for readings of one moment, and where one is not a number.
+/// `[c, b]` of m = c + b x(t); `None` for fewer than three readings, for readings at a single time,
+/// and where one is not a number.
 fn least_squares(shown: &[Shown], x: impl Fn(f64) -> f64) -> Option<[f64; 2]> {
     if shown.len() < READINGS_MIN {
         return None;
@@ -150,7 +158,7 @@ mod tests {
     const FRAME_S: f64 = 0.1;
     const ONE_MG: f64 = 1.0;
 
-    /// Whole milligrams of a display over five seconds, and the first that counts as final.
+    /// A display in whole milligrams over five seconds, and the first reading that counts as final.
     fn watch(mass_mg: impl Fn(f64) -> f64) -> Option<Settled> {
         let shown: Vec<Shown> = (0..50)
             .map(|k| f64::from(k) * FRAME_S)
@@ -167,7 +175,8 @@ mod tests {
     fn a_dose_is_final_in_well_under_a_second_and_right() {
         for size_mg in [0.0, 1.0, 5.0, 20.0, 100.0, 2000.0] {
             let found = watch(step(size_mg)).unwrap();
-            // Seven time constants beyond the window for the largest step; nobody had to wait for the flag.
+            // Seven time constants past the window for the largest step; there was no need to wait
+            // for the flag.
             assert!(found.t_s < if size_mg > 100.0 { 1.6 } else { 1.2 }, "{size_mg}: {}", found.t_s);
             assert!((found.mass_mg - size_mg).abs() <= ONE_MG, "{size_mg}: {found:?}");
             assert!((found.end_mg - size_mg).abs() <= ONE_MG, "{size_mg}: {found:?}");
@@ -177,7 +186,7 @@ mod tests {
 
     #[test]
     fn an_impact_is_waited_for() {
-        // 80 mg of impact that decay in 0.1 s, over a dose of 20 mg.
+        // 80 mg of impact that decays in 0.1 s, on top of a dose of 20 mg.
         let found = watch(|t_s| step(20.0)(t_s) + 80.0 * libm::exp(-t_s / 0.1)).unwrap();
         assert!((found.mass_mg - 20.0).abs() <= ONE_MG, "{found:?}");
     }
@@ -199,7 +208,7 @@ mod tests {
 
     #[test]
     fn a_display_that_has_not_felt_the_fall_yet_is_not_final() {
-        // Powder that lands 0.25 s after the motion's end: the display stands at zero before.
+        // Powder that lands 0.25 s after the end of the motion: the display shows zero before.
         let found = watch(|t_s| if t_s < 0.25 { 0.0 } else { step(12.0)(t_s - 0.25) }).unwrap();
         assert!((found.mass_mg - 12.0).abs() <= ONE_MG, "{found:?}");
     }

@@ -1,7 +1,9 @@
-//! What an arm makes of commanded shakes: an empty, level spoon is shaken away from the vial, several amplitudes in random order.
+//! Shake calibration: how commanded shakes are executed by an arm. An empty, level spoon is shaken
+//! away from the vial, at several amplitudes in random order.
 //!
-//! The driver answers what was executed, as its robot measured it. Beside that the stream of states is looked at: where both are there and disagree,
-//! one of them is wrong. States come 100 to 200 times in a second, so that the stream's amplitude is a little low.
+//! The driver returns the executed amplitude, as measured by its robot. The stream of states is
+//! evaluated as well: where both are available and disagree, one of them is wrong. States come 100
+//! to 200 times per second, so the amplitude from the stream is slightly low.
 
 use super::DeviceError;
 use super::arm::Arm;
@@ -22,9 +24,9 @@ use std::time::{Duration, Instant};
 pub struct Plan {
     /// Commanded amplitudes, mm. Default 2, 4, 8, 12, 16.
     pub amplitudes_mm: Vec<f64>,
-    /// How often each is made. Default 3.
+    /// Repeats of each. Default 3.
     pub repeats: u32,
-    /// Of the order. Default 1.
+    /// Seed of the order. Default 1.
     pub seed: u64,
 }
 
@@ -34,38 +36,38 @@ impl Default for Plan {
     }
 }
 
-/// Longest list of amplitudes, and most repeats.
+/// Maximum number of amplitudes, and of repeats.
 const AMPLITUDES_MAX: usize = 50;
 const REPEATS_MAX: u32 = 20;
-/// How long after an answer its last states may come.
+/// How long after an answer its last states may arrive.
 const LATE: Duration = Duration::from_millis(20);
-/// Fewest states during a shake that say anything.
+/// Fewest states during a shake that can be evaluated.
 const STATES_MIN: usize = 5;
-/// By how much, as a share, stream and answer may differ before somebody should look.
+/// Relative difference between stream and answer above which someone should investigate.
 const DISAGREE: f64 = 0.2;
 
-/// One shake, with what the stream of states showed of it.
+/// One shake, with what the stream of states showed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Shaken {
-    /// As commanded and as answered.
+    /// As commanded and as reported.
     #[serde(flatten)]
     pub shake: ExecutedShake,
-    /// Furthest displacement in the stream, mm, where enough states came.
+    /// Largest displacement in the stream, mm, where there were enough states.
     pub streamed_mm: Option<f64>,
     /// Largest speed between two states, mm/s.
     pub streamed_mm_s: Option<f64>,
 }
 
-/// What was found.
+/// Result of a calibration.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Calibrated {
     /// The arm and its serial number.
     pub arm: String,
-    /// The line through the shakes.
+    /// The line fitted to the shakes.
     pub calibration: ShakeCalibration,
-    /// The shakes in the order in which they were made.
+    /// The shakes in execution order.
     pub shakes: Vec<Shaken>,
-    /// What a person should know.
+    /// Notes for the operator.
     pub notes: Vec<String>,
 }
 
@@ -78,13 +80,13 @@ pub enum Error {
     /// A device failed.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// Somebody asked for an end.
+    /// A stop was requested.
     #[error("stopped before every shake was made; nothing is kept")]
     Stopped,
 }
 
 impl Plan {
-    /// The same plan if it can be made.
+    /// Returns the plan if it is valid.
     ///
     /// # Errors
     /// The first field that is out of bounds.
@@ -100,7 +102,8 @@ impl Plan {
         Ok(self)
     }
 
-    /// Every amplitude as often as it is to be made, in random order, so that warming up is not taken for a slope.
+    /// Every amplitude with its repeats, in random order, so that warming up is not mistaken for a
+    /// slope.
     pub fn order(&self) -> Vec<f64> {
         let all = (0..self.repeats).flat_map(|_| self.amplitudes_mm.iter().copied());
         let mut keyed: Vec<(u64, f64)> = all.enumerate().map(|(k, mm)| (derive(self.seed, &[k as u64]), mm)).collect();
@@ -109,10 +112,11 @@ impl Plan {
     }
 }
 
-/// Make the shakes of the plan. The spoon is level and retracted before and after, whatever happens; `stop` is looked at before each shake.
+/// Make the shakes of the plan. The spoon is level and retracted before and after, whatever
+/// happens; `stop` is checked before each shake.
 ///
 /// # Errors
-/// [`Error`]; where nobody has looked that the spoon is empty, [`DeviceError::Forbidden`].
+/// [`Error`]; if nobody has confirmed that the spoon is empty, [`DeviceError::Forbidden`].
 pub fn calibrate(
     file: &BenchFile,
     plan: Plan,
@@ -168,7 +172,7 @@ fn furthest_mm(seen: &[Seen]) -> Option<f64> {
 
 fn fastest_mm_s(seen: &[Seen]) -> Option<f64> {
     let stroke = stroke(seen)?;
-    // Two states of one moment say nothing about speed.
+    // Two states at the same time give no speed.
     let speed = |pair: &[(f64, f64)]| {
         let (dt, dx) = (pair[1].0 - pair[0].0, pair[1].1 - pair[0].1);
         (dt > 1e-3).then(|| dx.abs() / dt)

@@ -8,7 +8,7 @@ use flip_core::domain::seed::derive;
 use flip_sim::balance;
 use flip_sim::dispense::{self, Dispenser, Poured};
 
-/// A bench whose powder is the simulator.
+/// A bench whose powder is simulated.
 #[derive(Debug, Clone)]
 pub struct SimulatedBench {
     spoon: Dispenser,
@@ -22,7 +22,7 @@ pub struct SimulatedBench {
 }
 
 impl SimulatedBench {
-    /// A bench with a freshly filled level spoon (about half a second of CPU).
+    /// A bench with a freshly filled level spoon (takes about half a second of CPU time).
     pub fn new(set: &ParameterSet, spoon: &dispense::Settings, balance: &balance::Settings, seed: u64) -> Self {
         Self::with_spoon(Dispenser::new(set, spoon, derive(seed, &[0])), balance, seed)
     }
@@ -34,7 +34,7 @@ impl SimulatedBench {
         Self { spoon, balance: *balance, noise, readings: 0, read_at_mg, tare_mg: 0.0, elapsed_s: 0.0 }
     }
 
-    /// True mass in the vial, mg: what no balance shows.
+    /// True mass in the vial, mg, which no balance shows.
     pub fn vial_mg(&self) -> f64 {
         self.spoon.vial_mg()
     }

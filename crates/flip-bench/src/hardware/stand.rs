@@ -1,5 +1,6 @@
-//! The stand of the automated angle of repose: a platform that the arm turns over the funnel, the gate below the funnel, and the base on which the pile
-//! comes to lie. The camera is not part of it: frames come from whoever takes them.
+//! The stand for the automated angle of repose: a platform that the arm turns over the funnel, the
+//! gate below the funnel, and the base on which the pile forms. The camera is not part of it:
+//! frames may come from any source.
 
 use super::DeviceError;
 use super::arm::{Arm, Stopper};
@@ -13,18 +14,18 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Duration;
 
-/// How often somebody is asked whether to go on, bench time, s.
+/// How often the caller is asked whether to continue, bench time, s.
 const ASK_EVERY_S: f64 = 0.1;
-/// What heartbeats keep the gate open beyond the time that is asked for, s: the slide's way.
+/// How much longer than requested heartbeats keep the gate open, s: the slide's travel.
 const TRAVEL_S: f64 = 10.0;
 
-/// How piles are made and looked at.
+/// How piles are made and imaged.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Procedure {
-    /// Piles that are measured, 1 to 20. Default 5, as published.
+    /// Number of piles, 1 to 20. Default 5, as published.
     pub repeats: u32,
-    /// Frames of each, 3 to 100. Default 10, as published.
+    /// Frames per pile, 3 to 100. Default 10, as published.
     pub frames: u32,
     /// How long the gate stays open, 1 to 300 s. Default 20.
     pub open_s: f64,
@@ -39,7 +40,7 @@ impl Default for Procedure {
 }
 
 impl Procedure {
-    /// Checked.
+    /// Returns the settings if they are valid.
     ///
     /// # Errors
     /// A number outside the bounds in its field's description.
@@ -56,9 +57,9 @@ impl Procedure {
     }
 }
 
-/// An arm and a gate under control. Dropping it closes the gate and gives the arm back.
+/// An arm and a gate under control. Dropping it closes the gate and releases the arm.
 pub struct Stand {
-    // Closed first.
+    // Dropped first, which closes the gate.
     gate: Gate,
     arm: Arm,
     clock: Clock,
@@ -68,7 +69,7 @@ impl Stand {
     /// Open the gate's port and take control of the arm.
     ///
     /// # Errors
-    /// The bench has no gate, or the first device that cannot be had.
+    /// The bench has no gate, or the first device that is not available.
     pub fn open(file: &BenchFile, clock: Clock, tap: &Tap) -> Result<Self, DeviceError> {
         let port = file.gate.as_ref().ok_or_else(|| DeviceError::Forbidden {
             device: "the gate",
@@ -80,7 +81,7 @@ impl Stand {
         Ok(Self { gate, arm, clock })
     }
 
-    /// A way to stop the arm at once from any thread.
+    /// A handle that stops the arm at once from any thread.
     ///
     /// # Errors
     /// The arm cannot be reached.
@@ -88,7 +89,7 @@ impl Stand {
         self.arm.stopper()
     }
 
-    /// Who the devices say they are, by role.
+    /// Identities of the devices, by role.
     pub fn devices(&self) -> BTreeMap<String, String> {
         let arm = self.arm.description();
         [
@@ -98,10 +99,11 @@ impl Stand {
         .into()
     }
 
-    /// Turn the platform with its powder over the funnel, put it back as the base, let the powder run out, wait until the pile rests. Each step is told
-    /// before it begins, and while somebody waits; `false`: whoever hears of it said stop, and the gate is closed.
+    /// Turn the platform with its powder over the funnel, put it back as the base, let the powder
+    /// run out, and wait until the pile is at rest. The callback is called before each step and
+    /// while waiting; if it returns `false`, the pour is stopped and the gate is closed.
     ///
-    /// An arm without a platform pours what a person has filled in, once.
+    /// If the arm has no platform, the powder filled in by a person is poured, once.
     ///
     /// # Errors
     /// A device failed; the gate is closed then, or closes by itself.

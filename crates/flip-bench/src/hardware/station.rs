@@ -1,4 +1,5 @@
-//! A bench made of devices: a balance, an arm that holds the spoon, perhaps the gripper on it. It cannot tell emulated devices from real ones.
+//! A bench made of devices: a balance, an arm that holds the spoon, optionally a gripper on it. It
+//! cannot tell emulated devices from real ones.
 
 use super::arm::{Arm, Deadlines, Stopper};
 use super::balance::{Balance, Sample};
@@ -13,17 +14,17 @@ use flip_core::domain::bench_check::ShakeCalibration;
 use flip_core::domain::spoon::FilledBy;
 use std::collections::BTreeMap;
 
-/// Bench time between two questions to the balance, s: its frames are a tenth or two apart.
+/// Bench time between two requests to the balance, s: its frames are a tenth or two apart.
 const ASK_EVERY_S: f64 = 0.05;
-/// The same while its mean is taken over many seconds: what it shows is remembered for longer.
+/// The same while averaging over many seconds: the wander of the display is correlated for longer.
 const WATCH_EVERY_S: f64 = 0.5;
-/// A pitch this near is where the spoon is, degrees.
+/// The spoon counts as being at a pitch this near, degrees.
 const PITCH_DEG_MIN: f64 = 1e-6;
-/// A vial may weigh this much less than the one that was tared before, mg.
+/// A vial may weigh this much less than the one tared before, mg.
 const LIGHTER_MG_MAX: f64 = 2000.0;
-/// Of a bench whose arm does not scoop.
+/// For a bench whose arm does not scoop.
 const BY_HAND: &str = "filled by a person or a station before each dose, for the arm does not";
-/// Largest step of a display that is weighed by, mg, where the file does not say.
+/// Largest display step accepted for weighing, mg, where the file does not give one.
 const STEP_MG_DEFAULT: f64 = 1.0;
 
 /// The devices of one bench, open and under control. Dropping it levels and retracts the spoon.
@@ -31,7 +32,7 @@ pub struct Station {
     balance: Balance,
     arm: Arm,
     gripper: Option<Gripper>,
-    /// The arm fills the spoon; else somebody has, before the dose.
+    /// The arm fills the spoon; otherwise someone has filled it before the dose.
     fills: bool,
     clock: Clock,
     readings: Readings,
@@ -40,20 +41,21 @@ pub struct Station {
     pitch_deg: f64,
     /// End of the last motion, bench time, s.
     moved_at_s: f64,
-    /// What the display shows, mg.
+    /// Displayed mass, mg.
     shown_mg: Option<f64>,
-    /// When it last showed another number than just before, bench time, s.
+    /// When the display last changed, bench time, s.
     lived_at_s: f64,
     began_s: f64,
 }
 
 impl Station {
-    /// Open every device, take control of the arm, and see that a spoon is held.
+    /// Open every device, take control of the arm, and check that a spoon is held.
     ///
-    /// `shakes` is what the arm makes of commanded amplitudes, if that was measured: amplitudes are then commanded so that the wanted ones are executed.
+    /// `shakes` is the arm's shake calibration, if there is one: commanded amplitudes are then
+    /// corrected so that the desired ones are executed.
     ///
     /// # Errors
-    /// The first device that cannot be had, or must not be used.
+    /// The first device that is not available, or must not be used.
     pub fn open(
         file: &BenchFile,
         shakes: Option<ShakeCalibration>,
@@ -63,7 +65,8 @@ impl Station {
         Self::open_within(file.arm.deadlines(), file, shakes, clock, tap)
     }
 
-    /// The same with other deadlines for the arm: for benches whose motions take their time, and for emulated ones, whose motions take none.
+    /// The same with other deadlines for the arm: for benches with slow motions, and for emulated
+    /// ones, whose motions take no time.
     ///
     /// # Errors
     /// As [`Self::open`].
@@ -101,7 +104,7 @@ impl Station {
         })
     }
 
-    /// A way to stop the arm at once from any thread.
+    /// A handle that stops the arm at once from any thread.
     ///
     /// # Errors
     /// The arm cannot be reached.
@@ -109,14 +112,14 @@ impl Station {
         self.arm.stopper()
     }
 
-    /// Who the devices say they are, by role.
+    /// Identities of the devices, by role.
     ///
     /// # Errors
     /// The balance failed.
     pub fn devices(&mut self) -> Result<BTreeMap<String, String>, DeviceError> {
         let identity = match self.balance.identify() {
             Ok(identity) => identity,
-            // Some balances tell nothing of themselves and weigh all the same.
+            // Some balances report nothing about themselves and weigh all the same.
             Err(DeviceError::Silent { .. }) => Default::default(),
             Err(error) => return Err(error),
         };
@@ -130,13 +133,13 @@ impl Station {
         Ok(roles.into_iter().chain(gripper).chain(spoon).collect())
     }
 
-    /// Fill the spoon, where the arm does.
+    /// Fill the spoon, if the arm does that.
     fn fill(&mut self) -> Result<(), DeviceError> {
         if !self.fills {
             return Ok(());
         }
         match self.arm.scoop() {
-            // It promised more than it can.
+            // It claimed more than it can do.
             Err(DeviceError::Unsupported { .. }) => self.fills = false,
             filled => drop(filled?),
         }
@@ -147,7 +150,7 @@ impl Station {
         self.moved_at_s = self.clock.now_s();
     }
 
-    /// What the display shows now, and whether that is news.
+    /// Read the display, and note whether it changed.
     fn look(&mut self) -> Result<Sample, DeviceError> {
         let sample = self.balance.immediate()?;
         self.arm.attend();
@@ -158,7 +161,7 @@ impl Station {
         Ok(sample)
     }
 
-    /// Readings until the display is final or the time is up, since the last motion.
+    /// Readings since the last motion, until the display is final or the time is up.
     fn watch(&mut self, limit_s: f64, is_final: impl Fn(&[Shown]) -> bool) -> Result<Vec<Shown>, DeviceError> {
         let from_s = self.clock.now_s();
         let mut shown = Vec::new();
@@ -207,7 +210,7 @@ impl Bench for Station {
             return Err(DeviceError::Forbidden { device: "the balance", cause });
         }
         self.balance.tare()?;
-        // Zero is no news: it was asked for.
+        // Zero is not a change: it was requested.
         self.shown_mg = None;
         self.moved();
         Ok(Tare { tare_mg: Some(vial.mass_mg) })
@@ -222,7 +225,7 @@ impl Bench for Station {
         }
         let shown = self.watch(self.readings.settle_max_s, |shown| settled(&settling, shown).is_some())?;
         let last = shown.last().ok_or(DeviceError::Silent { device: "the balance" })?;
-        // Our own criterion, or the balance's flag if the reading before agrees.
+        // Our own criterion, or the balance's flag if the previous reading agrees.
         let before = shown.len().checked_sub(2).map(|k| shown[k].mass_mg);
         let agrees = before.is_some_and(|mass_mg| (mass_mg - last.mass_mg).abs() <= settling.step_mg + 1e-9);
         let stable = settled(&settling, &shown).is_some() || (last.flag && agrees);
@@ -238,7 +241,8 @@ impl Bench for Station {
             last.is_some_and(|last| last.flag && last.t_s - from_s >= seconds) && settled(&settling, shown).is_some()
         };
         let shown = self.watch(limit_s, enough)?;
-        // The slope is that of the time that was asked for: before it the load may still have been felt.
+        // The slope covers only the requested time: before it the load may still have been
+        // settling.
         let from_s = shown.last().map_or(0.0, |last| last.t_s - seconds.max(1.0));
         let recent: Vec<Shown> = shown.iter().copied().filter(|one| one.t_s >= from_s).collect();
         let mut found = standing(&settling, &recent).ok_or(DeviceError::Silent { device: "the balance" })?;
@@ -285,7 +289,7 @@ impl Bench for Station {
         if let Some(gripper) = &mut self.gripper {
             require_spoon(gripper)?;
         }
-        // What was allowed is within its limits, but for the rounding of a sum.
+        // An allowed pitch is within the limits up to the rounding of a sum.
         let PitchLimits { lower_deg, upper_deg } = self.arm.limits().pitch;
         let pitch_deg = (self.pitch_deg + action.incline_change_deg).clamp(lower_deg, upper_deg);
         if action.incline_change_deg.abs() > PITCH_DEG_MIN {
@@ -304,7 +308,7 @@ impl Bench for Station {
     fn level(&mut self) -> Result<(), DeviceError> {
         let levelled = self.arm.pitch(0.0);
         self.moved();
-        // After a stop the arm carries out nothing but a retreat, which levels the spoon first.
+        // After a stop the arm executes only a retract, which levels the spoon first.
         match levelled {
             Ok(executed) => {
                 self.pitch_deg = executed.pitch_deg;
@@ -326,7 +330,7 @@ impl Bench for Station {
             return Ok(());
         }
         match self.arm.discard() {
-            // What is left stays in the spoon, as with an arm that says so beforehand.
+            // The rest stays in the spoon, as with an arm that declares this beforehand.
             Err(DeviceError::Unsupported { .. }) => Ok(()),
             emptied => emptied.map(drop),
         }

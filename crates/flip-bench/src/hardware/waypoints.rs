@@ -1,10 +1,10 @@
-//! Waypoints of the spoon's two motions, for drivers whose robot takes samples of a path.
+//! Waypoints of the spoon's two motions, for drivers whose robot takes a sampled path.
 
 use flip_core::domain::FieldError;
 use flip_core::domain::bounded;
 use flip_core::domain::motion::{MotionLimits, Move, TurnLimits};
 
-/// Samples per second that a path may have: from a slow camera's rate to beyond a robot's control cycle.
+/// Allowed sample rates of a path, Hz: from a slow camera's rate to beyond a robot's control cycle.
 const RATE_HZ: [f64; 2] = [10.0, 10_000.0];
 /// Longest stroke, m: longer than any spoon's.
 const STROKE_M_MAX: f64 = 0.1;
@@ -36,7 +36,8 @@ pub fn pitch(from_deg: f64, to_deg: f64, limits: &TurnLimits, rate_hz: f64) -> R
     })
 }
 
-/// The shake: out along the spoon's axis by the amplitude and back, at rest at both ends, in m and m/s.
+/// The shake: out along the spoon's axis by the amplitude and back, at rest at both ends, in m and
+/// m/s.
 ///
 /// # Errors
 /// A number that is not finite, a limit that is not positive, or a rate out of bounds.
@@ -56,17 +57,17 @@ impl Stroke {
         Self(Move::new(amplitude_m, limits))
     }
 
-    /// Out and back, s.
+    /// Duration out and back, s.
     pub fn duration_s(&self) -> f64 {
         2.0 * self.0.duration_s()
     }
 
-    /// Largest speed, m/s.
+    /// Peak speed, m/s.
     pub fn top_m_s(&self) -> f64 {
         self.0.top_m_s()
     }
 
-    /// Where the spoon is `t_s` after the start.
+    /// Position of the spoon `t_s` after the start.
     pub fn at(&self, t_s: f64) -> Waypoint {
         let half = self.0.duration_s();
         let out = t_s < half;
@@ -87,7 +88,7 @@ fn checked(limits: MotionLimits) -> Result<MotionLimits, FieldError> {
     Ok(limits)
 }
 
-/// Samples from 0 to `duration_s`; the last is at the end exactly, so that the path ends at rest.
+/// Samples from 0 to `duration_s`; the last is exactly at the end, so that the path ends at rest.
 fn sampled(duration_s: f64, rate_hz: f64, at: impl Fn(f64) -> Waypoint) -> Result<Vec<Waypoint>, FieldError> {
     let rate = bounded("rate_hz", rate_hz, RATE_HZ[0], RATE_HZ[1], "Hz")?;
     let whole = (duration_s * rate).ceil() as usize;
@@ -98,7 +99,7 @@ fn sampled(duration_s: f64, rate_hz: f64, at: impl Fn(f64) -> Waypoint) -> Resul
 mod tests {
     use super::*;
 
-    /// Speed, acceleration and jerk between samples, by differences.
+    /// Check speed, acceleration and jerk between samples, by differences.
     fn check(path: &[Waypoint], limits: MotionLimits) {
         let (mut before, mut before_s) = (0.0, 0.0);
         for pair in path.windows(2) {
@@ -111,7 +112,8 @@ mod tests {
             assert!(travelled.abs() <= limits.velocity_m_s * 1.000_001, "{pair:?}");
             assert!(pair[0].velocity.abs() <= limits.velocity_m_s * 1.000_001, "{pair:?}");
             assert!(acceleration.abs() <= limits.acceleration_m_s2 * 1.000_001, "{pair:?}");
-            // Means over two intervals lie as far apart as their middles; turning round joins a move to its mirror image.
+            // Means over two intervals are as far apart as their midpoints; the turning point joins
+            // a move to its mirror image.
             assert!((acceleration - before).abs() <= limits.jerk_m_s3 * (dt + before_s) / 2.0 * 1.01, "{pair:?}");
             (before, before_s) = (acceleration, dt);
         }

@@ -1,4 +1,4 @@
-//! The level surface around the base, and coordinates that stand on it.
+//! The level surface around the base, and coordinates based on it.
 
 use super::shot::Shot;
 use super::{Limits, Refusal};
@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-/// A plane in the camera's coordinates: height of a point over it is `normal . point + camera_mm`.
+/// A plane in camera coordinates: the height of a point over it is `normal . point + camera_mm`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Plane {
     /// Unit vector away from the bench.
@@ -15,11 +15,11 @@ pub(super) struct Plane {
     pub camera_mm: f64,
 }
 
-/// Points nearer to the plane than this belong to it, mm; half of that in the last fits.
+/// Points within this distance of the plane belong to it, mm; half of that in the last fits.
 const REACH_MM: f64 = 1.5;
-/// Triples that are tried.
+/// Number of triples tried.
 const TRIALS: usize = 400;
-/// Points that are looked at, and share of them that a bench needs.
+/// Number of points sampled, and fraction of them required for a bench.
 const POINTS: usize = 6000;
 const SHARE_MIN: f64 = 0.15;
 
@@ -28,7 +28,7 @@ impl Plane {
         dot(self.normal, p) + self.camera_mm
     }
 
-    /// Turn of the camera about its axis, and how far it looks down, degrees.
+    /// Roll of the camera about its axis, and downward viewing angle, degrees.
     pub fn roll_and_elevation_deg(&self) -> [f64; 2] {
         let [x, y, z] = self.normal;
         [x.atan2(-y).to_degrees(), (-z).clamp(-1.0, 1.0).asin().to_degrees()]
@@ -41,14 +41,14 @@ impl Plane {
         Some(Self::facing(normal.into(), a))
     }
 
-    /// Turned so that the camera is above it.
+    /// Oriented so that the camera is above it.
     fn facing(normal: [f64; 3], at: [f64; 3]) -> Self {
         let height = -dot(normal, at);
         let sign = height.signum();
         Self { normal: normal.map(|c| sign * c), camera_mm: height.abs() }
     }
 
-    /// Least squares through these points: the direction in which they spread least.
+    /// Least-squares plane through these points: its normal is the direction of least spread.
     fn through_all(points: &[[f64; 3]]) -> Option<Self> {
         let n = points.len() as f64;
         let centre: Vector3<f64> = points.iter().map(|p| Vector3::from(*p)).sum::<Vector3<f64>>() / n;
@@ -59,7 +59,8 @@ impl Plane {
     }
 }
 
-/// The plane that most points lie in and few lie below, looked down on by a camera that hangs roughly upright.
+/// The plane with the most points in it and few below it, viewed from above by a camera that hangs
+/// roughly upright.
 pub(super) fn bench(shot: &Shot, limits: &Limits) -> Result<Plane, Refusal> {
     let step = (shot.depth_mm.len() / (4 * POINTS)).max(1);
     let points: Vec<[f64; 3]> =
@@ -106,13 +107,14 @@ fn upright(plane: Plane, limits: &Limits) -> Result<Plane, Refusal> {
     }
 }
 
-/// Coordinates of the base: x to the right, y away from the camera, z up from the base's top; the origin is under the camera.
+/// Coordinates of the base: x to the right, y away from the camera, z up from the base's top; the
+/// origin is under the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct View {
     axes: [[f64; 3]; 3],
     plane: Plane,
     base_height_mm: f64,
-    /// True length over seen length.
+    /// True length over measured length.
     scale: f64,
 }
 
@@ -124,13 +126,13 @@ impl View {
         Self { axes: [right.into(), away.into(), up.into()], plane, base_height_mm, scale }
     }
 
-    /// A point of the camera's coordinates in those of the base, mm.
+    /// Convert a point from camera coordinates to base coordinates, mm.
     pub fn place(&self, p: [f64; 3]) -> [f64; 3] {
         let [x, y] = [0, 1].map(|k| self.scale * dot(self.axes[k], p));
         [x, y, self.scale * self.plane.height(p) - self.base_height_mm]
     }
 
-    /// The ray through a pixel: where it begins, and by what it goes on for each mm of depth.
+    /// The ray through a pixel: its origin, and its increment per mm of depth.
     pub fn ray(&self, [x, y]: [f64; 2]) -> [[f64; 3]; 2] {
         let (from, to) = (self.place([0.0; 3]), self.place([x, y, 1.0]));
         [from, std::array::from_fn(|k| to[k] - from[k])]

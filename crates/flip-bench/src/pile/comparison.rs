@@ -1,4 +1,4 @@
-//! Automated beside manual: the paper's table, from stored measurements.
+//! Automated versus manual: the paper's table, from stored measurements.
 
 use flip_core::domain::powder::{Flowability, Method, PUBLISHED};
 use serde::{Deserialize, Serialize};
@@ -23,13 +23,14 @@ pub struct Compared {
     pub automated: Flowability,
     /// By hand.
     pub manual: Flowability,
-    /// Automated less manual, degrees.
+    /// Automated minus manual, degrees.
     pub difference_deg: f64,
-    /// Standard error of the difference, degrees; absent where a single repeat says nothing of its spread.
+    /// Standard error of the difference, degrees; absent where a single repeat gives no spread.
     pub standard_error_deg: Option<f64>,
 }
 
-/// Every powder that was measured both ways, in the order of its first measurement; the last measurement by a method counts.
+/// Compare every powder that was measured both ways, in the order of first measurement; the last
+/// measurement by each method counts.
 ///
 /// ```text
 /// difference = mean_a - mean_m        SE^2 = sd_a^2 / n_a + sd_m^2 / n_m
@@ -65,7 +66,8 @@ pub fn published() -> Vec<Stored> {
 mod tests {
     use super::*;
 
-    /// Differences of the published means, and their standard errors worked by hand: sqrt((sd_a^2 + sd_m^2) / 5).
+    /// Differences of the published means, and their standard errors computed by hand:
+    /// sqrt((sd_a^2 + sd_m^2) / 5).
     #[test]
     fn the_published_table_comes_out() {
         let table = compare(&published());

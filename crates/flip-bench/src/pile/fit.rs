@@ -1,4 +1,4 @@
-//! Robust least squares of a height over a plane, for a handful of parameters.
+//! Robust least squares of a height field over a plane, for a handful of parameters.
 
 use super::shot::median;
 use nalgebra::{SMatrix, SVector};
@@ -8,22 +8,24 @@ use nalgebra::{SMatrix, SVector};
 pub(super) struct Point {
     /// Pixel that saw it.
     pub pixel: usize,
-    /// Place in the coordinates of the base, mm.
+    /// Position in base coordinates, mm.
     pub at: [f64; 3],
-    /// Ray through the pixel: from, and by for each mm of depth.
+    /// Ray through the pixel: origin, and increment per mm of depth.
     pub ray: [[f64; 3]; 2],
-    /// Where the surface is expected on that ray; at first where the point was seen.
+    /// Where the surface is expected on that ray; initially where the point was measured.
     pub expected: [f64; 2],
 }
 
-/// Newton steps towards the surface along a ray, how far they may lead, mm, and how near they must come, mm.
+/// Newton steps towards the surface along a ray, how far they may lead, mm, and how close they must
+/// come, mm.
 const NEARING: usize = 6;
 const LEAD_MAX_MM: f64 = 6.0;
 const NEAR_MM: f64 = 0.01;
 
 impl Point {
-    /// The point with the place where its ray meets a surface of this height; `None` if it passes by. That place has no noise, so that
-    /// choosing points by it, or weighing them by it, does not prefer those whose noise has one sign.
+    /// The point, with the position where its ray meets a surface of this height; `None` if it
+    /// misses. That position has no noise, so selecting or weighting points by it does not prefer
+    /// those whose noise has one sign.
     pub fn expecting(self, height: impl Fn([f64; 2]) -> f64) -> Option<Self> {
         let [from, by] = self.ray;
         let along = |t: f64| -> [f64; 3] { std::array::from_fn(|k| from[k] + t * by[k]) };
@@ -42,35 +44,35 @@ impl Point {
     }
 }
 
-/// What came out.
+/// Result of a fit.
 #[derive(Debug, Clone)]
 pub(super) struct Fitted<const N: usize> {
     pub parameters: [f64; N],
-    /// As if every point were an observation of its own.
+    /// As if every point were an independent observation.
     pub covariance: SMatrix<f64, N, N>,
-    /// Spread of the residuals, from their median size, mm.
+    /// Scale of the residuals, from their median size, mm.
     pub spread_mm: f64,
 }
 
-/// A parameter that is known beforehand: which, its value, its standard deviation.
+/// Prior on a parameter: its index, value and standard deviation.
 pub(super) type Known = (usize, f64, f64);
 
 /// Rounds of reweighting.
 const ROUNDS: usize = 25;
-/// Residuals beyond this many spreads count for nothing (Tukey's biweight at 95 % efficiency).
+/// Residuals beyond this many scales have no weight (Tukey's biweight at 95 % efficiency).
 const TUKEY: f64 = 4.685;
-/// Spreads below this are taken for it, mm: exact pictures.
+/// Lower bound on the scale, mm, for exact pictures.
 const SPREAD_MIN_MM: f64 = 0.01;
 
-/// The parameters for which `height` comes nearest to the points, from a start that is nearly right.
+/// Fit the parameters of `height` to the points, from a start close to the solution.
 ///
 /// ```text
 /// minimise  sum_i w(r_i / s) r_i^2 / s^2 + sum_k (p_k - known_k)^2 / sd_k^2       r_i = z_i - height(p, x_i, y_i)
 /// ```
 ///
-/// Derivatives are taken where the surface is expected: taken at the point itself they would share its noise, and flatten a cone.
-/// Gauss-Newton with the weights of Tukey's biweight; s is 1.4826 times the median of |r|. `height` returns its derivatives too;
-/// `kept` puts parameters back into their bounds.
+/// Derivatives are taken where the surface is expected: taken at the point itself they would share
+/// its noise, and flatten a cone. Gauss-Newton with Tukey's biweight; s is 1.4826 times the median
+/// of |r|. `height` also returns its derivatives; `kept` clamps parameters to their bounds.
 pub(super) fn fit<const N: usize>(
     start: [f64; N],
     points: &[Point],

@@ -1,4 +1,5 @@
-//! The pile itself: the height of its apex and the slope of its flank, each from a surface fitted to many pixels.
+//! The pile itself: the height of its apex and the slope of its flank, each from a surface fitted
+//! to many pixels.
 
 use super::fit::{Fitted, Known, Point, fit};
 use super::{Refusal, Rig};
@@ -11,36 +12,42 @@ use std::f64::consts::TAU;
 /// z = z_0 - s sqrt((x - x_c)^2 + (y - y_c)^2 + q)        z_apex = z_0 - s sqrt(q)
 /// ```
 ///
-/// Parameters z_0, s, x_c, y_c, q. The highest pixel is biased by its noise, and stereo fails where the apex stands against what is far behind;
-/// the surface has the noise of hundreds of pixels and reaches over the gap. Written with q, not with its root, so that a pointed apex is no
-/// singular case.
+/// Parameters z_0, s, x_c, y_c, q. The highest pixel is biased by its noise, and stereo fails where
+/// the apex stands against a distant background; the fitted surface averages the noise of hundreds
+/// of pixels and bridges the gap. Written with q rather than its root, so that a pointed apex is
+/// not a singular case.
 pub(super) type Apex = Fitted<5>;
 
-/// The flank between 20 % and 80 % of the height: `z = z_0 - t sqrt((x - x_c)^2 + (y - y_c)^2)`; parameters z_0, t, x_c, y_c.
+/// The flank between 20 % and 80 % of the height: `z = z_0 - t sqrt((x - x_c)^2 + (y - y_c)^2)`;
+/// parameters z_0, t, x_c, y_c.
 pub(super) type Flank = Fitted<4>;
 
-/// Share of the base's radius whose points shape the apex, and within which enough must be seen.
+/// Fraction of the base's radius whose points determine the apex, and within which enough points
+/// must be visible.
 const TOP: f64 = 0.5;
 const NEAR: f64 = 0.22;
 const NEAR_PIXELS_MIN: usize = 12;
-/// Standard deviation with which the axis of the spout is that of the pile, share of the base's radius.
+/// Standard deviation of the offset between the axes of spout and pile, fraction of the base's
+/// radius.
 const CENTRE_SD: f64 = 0.05;
-/// The rounding q as far as it is known beforehand, and its standard deviation, share of the square of the base's radius: where little of the
-/// top is seen, height and rounding could otherwise grow together without end.
+/// Prior mean and standard deviation of the rounding q, fraction of the square of the base's
+/// radius: where little of the top is visible, height and rounding could otherwise grow together
+/// without limit.
 const ROUNDING: [f64; 2] = [0.01, 0.015];
-/// Standard deviation with which the slope far from the apex is that of the flank's cone, as a share.
+/// Relative standard deviation between the slope far from the apex and that of the flank's cone.
 const SLOPE_SD: f64 = 0.03;
-/// A pile is at least this steep, degrees.
+/// Minimum slope of a pile, degrees.
 const STEEP_MIN_DEG: f64 = 8.0;
-/// Pixels that a flank needs.
+/// Minimum number of pixels of a flank.
 const FLANK_PIXELS_MIN: usize = 150;
-/// Distance from the cone that a flank may have, share of the pile's height.
+/// Maximum RMS distance of a flank from its cone, fraction of the pile's height.
 const FLANK_RMS_MAX: f64 = 0.12;
-/// Sectors around the axis.
+/// Number of sectors around the axis.
 pub(super) const SECTORS: usize = 12;
-/// Pixels that make a sector seen.
+/// Pixels needed for a sector to count as visible.
 const SECTOR_PIXELS_MIN: usize = 20;
-/// Where the rim is looked at, share of the base's radius, and share of the height that a cone to the rim has there which must be found.
+/// Radii at which the rim is checked, fraction of the base's radius, and fraction of the height of
+/// a cone to the rim that must be found there.
 const RIM: [f64; 2] = [0.84, 0.95];
 const RIM_HEIGHT_MIN: f64 = 0.4;
 
@@ -48,7 +55,8 @@ fn away(at: [f64; 3], centre: [f64; 2]) -> f64 {
     (at[0] - centre[0]).hypot(at[1] - centre[1])
 }
 
-/// Height of the pile, mm, before anything is fitted: what nine tenths of the points near the axis do not pass.
+/// Height of the pile, mm, before any fit: the level that nine tenths of the points near the axis
+/// do not exceed.
 pub(super) fn height(points: &[Point], axis: [f64; 2], rig: &Rig) -> Result<f64, Refusal> {
     let radius = rig.base_diameter_mm / 2.0;
     let mut near: Vec<f64> = points.iter().filter(|p| away(p.at, axis) < NEAR * radius).map(|p| p.at[2]).collect();
@@ -63,7 +71,7 @@ pub(super) fn height(points: &[Point], axis: [f64; 2], rig: &Rig) -> Result<f64,
     }
 }
 
-/// Where the apex is, over a flank of this slope.
+/// Locate the apex, over a flank of this slope.
 pub(super) fn apex(points: &[Point], axis: [f64; 2], height_mm: f64, slope: f64, rig: &Rig) -> Result<Apex, Refusal> {
     let q = ROUNDING[0] * (rig.base_diameter_mm / 2.0).powi(2);
     let start = [height_mm + slope * q.sqrt(), slope, axis[0], axis[1], q];
@@ -72,14 +80,14 @@ pub(super) fn apex(points: &[Point], axis: [f64; 2], height_mm: f64, slope: f64,
     top(&expected, axis, rough.parameters, slope, rig)
 }
 
-/// How far from the apex depth begins, mm: the distance of the fifth nearest point.
+/// How far from the apex valid depth begins, mm: the distance of the fifth nearest point.
 pub(super) fn gap(points: &[Point], apex: [f64; 2]) -> f64 {
     let mut apart: Vec<f64> = points.iter().map(|p| away(p.at, apex)).collect();
     apart.sort_unstable_by(f64::total_cmp);
     apart.get(4).copied().unwrap_or(f64::INFINITY)
 }
 
-/// One fit of the top, from a start that is nearly right.
+/// One fit of the top, from a start close to the solution.
 pub(super) fn top(points: &[Point], axis: [f64; 2], start: [f64; 5], slope: f64, rig: &Rig) -> Result<Apex, Refusal> {
     let radius = rig.base_diameter_mm / 2.0;
     let inside = |p: &Point| (p.expected[0] - axis[0]).hypot(p.expected[1] - axis[1]) < TOP * radius;
@@ -92,25 +100,25 @@ pub(super) fn top(points: &[Point], axis: [f64; 2], start: [f64; 5], slope: f64,
     fit(start, &top, &known, kept, rounded).ok_or(unseen)
 }
 
-/// The points whose rays meet a surface, each with the place.
+/// The points whose rays meet a surface, each with the position where they do.
 fn expecting(points: &[Point], height: impl Fn([f64; 2]) -> f64) -> Vec<Point> {
     points.iter().filter_map(|point| point.expecting(&height)).collect()
 }
 
 impl Flank {
-    /// Height of the cone at a place.
+    /// Height of the cone at a position.
     fn height(&self, at: [f64; 2]) -> f64 {
         pointed(&self.parameters, at).0
     }
 }
 
 impl Apex {
-    /// Height of the top at a place.
+    /// Height of the top at a position.
     fn height(&self, at: [f64; 2]) -> f64 {
         rounded(&self.parameters, at).0
     }
 
-    /// Where the apex is, mm.
+    /// Position of the apex, mm.
     pub fn at(&self) -> [f64; 3] {
         let [z0, s, x, y, q] = self.parameters;
         [x, y, z0 - s * q.sqrt()]
@@ -121,7 +129,7 @@ impl Apex {
         self.parameters[4].sqrt()
     }
 
-    /// Variance of its height as if every pixel stood for itself, mm^2.
+    /// Variance of its height as if all pixels were independent, mm^2.
     pub fn height_variance(&self) -> f64 {
         let [_, s, _, _, q] = self.parameters;
         // The root of q is not linear near zero: its slope is taken one standard deviation above.
@@ -149,7 +157,8 @@ fn pointed(p: &[f64; 4], [x, y]: [f64; 2]) -> (f64, [f64; 4]) {
     (z0 - t * r, [1.0, -r, t * dx / r, t * dy / r])
 }
 
-/// The flank and the cone through it. Points are chosen by their own heights first, then by where their rays meet that first cone.
+/// The flank and the cone through it. Points are selected by their own heights first, then by where
+/// their rays meet that first cone.
 pub(super) fn flank(
     points: &[Point],
     axis: [f64; 2],
@@ -166,7 +175,7 @@ pub(super) fn flank(
     Ok((chosen, cone))
 }
 
-/// The cone through points of a flank.
+/// Fit the cone through points of a flank.
 pub(super) fn cone(flank: &[Point], axis: [f64; 2], height_mm: f64, rig: &Rig) -> Result<Flank, Refusal> {
     let radius = rig.base_diameter_mm / 2.0;
     let none = |rms_mm| Refusal::NoCone { pixels: flank.len(), rms_mm };
@@ -183,17 +192,17 @@ pub(super) fn cone(flank: &[Point], axis: [f64; 2], height_mm: f64, rig: &Rig) -
     }
 }
 
-/// The sector of a place around a centre.
+/// The sector of a position around a centre.
 fn sector(at: [f64; 3], centre: [f64; 2]) -> usize {
     let turn = (at[1] - centre[1]).atan2(at[0] - centre[0]) / TAU + 0.5;
     ((turn * SECTORS as f64) as usize).min(SECTORS - 1)
 }
 
-/// How a flank departs from its cone.
+/// How a flank deviates from its cone.
 pub(super) struct Departure {
-    /// By how much neighbouring residuals err together: variance of a sum over that of independent ones.
+    /// Correlation of neighbouring residuals: variance of a sum over that of independent ones.
     pub together: f64,
-    /// Standard deviation of the slope over the sectors that are seen.
+    /// Standard deviation of the slope over the visible sectors.
     pub slope_sd: f64,
 }
 
@@ -219,7 +228,8 @@ pub(super) fn departure(flank: &[Point], cone: &Flank, width: usize) -> Departur
     Departure { together, slope_sd: flip_core::stats::summary::sd(&slopes).unwrap_or(0.0) }
 }
 
-/// Slope through the cone's apex line that residuals over their distance leave: those of a sector that is steeper fall with distance.
+/// Slope error, as a line through the cone's apex, implied by residuals versus distance: in a
+/// sector that is steeper they fall with distance.
 fn slope(points: &[[f64; 2]]) -> f64 {
     let n = points.len() as f64;
     let mean = |c: usize| points.iter().map(|p| p[c]).sum::<f64>() / n;
@@ -228,7 +238,7 @@ fn slope(points: &[[f64; 2]]) -> f64 {
     points.iter().map(|p| (p[0] - r) * (p[1] - z)).sum::<f64>() / spread.max(1e-9)
 }
 
-/// Whether the pile reaches the rim wherever the rim is seen.
+/// Whether the pile reaches the rim wherever the rim is visible.
 pub(super) fn covers(points: &[Point], cone: &Flank, axis: [f64; 2], rig: &Rig) -> Result<(), Refusal> {
     let radius = rig.base_diameter_mm / 2.0;
     let mut sectors = [(0, 0.0); SECTORS];
@@ -251,7 +261,7 @@ pub(super) fn covers(points: &[Point], cone: &Flank, axis: [f64; 2], rig: &Rig) 
 mod tests {
     use super::*;
 
-    /// Points of a rounded cone, on the near side alone.
+    /// Points of a rounded cone, on the near side only.
     fn near_side(za: f64, s: f64, centre: [f64; 2], rho: f64) -> Vec<Point> {
         let grid = (-60..=60).flat_map(|i| (-60..=10).map(move |j| [f64::from(i) * 0.5, f64::from(j) * 0.5]));
         let p = [za + s * rho, s, centre[0], centre[1], rho * rho];

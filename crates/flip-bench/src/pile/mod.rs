@@ -1,8 +1,10 @@
-//! The automated angle of repose: frames of a pile under a funnel in, an angle with its uncertainty out.
+//! Automated angle of repose: from frames of a pile under a funnel to an angle with its
+//! uncertainty.
 //!
-//! The published procedure finds the funnel's tip and the pile's apex in depth images and takes the height between base and apex from their
-//! distance; beside it a cone is fitted to the flank. Both work on the mean of at least ten frames, in coordinates that stand on the bench
-//! which the camera sees around the base, so that nobody needs to know how the camera hangs.
+//! The published procedure finds the funnel's tip and the pile's apex in depth images and derives
+//! the height of the apex over the base from their distance. In addition, a cone is fitted to the
+//! flank. Both work on the mean of at least ten frames, in coordinates based on the bench that the
+//! camera sees around the base, so that the pose of the camera need not be known.
 //!
 //! | file | answers |
 //! |------|---------|
@@ -15,7 +17,7 @@
 //! | `repeats` | five measurements become a flowability |
 //! | `comparison` | automated beside manual |
 //!
-//! Pure: values in, values out; lengths in mm.
+//! Pure functions; lengths in mm.
 
 mod bench;
 mod comparison;
@@ -42,14 +44,16 @@ use spout::Tip;
 
 /// Standard uncertainty of the bench as a level: its fit and its flatness, degrees.
 const LEVEL_U_DEG: f64 = 0.1;
-/// Standard uncertainty of the mean slope because only the near sides are seen, share of the standard deviation of the slope over them.
+/// Standard uncertainty of the mean slope because only the near sides are visible, fraction of the
+/// standard deviation of the slope over them.
 const UNSEEN_U: f64 = 0.7;
-/// Standard uncertainty of the apex's height because no pile is exactly a rounded cone, share of the rounding's radius.
+/// Standard uncertainty of the apex's height because no pile is exactly a rounded cone, fraction of
+/// the rounding's radius.
 const ROUNDING_U: f64 = 0.08;
-/// The same because nothing is seen around the apex, share of what a flank rises over the gap.
+/// The same because nothing is visible around the apex, fraction of the flank's rise over the gap.
 const GAP_U: f64 = 0.25;
 
-/// Measure the pile that these frames show.
+/// Measure the pile in these frames.
 ///
 /// ```text
 /// h = D - |p_apex - p_tip|        AoR = atan(2 h / d_base)
@@ -64,11 +68,11 @@ const GAP_U: f64 = 0.25;
 ///
 /// The publication prints `2 h / d_base`; its numbers are degrees, so the arctangent is taken.
 ///
-/// Numerics: with [`Lengths::ByTipHeight`] all lengths are scaled until the tip stands D over the base. The slope of the cone does not
-/// depend on the scale at all.
+/// Numerics: with [`Lengths::ByTipHeight`] all lengths are scaled so that the tip is D above the
+/// base. The slope of the cone does not depend on the scale.
 ///
 /// # Errors
-/// [`Refusal`]: what was seen instead.
+/// [`Refusal`], with what was seen instead.
 pub fn measure(frames: &[Frame], rig: &Rig, limits: &Limits) -> Result<Measurement, Refusal> {
     let rig = &rig.checked().map_err(Refusal::Settings)?;
     let limits = &limits.checked().map_err(Refusal::Settings)?;
@@ -98,7 +102,7 @@ pub fn measure(frames: &[Frame], rig: &Rig, limits: &Limits) -> Result<Measureme
     pile.measured(limits, [seen.at[2], roll_deg, elevation_deg])
 }
 
-/// A pile in the coordinates of its base.
+/// A pile in base coordinates.
 struct Pile<'a> {
     shot: &'a Shot<'a>,
     view: View,
@@ -161,7 +165,8 @@ impl Pile<'_> {
         (0..self.shot.depth_mm.len()).filter(|pixel| !self.shot.edge[*pixel]).filter_map(point).collect()
     }
 
-    /// Pixels whose rays pass this level over the base within half its radius: any pile that covers the base is met there or nearby.
+    /// Pixels whose rays pass this level over the base within half its radius: any pile that covers
+    /// the base is hit there or nearby.
     fn pixels_across(&self, level_mm: f64) -> Vec<usize> {
         let radius = self.rig.base_diameter_mm / 2.0;
         let is_across = |direction: &[f64; 2]| {
@@ -174,7 +179,7 @@ impl Pile<'_> {
         pixels.filter(|(_, direction)| is_across(direction)).map(|(pixel, _)| pixel).collect()
     }
 
-    /// Whether depth is quiet where half the height of a pile of 35 deg would be.
+    /// Check that depth is quiet where half the height of a pile of 35 deg would be.
     fn is_quiet(&self, limits: &Limits) -> Result<(), Refusal> {
         let across = self.pixels_across(0.35 * self.rig.base_diameter_mm / 2.0).into_iter();
         let mut noise: Vec<f64> = across.map(|pixel| self.shot.sd_mm[pixel]).filter(|sd| *sd > 0.0).collect();
@@ -185,7 +190,7 @@ impl Pile<'_> {
         }
     }
 
-    /// Share of the pile's pixels that have no depth.
+    /// Fraction of the pile's pixels without depth.
     fn invalid_share(&self, limits: &Limits, top: f64) -> Result<f64, Refusal> {
         let across = self.pixels_across(0.5 * top);
         let invalid = across.iter().filter(|pixel| self.shot.depth_mm[**pixel] == 0.0).count();
@@ -197,7 +202,7 @@ impl Pile<'_> {
         }
     }
 
-    /// Both angles of every frame by itself, degrees, at the pixels of the mean.
+    /// Both angles of each single frame, degrees, at the pixels of the mean.
     fn by_frame(&self, points: &[Point], flank: &[Point], apex: &Apex, slope: f64) -> [Vec<f64>; 2] {
         let axis = [self.tip.at[0], self.tip.at[1]];
         let of = |frame: &Frame, points: &[Point]| -> Vec<Point> {
@@ -217,7 +222,7 @@ impl Pile<'_> {
         [tips.collect(), cones.collect()]
     }
 
-    /// The angle of a height, with what the tip, the apex and the rig leave open.
+    /// The angle from a height, with the uncertainty due to the tip, the apex and the rig.
     ///
     /// ```text
     /// stated:    h = D - (z_tip - z_apex)                       q = 1
@@ -247,7 +252,7 @@ impl Rig {
     }
 }
 
-/// The slope of a cone, with what the pixels, the level and the sides that are not seen leave open.
+/// The slope of a cone, with the uncertainty due to the pixels, the level and the hidden sides.
 fn cone_angle(cone: &Flank, departure: &Departure, u_frames_deg: f64) -> Angle {
     let t = cone.parameters[1];
     let slope_u = (cone.covariance[(1, 1)] * departure.together).sqrt().hypot(UNSEEN_U * departure.slope_sd);
@@ -255,7 +260,8 @@ fn cone_angle(cone: &Flank, departure: &Departure, u_frames_deg: f64) -> Angle {
     Angle { deg: t.atan().to_degrees(), u_deg, u_frames_deg }
 }
 
-/// Standard error of the mean of what frames say one by one, from their median distance: a frame that lost the apex says nothing.
+/// Standard error of the mean over single frames, from their median deviation: a frame that lost
+/// the apex is ignored.
 fn frame_u(angles_deg: &[f64]) -> f64 {
     let middle = median(&mut angles_deg.to_vec());
     let mut apart: Vec<f64> = angles_deg.iter().map(|angle| (angle - middle).abs()).collect();

@@ -1,31 +1,31 @@
-//! Why frames have no angle of repose.
+//! Reasons why frames yield no angle of repose.
 
 use flip_core::domain::FieldError;
 
-/// Frames that cannot be measured: what was seen, what was wanted, what to do.
+/// Why frames cannot be measured: what was seen, what was expected, what to do.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Refusal {
-    /// The rig's or the limits' numbers.
+    /// Invalid values of the rig or the limits.
     #[error("{0}")]
     Settings(FieldError),
     /// Too few frames.
     #[error("{got} frames of at least {wanted}: take more")]
     TooFewFrames {
-        /// Frames that came.
+        /// Number of frames received.
         got: usize,
-        /// Frames that are needed.
+        /// Number of frames required.
         wanted: usize,
     },
     /// Frames of different cameras or modes.
     #[error("frame {frame} has other intrinsics, depth unit or size than the first: take all frames in one mode")]
     UnlikeFrames {
-        /// Which, from 0.
+        /// Frame index, from 0.
         frame: usize,
     },
     /// The same image twice: noise alone makes two images differ.
     #[error("frame {frame} repeats the depth of an earlier one: the camera's stream stands still")]
     Frozen {
-        /// Which, from 0.
+        /// Frame index, from 0.
         frame: usize,
     },
     /// Too little depth.
@@ -35,9 +35,9 @@ pub enum Refusal {
     TooManyInvalid {
         /// `frame` or `pile`.
         part: &'static str,
-        /// Share without depth, %.
+        /// Fraction without depth, %.
         invalid_percent: f64,
-        /// Share that is allowed, %.
+        /// Allowed fraction, %.
         allowed_percent: f64,
     },
     /// Depth differs too much between frames.
@@ -47,7 +47,7 @@ pub enum Refusal {
     TooNoisy {
         /// Median over the pile of the standard deviation, mm.
         sd_mm: f64,
-        /// What is allowed, mm.
+        /// Allowed value, mm.
         allowed_mm: f64,
     },
     /// No level surface around the base.
@@ -55,47 +55,47 @@ pub enum Refusal {
     BenchNotFound {
         /// Points in the best plane.
         points: usize,
-        /// Points that were looked at.
+        /// Points sampled.
         all: usize,
     },
-    /// The camera hangs askew.
+    /// The camera is tilted.
     #[error("the camera is tilted: roll {roll_deg:.1} deg (at most {roll_max_deg}), elevation {elevation_deg:.1} deg ({} to {})", .elevation_range_deg[0], .elevation_range_deg[1])]
     Tilted {
-        /// Turn about the optical axis, degrees.
+        /// Rotation about the optical axis, degrees.
         roll_deg: f64,
-        /// What is allowed, degrees.
+        /// Allowed value, degrees.
         roll_max_deg: f64,
-        /// How far it looks down, degrees.
+        /// Downward viewing angle, degrees.
         elevation_deg: f64,
-        /// What is allowed, degrees.
+        /// Allowed range, degrees.
         elevation_range_deg: [f64; 2],
     },
     /// The camera moved.
     #[error("the camera or the rig moved: frame {frame} is off by {pixels:.1} pixels and {mm:.1} mm")]
     CameraMoved {
-        /// Which, from 0.
+        /// Frame index, from 0.
         frame: usize,
-        /// Move of the spout's edges, pixels.
+        /// Displacement of the spout's edges, pixels.
         pixels: f64,
-        /// Move of the bench along the optical axis, mm.
+        /// Displacement of the bench along the optical axis, mm.
         mm: f64,
     },
     /// No spout where one should be.
     #[error("no funnel found near {tip_height_mm} mm over the base: {cause}")]
     FunnelNotFound {
-        /// Where it was looked for, mm.
+        /// Expected height, mm.
         tip_height_mm: f64,
         /// What is missing.
         cause: &'static str,
     },
-    /// The tip stands elsewhere than the rig says.
+    /// The tip is not where the rig settings place it.
     #[error(
         "the tip is seen {seen_mm:.1} mm over the base, the rig says {stated_mm:.1} mm: measure D again, or check the depth unit"
     )]
     TipMisplaced {
-        /// As seen, mm.
+        /// Measured, mm.
         seen_mm: f64,
-        /// As stated, mm.
+        /// Stated, mm.
         stated_mm: f64,
     },
     /// Nothing on the base.
@@ -104,20 +104,20 @@ pub enum Refusal {
         /// Height over the base, mm.
         height_mm: f64,
     },
-    /// The top of the pile is not seen.
+    /// The top of the pile is not visible.
     #[error("the apex is not seen: {pixels} pixels near it have depth, {wanted} are needed")]
     ApexNotFound {
         /// Pixels with depth.
         pixels: usize,
-        /// Pixels that are needed.
+        /// Pixels required.
         wanted: usize,
     },
-    /// The pile stands beside the funnel.
+    /// The pile is not under the funnel.
     #[error("the apex is {offset_mm:.1} mm from the funnel's axis, at most {allowed_mm:.1} mm may be: centre the base")]
     NotCentred {
         /// Distance, mm.
         offset_mm: f64,
-        /// What is allowed, mm.
+        /// Allowed value, mm.
         allowed_mm: f64,
     },
     /// The pile does not reach the rim.
@@ -127,10 +127,10 @@ pub enum Refusal {
     BaseNotCovered {
         /// Sectors with powder at the rim.
         covered: usize,
-        /// Sectors that are seen.
+        /// Visible sectors.
         sectors: usize,
     },
-    /// The flank is no cone.
+    /// The flank is not a cone.
     #[error("no cone fits the flank: {pixels} pixels, {rms_mm:.1} mm from it")]
     NoCone {
         /// Pixels of the flank.

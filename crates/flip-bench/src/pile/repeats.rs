@@ -1,4 +1,4 @@
-//! Repeats of one powder become its flowability.
+//! Combine repeats of one powder into its flowability.
 
 use super::Measurement;
 use flip_core::domain::FieldError;
@@ -8,26 +8,27 @@ use serde::{Deserialize, Serialize};
 /// Repeats of one powder, a pile each.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Repeats {
-    /// From the apex: mean, standard deviation and number of the repeats.
+    /// From the apex: mean, standard deviation and number of repeats.
     pub tip: Flowability,
     /// From the cone.
     pub cone: Flowability,
-    /// Standard uncertainty of the mean of `tip`, degrees: the spread of the repeats and, undiminished by their number, one measurement's own.
+    /// Standard uncertainty of the mean of `tip`, degrees: the spread of the repeats plus the
+    /// uncertainty of a single measurement, which is not reduced by their number.
     pub tip_u_deg: f64,
     /// Standard uncertainty of the mean of `cone`, degrees.
     pub cone_u_deg: f64,
 }
 
-/// The measurements of several piles of one powder; the published number is five.
+/// Combine the measurements of several piles of one powder; the published number is five.
 ///
 /// ```text
 /// u^2 = s^2 / n + mean of u_i^2
 /// ```
 ///
-/// Every repeat has the same rig, so that its errors do not average out.
+/// All repeats use the same rig, so its errors do not average out.
 ///
 /// # Errors
-/// No measurements, or an angle outside what a powder can have.
+/// No measurements, or an angle outside the range of a powder.
 pub fn repeats(measurements: &[Measurement]) -> Result<Repeats, FieldError> {
     let of = |angle: fn(&Measurement) -> super::Angle| {
         let angles: Vec<super::Angle> = measurements.iter().map(angle).collect();

@@ -1,15 +1,17 @@
-//! What an operator knows of the rig, and what frames must show to be measured.
+//! Rig dimensions known to the operator, and requirements on the frames.
 
 use flip_core::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
-/// How lengths that the camera sees become lengths.
+/// How lengths seen by the camera are scaled to true lengths.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Lengths {
-    /// By the depth unit that the frames state, as published. A scale error of 1 % is an error of the angle of 0.5 deg.
+    /// By the depth unit stated in the frames, as published. A scale error of 1 % is an error of
+    /// the angle of 0.5 deg.
     Stated,
-    /// Scaled so that the tip stands where the rig says, D over the base: an error of the depth scale cancels.
+    /// Scaled so that the tip is at the height stated for the rig, D over the base: an error of the
+    /// depth scale cancels.
     #[default]
     ByTipHeight,
 }
@@ -30,12 +32,13 @@ pub struct Rig {
     pub base_height_mm: f64,
     /// Its standard uncertainty, 0 to 5 mm. Default 0.1.
     pub base_height_u_mm: f64,
-    /// Outer diameter of the spout at its tip, 1 to 100 mm: the camera sees its near side, the tip is on its axis. Default 10.
+    /// Outer diameter of the spout at its tip, 1 to 100 mm: the camera sees its near side, while
+    /// the tip is on its axis. Default 10.
     pub spout_diameter_mm: f64,
-    /// Standard uncertainty of the camera's depth scale, as a share, 0 to 0.1. Default 0.007: half of the 1.4 % within which the maker keeps
-    /// depth.
+    /// Relative standard uncertainty of the camera's depth scale, 0 to 0.1. Default 0.007: half of
+    /// the 1.4 % within which the maker keeps depth.
     pub depth_scale_u: f64,
-    /// How lengths are taken. Default by the tip's height.
+    /// How lengths are scaled. Default by the tip's height.
     pub lengths: Lengths,
 }
 
@@ -56,7 +59,7 @@ impl Default for Rig {
 }
 
 impl Rig {
-    /// Checked.
+    /// Returns the settings if they are valid.
     ///
     /// # Errors
     /// A number outside the bounds in its field's description.
@@ -77,29 +80,33 @@ impl Rig {
     }
 }
 
-/// What frames must show.
+/// Requirements on the frames.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Limits {
-    /// Fewest frames, 3 to 100. Default 10, as published.
+    /// Minimum number of frames, 3 to 100. Default 10, as published.
     pub frames_min: u32,
-    /// Share of the pixels of the pile, and of all pixels, that may be without depth in the mean of the frames, 0 to 0.9. Default 0.3 and 0.8.
+    /// Maximum fraction of the pixels of the pile, and of all pixels, without depth in the mean of
+    /// the frames, 0 to 0.9. Default 0.3 and 0.8.
     pub pile_invalid_max: f64,
     /// See `pile_invalid_max`: much of a frame may lie beyond the camera's range.
     pub frame_invalid_max: f64,
-    /// Largest standard deviation of depth from frame to frame, median over the pile, 0.01 to 20 mm. Default 3.
+    /// Maximum standard deviation of depth from frame to frame, median over the pile, 0.01 to
+    /// 20 mm. Default 3.
     pub noise_max_mm: f64,
-    /// Largest roll of the camera about its axis, 1 to 45 deg. Default 12.
+    /// Maximum roll of the camera about its axis, 1 to 45 deg. Default 12.
     pub roll_max_deg: f64,
-    /// Range of its elevation over the bench, 5 to 85 deg. Default 12 to 60: lower it sees no flank, higher it does not see the tip.
+    /// Range of its elevation over the bench, 5 to 85 deg. Default 12 to 60: any lower it does not
+    /// see the flank, any higher it does not see the tip.
     pub elevation_deg: [f64; 2],
-    /// Largest move of the spout's edges between frames, 0.1 to 20 pixels. Default 1.
+    /// Maximum displacement of the spout's edges between frames, 0.1 to 20 pixels. Default 1.
     pub move_max_pixels: f64,
-    /// Largest move of the bench between frames, 0.05 to 20 mm. Default 0.7.
+    /// Maximum displacement of the bench between frames, 0.05 to 20 mm. Default 0.7.
     pub move_max_mm: f64,
-    /// Largest distance of the apex from the spout's axis, share of the base's radius, 0.01 to 1. Default 0.15.
+    /// Maximum distance of the apex from the spout's axis, fraction of the base's radius, 0.01
+    /// to 1. Default 0.15.
     pub off_centre_max: f64,
-    /// Largest difference of D as seen and as stated, share, 0.001 to 0.2. Default 0.04.
+    /// Maximum relative difference between D as seen and as stated, 0.001 to 0.2. Default 0.04.
     pub scale_error_max: f64,
 }
 
@@ -121,7 +128,7 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// Checked.
+    /// Returns the limits if they are valid.
     ///
     /// # Errors
     /// A number outside the bounds in its field's description.

@@ -1,4 +1,4 @@
-//! Many frames of a scene at rest become one.
+//! Averages many frames of a scene at rest.
 
 use super::{Limits, Refusal};
 use crate::hardware::camera::{Frame, Intrinsics};
@@ -10,12 +10,12 @@ pub(super) struct Shot<'a> {
     pub lens: Intrinsics,
     /// Direction through each pixel.
     pub directions: Vec<[f64; 2]>,
-    /// Depth, mm; 0 where fewer than half of the frames have one.
+    /// Depth, mm; 0 where fewer than half of the frames have a value.
     pub depth_mm: Vec<f64>,
     /// Standard deviation from frame to frame, mm; 0 where there is no depth.
     pub sd_mm: Vec<f64>,
     pub colour: Vec<[f64; 3]>,
-    /// Pixels near a step in depth, where stereo mixes what is before and behind.
+    /// Pixels near a depth step, where stereo mixes foreground and background.
     pub edge: Vec<bool>,
 }
 
@@ -67,7 +67,7 @@ impl<'a> Shot<'a> {
         at_depth(self.directions[k], self.depth_mm[k])
     }
 
-    /// The same in one frame.
+    /// The same in a single frame.
     pub fn point_in(&self, frame: &Frame, k: usize) -> Option<[f64; 3]> {
         at_depth(self.directions[k], f64::from(frame.depth[k]) * frame.unit_mm())
     }
@@ -77,8 +77,8 @@ fn at_depth([x, y]: [f64; 2], z: f64) -> Option<[f64; 3]> {
     (z > 0.0).then_some([x * z, y * z, z])
 }
 
-/// Mean of the middle half of the depths, which a few wild ones do not move and which divides the steps of depth, and their standard
-/// deviation by the width of that half.
+/// Interquartile mean of the depths, which is robust against outliers and resolves fractions of a
+/// depth step, and their standard deviation from the interquartile range.
 fn mean_depth(frames: &[Frame], k: usize) -> (f64, f64) {
     let mut seen: Vec<u16> = frames.iter().map(|frame| frame.depth[k]).filter(|depth| *depth > 0).collect();
     if 2 * seen.len() < frames.len() || seen.len() < 2 {
@@ -88,7 +88,7 @@ fn mean_depth(frames: &[Frame], k: usize) -> (f64, f64) {
     let middle = &seen[seen.len() / 4..seen.len() - seen.len() / 4];
     let unit = frames[0].unit_mm();
     let mean = middle.iter().map(|depth| f64::from(*depth)).sum::<f64>() / middle.len() as f64;
-    // Half of a normal distribution lies within 0.6745 standard deviations of its middle.
+    // Half of a normal distribution lies within 0.6745 standard deviations of its centre.
     let half_width = f64::from(middle[middle.len() - 1] - middle[0]) / 2.0;
     (mean * unit, half_width / 0.6745 * unit)
 }
@@ -113,7 +113,7 @@ fn mean_colour(frames: &[Frame], k: usize) -> [f64; 3] {
     std::array::from_fn(mean)
 }
 
-/// Median; `NaN` of nothing.
+/// Median; `NaN` for an empty slice.
 pub(super) fn median(values: &mut [f64]) -> f64 {
     if values.is_empty() {
         return f64::NAN;

@@ -1,14 +1,15 @@
 //! The funnel's tip: the lower end of the spout, on its axis.
 //!
-//! Depth says where the spout is, to fractions of a millimetre over its many pixels; but at its edges stereo fails, and two pixels are a degree.
-//! Colour is sharp there: the edge is where the spout's colour turns into what is behind it.
+//! Depth locates the spout to fractions of a millimetre over its many pixels; but stereo fails at
+//! its edges, and two pixels make a degree. Colour is sharp there: the edge is where the spout's
+//! colour changes to that of the background.
 
 use super::bench::View;
 use super::shot::{Shot, median};
 use super::{Limits, Refusal, Rig};
 use crate::hardware::camera::Frame;
 
-/// The tip, in the coordinates of the base.
+/// The tip, in base coordinates.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Tip {
     /// On the spout's axis, mm.
@@ -19,30 +20,31 @@ pub(super) struct Tip {
 
 /// The spout in the image.
 pub(super) struct Spout {
-    /// Axis, mm in the coordinates of the base.
+    /// Axis, mm in base coordinates.
     axis: [f64; 2],
-    /// Columns near the axis, each with its lowest pixel that has the spout's depth.
+    /// Columns near the axis, each with the lowest pixel at the spout's depth.
     columns: Vec<[usize; 2]>,
-    /// Rows, each with its first and last such pixel.
+    /// Rows, each with the first and last such pixel.
     rows: Vec<[usize; 3]>,
 }
 
-/// Range of heights in which the spout is looked for, share of D.
+/// Range of heights in which the spout is searched for, fraction of D.
 const BAND: [f64; 2] = [0.92, 1.25];
-/// Pixels that a spout has at least.
+/// Minimum number of pixels of a spout.
 const PIXELS_MIN: usize = 40;
-/// Width of what is taken for the spout, share of its diameter.
+/// Accepted width of the spout, fraction of its diameter.
 const WIDTH: [f64; 2] = [0.5, 1.25];
-/// Pixels before the last one with depth where the profile of an edge begins, and pixels after it where it ends.
+/// Pixels before the last one with depth where the profile of an edge begins, and pixels after it
+/// where the profile ends.
 const INSIDE: usize = 8;
 const OUTSIDE: usize = 14;
-/// Pixels at either end of a profile that give the colours of spout and background.
+/// Pixels at either end of a profile that define the colours of spout and background.
 const ENDS: usize = 4;
-/// Difference of the two colours that an edge needs, of 255.
+/// Minimum difference of the two colours at an edge, out of 255.
 const CONTRAST_MIN: f64 = 25.0;
-/// Standard uncertainty of the place of an edge beyond its scatter: blur and shading, pixels.
+/// Standard uncertainty of an edge position in addition to its scatter: blur and shading, pixels.
 const EDGE_U_PIXELS: f64 = 0.2;
-/// Neighbouring columns whose edges err together.
+/// Neighbouring columns with correlated edge errors.
 const COLUMNS_TOGETHER: f64 = 3.0;
 
 pub(super) fn find(shot: &Shot, view: &View, rig: &Rig) -> Result<Spout, Refusal> {
@@ -70,7 +72,7 @@ pub(super) fn find(shot: &Shot, view: &View, rig: &Rig) -> Result<Spout, Refusal
     Ok(Spout { axis, columns, rows: ends(&part, shot.width()) })
 }
 
-/// Connected sets of pixels that have a place.
+/// Connected components of the pixels that have a position.
 fn components(places: &[Option<[f64; 3]>], width: usize) -> Vec<Vec<usize>> {
     let mut open: Vec<bool> = places.iter().map(Option::is_some).collect();
     let mut found = Vec::new();
@@ -113,7 +115,7 @@ fn lowest(part: &[usize], width: usize, counts: impl Fn(usize) -> bool) -> Vec<[
     low.into_iter().map(|(column, row)| [column, row]).collect()
 }
 
-/// First and last pixel of the rows in the middle of the part.
+/// First and last pixel of each row in the middle of the part.
 fn ends(part: &[usize], width: usize) -> Vec<[usize; 3]> {
     let mut rows = std::collections::BTreeMap::new();
     for &k in part {
@@ -124,8 +126,8 @@ fn ends(part: &[usize], width: usize) -> Vec<[usize; 3]> {
     rows.into_iter().skip(third).take(third.max(1)).map(|(row, [first, last])| [row, first, last]).collect()
 }
 
-/// How far along a profile its colour changes from that of its beginning to that of its end, pixels from the border of the first one;
-/// `None` without contrast.
+/// Position along a profile where its colour changes from that of its beginning to that of its end,
+/// pixels from the border of the first one; `None` without contrast.
 fn step(profile: &[[f64; 3]]) -> Option<f64> {
     let mean = |part: &[[f64; 3]]| -> [f64; 3] {
         std::array::from_fn(|c| part.iter().map(|colour| colour[c]).sum::<f64>() / part.len() as f64)
@@ -161,7 +163,8 @@ impl Spout {
         let height = median(&mut heights);
         let mut apart: Vec<f64> = heights.iter().map(|h| (h - height).abs()).collect();
         let scatter = 1.4826 * median(&mut apart);
-        // A median of n is surer by sqrt(n) than one, and less than a mean by sqrt(pi / 2).
+        // The median of n values is more certain than a single one by sqrt(n), and less certain
+        // than their mean by sqrt(pi / 2).
         let mean_u = scatter * (1.57 * COLUMNS_TOGETHER / heights.len() as f64).sqrt();
         let u_mm = mean_u.hypot(EDGE_U_PIXELS * median(&mut mm_per_pixel));
         Ok(Tip { at: [self.axis[0], self.axis[1], height], u_mm })
@@ -176,7 +179,8 @@ impl Spout {
         (root > 0.0).then(|| from[2] + by[2] * (-b - root.sqrt()) / a)
     }
 
-    /// Where the spout's edges are in one frame, pixels: its middle and its lower end. `NaN` where there is no contrast.
+    /// Positions of the spout's edges in one frame, pixels: its middle and its lower end. `NaN`
+    /// without contrast.
     pub fn edges(&self, shot: &Shot, frame: &Frame) -> [f64; 2] {
         let colour = |k: usize| frame.colour[k].map(f64::from);
         let mut low: Vec<f64> = self.columns.iter().filter_map(|at| bottom(shot, colour, *at)).collect();
@@ -194,7 +198,7 @@ impl Spout {
     }
 }
 
-/// Row of the lower edge of the spout in a column, in pixels whose centres are whole.
+/// Row of the lower edge of the spout in a column, in pixels whose centres are integers.
 fn bottom(shot: &Shot, colour: impl Fn(usize) -> [f64; 3], [u, row]: [usize; 2]) -> Option<f64> {
     let first = row.checked_sub(INSIDE)?;
     if row + OUTSIDE >= shot.height() {
@@ -204,10 +208,10 @@ fn bottom(shot: &Shot, colour: impl Fn(usize) -> [f64; 3], [u, row]: [usize; 2])
     Some(first as f64 - 0.5 + step(&profile)?)
 }
 
-/// Whether every frame shows the spout and the bench where the others do.
+/// Check that the spout and the bench are at the same place in every frame.
 ///
 /// # Errors
-/// The first frame that does not.
+/// The first frame in which they are not.
 pub(super) fn still(shot: &Shot, spout: &Spout, on_bench: &[usize], limits: &Limits) -> Result<(), Refusal> {
     let edges: Vec<[f64; 2]> = shot.frames.iter().map(|frame| spout.edges(shot, frame)).collect();
     let usual: [f64; 2] = std::array::from_fn(|c| median(&mut edges.iter().map(|edge| edge[c]).collect::<Vec<_>>()));

@@ -11,7 +11,8 @@ fn measured(scene: &Scene, rig: &Rig) -> Result<Measurement, Refusal> {
     measure(&taken, rig, &Limits::default())
 }
 
-/// Without noise and holes what is left is the size of a pixel, blur and the edges that are not trusted.
+/// Without noise and holes the remaining error comes from the pixel size, blur and the untrusted
+/// edges.
 #[test]
 fn an_exact_picture_gives_the_angle() {
     for deg in [25.0, 35.0, 50.0] {
@@ -24,7 +25,8 @@ fn an_exact_picture_gives_the_angle() {
     }
 }
 
-/// Mean, standard deviation and share within two stated uncertainties of errors and their uncertainties.
+/// Mean and standard deviation of the errors, and fraction within two stated uncertainties; input
+/// is errors and their uncertainties.
 fn judged(errors: &[[f64; 2]]) -> [f64; 3] {
     let n = errors.len() as f64;
     let bias = errors.iter().map(|e| e[0]).sum::<f64>() / n;
@@ -32,7 +34,7 @@ fn judged(errors: &[[f64; 2]]) -> [f64; 3] {
     [bias, sd, errors.iter().filter(|e| e[0].abs() <= 2.0 * e[1]).count() as f64 / n]
 }
 
-/// A part of what `examples/repose_camera.rs` prints with many more piles.
+/// A subset of what `examples/repose_camera.rs` prints for many more piles.
 #[test]
 fn drawn_piles_are_measured_within_half_a_degree_and_the_uncertainty_holds_the_errors() {
     let (mut tips, mut cones) = (Vec::new(), Vec::new());
@@ -57,12 +59,13 @@ fn drawn_piles_are_measured_within_half_a_degree_and_the_uncertainty_holds_the_e
     for errors in [tips, cones] {
         let [bias, sd, within] = judged(&errors);
         println!("bias {bias:+.2} deg, SD {sd:.2} deg, within 2 u {within:.2}");
-        // Of twelve piles an SD is known to a fifth of itself, and one hole over an apex may be among them; within 2 u: three may fail.
+        // With twelve piles an SD is known to a fifth, and one hole over an apex may be among them;
+        // within 2 u: three may fail.
         assert!(bias.abs() <= 0.5 && sd <= 0.7 && within >= 0.75, "{bias} {sd} {within}");
     }
 }
 
-/// Each fault of the menu, and how it is refused.
+/// Each fault, and the refusal it causes.
 #[test]
 fn every_fault_of_the_camera_is_refused_by_its_name() {
     type Expected = fn(&Refusal) -> bool;
@@ -120,7 +123,7 @@ fn a_wrong_depth_scale_moves_the_stated_lengths_and_not_those_by_the_tip() {
     assert!((by(Lengths::ByTipHeight) - 35.0).abs() < 1.0);
 }
 
-/// Grains of 0.5 mm on a cone: what is found is the cone through their upper sides.
+/// Grains of 0.5 mm on a cone: the cone through their upper sides is found.
 #[test]
 fn a_heap_of_grains_can_be_photographed() {
     let (slope, grain) = (35.0_f64.to_radians().tan(), 0.5);

@@ -1,7 +1,9 @@
-//! Looking closer: the display wanders, so what counts is its mean while nothing moves, over as long as its wander asks.
+//! Closer readings: the display wanders, so its mean while nothing moves is used, over as long as
+//! the wander requires.
 //!
-//! A dose is watched closely three times: after the tare, where the mean is what all readings count from; before it ends, because whoever stops at the first
-//! number that is high enough stops short; and when all is over.
+//! The display is averaged this way three times per dose: after the tare, where the mean is the
+//! zero of all readings; before the dose ends, because stopping at the first number that is high
+//! enough stops short; and at the end.
 
 use super::guard::{Halt, Limits};
 use super::{ASK_EVERY_S, Event, Halted, Loop, uncertainty};
@@ -10,17 +12,18 @@ use flip_core::domain::bench::{Moment, Reading};
 use flip_core::domain::rest::Rest;
 use std::ops::ControlFlow;
 
-/// The mean of a watch is sure enough at this share of the display's step,
+/// The mean of a watch is certain enough at this fraction of the display step,
 const SURE_STEPS: f64 = 0.25;
 /// or of the band between the tolerances.
 const SURE_BAND: f64 = 0.05;
-/// A tare below this is no vial, mg: what it weighed could have fallen from a spoon.
+/// A tare below this is not a vial, mg: such a mass could have fallen from a spoon.
 const TARE_MG_MIN: f64 = 500.0;
-/// Parts of the display's step that a mean is told in.
+/// Number of parts of a display step to which means are rounded.
 const PARTS: f64 = 100.0;
 
 impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
-    /// Watch the display with nothing moving until its mean is sure enough or the time for it is spent; a stop is heard.
+    /// Watch the display with nothing moving until its mean is certain enough or the time for it is
+    /// up; returns early on a stop.
     pub(super) fn rest(&mut self) -> Result<Rest, Halted> {
         let order = self.order;
         let band_mg = order.tolerance_lower_mg + order.tolerance_upper_mg;
@@ -42,7 +45,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         }
     }
 
-    /// What the tared display shows in the mean: readings count from there.
+    /// Find the mean of the tared display, the zero of all readings.
     pub(super) fn find_zero(&mut self) -> Result<(), Halted> {
         if !self.looks_closer() {
             return Ok(());
@@ -68,7 +71,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         self.settings.rest_s > 0.0
     }
 
-    /// The same reading by the mean of a longer watch; the display itself where it has moved meanwhile.
+    /// Refine a reading by the mean of a longer watch; returns the display itself if it has moved
+    /// meanwhile.
     pub(super) fn look_closer(&mut self) -> Result<Reading, Halted> {
         let rest = self.rest()?;
         let shown = self.bench.read()?;
@@ -78,31 +82,32 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         Ok(Reading { mass_mg: if has_moved { now.mass_mg } else { mean_mg }, ..now })
     }
 
-    /// A reading from the zero that was found.
+    /// A reading relative to the zero that was found.
     pub(super) fn net(&self, shown: Reading) -> Reading {
         Reading { mass_mg: self.net_mg(shown.mass_mg), ..shown }
     }
 
-    /// What is shown less the zero that was found, mg, in hundredths of the display's step.
+    /// Displayed value minus the zero that was found, mg, in hundredths of the display step.
     pub(super) fn net_mg(&self, shown_mg: f64) -> f64 {
         let Some(zero) = self.watched.zero else { return shown_mg };
         let part_mg = self.order.readability_mg / PARTS;
         let parts = ((shown_mg - zero.mean_mg) / part_mg).round();
-        // Rounding in decimal keeps 9.7 from being told as 9.700000000000001.
+        // Rounding in decimal keeps 9.7 from being reported as 9.700000000000001.
         (parts * part_mg * 1e9).round() / 1e9
     }
 
-    /// A reading to whole steps of the display, as the frame of a policy knows them.
+    /// A reading rounded to whole steps of the display, which is all that the frame of a policy
+    /// knows.
     pub(super) fn whole_mg(&self, reading_mg: f64) -> f64 {
         let step_mg = self.order.readability_mg;
         if self.watched.zero.is_some() { (reading_mg / step_mg).round() * step_mg } else { reading_mg }
     }
 
-    /// The display shows the vial again, as after a restart or a lost tare.
+    /// Check that the display does not show the vial again, as after a restart or a lost tare.
     pub(super) fn is_tared(&mut self, before: Reading, now: Reading) -> Result<(), Halted> {
         let tare_mg = self.tare.and_then(|tare| tare.tare_mg).unwrap_or(0.0);
         let rose_mg = now.mass_mg - before.mass_mg;
-        // What is not a number is the guard's to refuse.
+        // Readings that are not numbers are left to the guard.
         let is_lost = tare_mg >= TARE_MG_MIN && rose_mg >= tare_mg / 2.0;
         if !is_lost {
             return Ok(());
@@ -112,7 +117,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     }
 }
 
-/// The display went back to nothing, by more than it wanders: a key was pressed, or the balance began anew.
+/// The display went back to zero, by more than its wander: a key was pressed, or the balance
+/// restarted.
 pub(super) fn is_zeroed(before: Reading, now: Reading, step_mg: f64) -> bool {
     let nothing_mg = step_mg.max(1.0) / 2.0;
     now.mass_mg.abs() <= nothing_mg + 1e-9 && before.mass_mg - now.mass_mg >= 3.0 * nothing_mg - 1e-9

@@ -1,4 +1,4 @@
-//! The way out of a dose: level, retract, read what counts, return the rest.
+//! The end of a dose: level, retract, take the final reading, return the rest.
 
 use super::guard::{Halt, Limits};
 use super::{End, Event, Halted, Loop, Phase, result};
@@ -7,7 +7,7 @@ use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
-    /// Level the spoon and take it away, whatever happened and whoever listens.
+    /// Level the spoon and take it away, whatever happened and even if events cannot be reported.
     pub(super) fn withdraw(&mut self, dosed: End) -> End {
         let told = self.careful(|it| it.tell(&Event::Phase(Phase::Settling)).map(|()| End::Course(None)));
         let ended = if matches!(dosed, End::Aborted(_)) { dosed } else { worse(dosed, told) };
@@ -30,7 +30,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         ended
     }
 
-    /// What the vial holds when all is still.
+    /// Mass in the vial once all is still.
     pub(super) fn read_finally(&mut self, ended: End) -> End {
         if self.settings.stand_s <= 0.0 || self.ticks.is_empty() {
             return ended;
@@ -40,7 +40,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         let looked = self.careful(|it| {
             let mut after = it.bench.stand(it.settings.stand_s)?;
             (it.after, it.watched.last) = (Some(after), Some(after.rest));
-            // A weight that is told must be one that the balance feels.
+            // A reported mass must be one that the balance responds to.
             if ran_its_course && it.unproven().is_some_and(|shakes| shakes > 0) {
                 if !it.shows_life()? {
                     it.must_look = true;
@@ -67,14 +67,15 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         worse(ended, looked)
     }
 
-    /// What is left goes back where the dose ran its course; after anything else a person decides.
+    /// The rest goes back to the container if the dose ran its course; after anything else a person
+    /// decides.
     pub(super) fn discard(&mut self, ended: End) -> End {
         if !matches!(ended, End::Course(_) | End::Blocked(_)) || self.go_on().is_err() {
             return ended;
         }
         let discarded = self.careful(|it| it.bench.discard().map(|()| End::Course(None)).map_err(Halted::from));
         match (ended, discarded) {
-            // The mass is known all the same.
+            // The mass is known nevertheless.
             (End::Course(_), End::Aborted(fault)) => {
                 self.must_look = true;
                 End::Course(Some(format!(
@@ -85,7 +86,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         }
     }
 
-    /// What counts as the mass, mg; none where nothing was read when all stood still.
+    /// The reading that counts as the mass, mg; `None` if there was no reading at rest.
     pub(super) fn reading_mg(&self, ended: &End) -> Option<f64> {
         match ended {
             End::Aborted(_) => None,

@@ -1,11 +1,11 @@
-//! What a weighing tells whoever listens, each before the motion that follows it.
+//! Events of a weighing, each sent before the motion that follows it.
 
 use super::guard::{Allowed, Halt};
 use flip_core::domain::bench::{Action, Tick};
 use flip_core::domain::vial::VialFlaw;
 use serde::Serialize;
 
-/// Where a weighing has come to.
+/// Phase of a weighing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
@@ -13,31 +13,31 @@ pub enum Phase {
     Armed,
     /// Powder is about to fall.
     Dosing,
-    /// No more powder is asked for; the spoon is about to be levelled and taken away.
+    /// Dosing is over; the spoon is about to be levelled and taken away.
     Settling,
 }
 
-/// What the guard made of a proposal.
+/// Decision of the guard on a proposal.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Decision {
-    /// The step that it is about, from 1.
+    /// The step, from 1.
     pub step: u32,
     /// What the policy proposed.
     pub proposed: Action,
-    /// What is about to be carried out; none: nothing any more.
+    /// The action about to be carried out; `None`: nothing more is carried out.
     pub allowed: Option<Action>,
-    /// Why it is not what was proposed, if it is not.
+    /// Why it differs from the proposal, if it does.
     pub reason: Option<String>,
 }
 
-/// What whoever listens hears, each before the motion that follows.
+/// An event, sent before the motion that follows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Event<'a> {
     /// A phase begins.
     Phase(Phase),
-    /// Nothing is poured into what stands on the pan.
+    /// Nothing is poured into the vessel on the pan.
     Pan(&'a VialFlaw),
-    /// The guard decided.
+    /// The guard has decided.
     Decision(&'a Decision),
     /// A step was carried out and its reading is known.
     Tick(&'a Tick),

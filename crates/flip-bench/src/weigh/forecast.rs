@@ -1,7 +1,9 @@
-//! What the next shake may let fall: a forecast from this dose's own shakes, with a chance for the worst.
+//! Forecast of the mass released by the next shake, from the shakes of this dose, including the
+//! probability of the worst case.
 //!
-//! The level x is the logarithm of what a shake gives. It follows pitch and amplitude, wanders, and each shake leaves a little less for the next; what
-//! fell says where it is (a Kalman filter, with Student's t for what chance may still do):
+//! The level x is the logarithm of the mass released by a shake. It depends on pitch and amplitude,
+//! wanders, and drops a little with each shake; it is estimated from the released masses (a Kalman
+//! filter, with Student's t for the remaining randomness):
 //!
 //! ```text
 //! x_1 ~ N(m + k pitch_1 + b ln amplitude_1, s^2)                                       before the first shake
@@ -10,7 +12,8 @@
 //! ln(next + c)   ~ x + sqrt(P + r^2) t_4                                               P: variance of x before the next shake
 //! ```
 //!
-//! As long as nothing has fallen the next shake may free a first piece, which comes with chance h and is larger the harder the shake:
+//! As long as nothing has fallen, the next shake may free a first piece, which comes with
+//! probability h and is larger the harder the shake:
 //!
 //! ```text
 //! P(next > u) = (1 - h) P_level(next > u) + h Phi((f + 0.55 ln amplitude - ln u) / g)
@@ -26,35 +29,36 @@
 //! | h | `first_chance` | 0.12 | a first piece in eight shakes |
 //! | f, g | `first_ln_mg`, `first_sd` | 0.14, 1 | `docs/dispenser.md`, first pieces: medians 1.4 to 4.5 mg, 0.10 to 0.45 above 5 mg |
 //!
-//! Source: Kalman, "A New Approach to Linear Filtering and Prediction Problems", 1960, for the level; the rest as given.
+//! Source: Kalman, "A New Approach to Linear Filtering and Prediction Problems", 1960, for the
+//! level; the rest as given.
 
 use flip_core::domain::bench::Tick;
 use serde::{Deserialize, Serialize};
 
-/// Added to a mass before its logarithm, mg: less is dust.
+/// Added to a mass before taking its logarithm, mg: anything less is dust.
 const DUST_MG: f64 = 0.3;
-/// As long as so little has fallen in all, the first piece is still to come, mg.
+/// While less than this has fallen in total, the first piece is still to come, mg.
 const PIECE_MG: f64 = 0.5;
-/// How much larger the first piece is for a harder shake: exponent of the amplitude.
+/// Exponent of the amplitude in the size of the first piece.
 const FIRST_PER_LN_MM: f64 = 0.55;
 /// SD of the difference of two rounded readings, in steps of the display: the root of a sixth.
 const ROUNDING: f64 = 0.41;
-/// Nothing that a spoon lets go of is larger, mg: where the search for a bound ends.
+/// Upper bound on the mass of a single fall, mg: where the search for a bound ends.
 const MASS_MG_MAX: f64 = 1e4;
 
-/// A shake that was made, and what the balance says of it.
+/// A shake and its result according to the balance.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Fall {
     /// Pitch during the shake, degrees.
     pub pitch_deg: f64,
     /// Its amplitude, mm.
     pub shake_mm: f64,
-    /// What fell, mg; below zero where the readings say so.
+    /// Mass that fell, mg; negative if the readings give that.
     pub mass_mg: f64,
 }
 
 impl Fall {
-    /// The shakes of a dose and what each gave, from what was done and read.
+    /// The shakes of a dose and the result of each, from the actions and readings.
     pub fn of(ticks: &[Tick]) -> Vec<Self> {
         let shakes = ticks.windows(2).filter(|pair| pair[1].action.executed_shake_mm() > 0.0);
         let fall = |pair: &[Tick]| Self {
@@ -66,37 +70,38 @@ impl Fall {
     }
 }
 
-/// What is believed of a powder before its dose begins; the symbols are the module's.
+/// Prior for a powder before its dose begins; the symbols are those of the module.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Forecast {
-    /// A shake is refused if the chance that the dose passes its tolerance by it is larger. Default 0.05: on 1200 doses of a formula's spoons with large
-    /// first pieces, in thirty steps with a tolerance of 1 mg, it is the smallest that costs no accuracy; 0.02 leaves 28 % of them short instead of 9 %,
-    /// and 0.1 prevents hardly an overdose.
+    /// A shake is refused if the probability that it takes the dose past its tolerance is larger.
+    /// Default 0.05: on 1200 doses of a formula's spoons with large first pieces, in thirty steps
+    /// with a tolerance of 1 mg, it is the smallest that costs no accuracy; 0.02 leaves 28 % of
+    /// them short instead of 9 %, and 0.1 prevents hardly any overdose.
     pub risk: f64,
     /// Mean of the level at 0 deg and 1 mm.
     pub level: f64,
     /// Its standard deviation.
     pub level_sd: f64,
-    /// Growth of the level by a degree of pitch.
+    /// Increase of the level per degree of pitch.
     pub per_deg: f64,
-    /// Growth of the level by the logarithm of the amplitude.
+    /// Increase of the level with the logarithm of the amplitude.
     pub per_ln_mm: f64,
-    /// What each shake takes from the level.
+    /// Decrease of the level per shake.
     pub spent: f64,
-    /// SD by which the level wanders from shake to shake.
+    /// SD of the level's change from shake to shake.
     pub wander: f64,
     /// SD of a fall about its level.
     pub scatter: f64,
-    /// Chance that a shake frees the first piece, as long as none has come.
+    /// Probability that a shake frees the first piece, as long as none has come.
     pub first_chance: f64,
-    /// Logarithm of the first piece of a shake of 1 mm, mg.
+    /// Logarithm of the first piece released by a shake of 1 mm, mg.
     pub first_ln_mg: f64,
     /// Its standard deviation.
     pub first_sd: f64,
 }
 
 impl Forecast {
-    /// For a powder of which nothing is known.
+    /// For a powder about which nothing is known.
     pub const GENERIC: Self = Self {
         risk: 0.05,
         level: -2.3,
@@ -111,10 +116,12 @@ impl Forecast {
         first_sd: 1.0,
     };
 
-    /// The same for a powder of which earlier doses are known, each by its shakes in order.
+    /// The prior updated with earlier doses of the powder, each given by its shakes in order.
     ///
-    /// The levels that those doses began at, referred to 0 deg and 1 mm, and the logarithms of their first pieces, are draws about the powder's own; of the
-    /// prior's variance half is taken to be between powders and half between doses of one powder, so that n doses leave the share 1/2 + 1/(2 (n + 1)) of it:
+    /// The initial levels of those doses, referred to 0 deg and 1 mm, and the logarithms of their
+    /// first pieces, are draws around the powder's own values; half of the prior's variance is
+    /// assumed to be between powders and half between doses of one powder, so that n doses leave
+    /// the fraction 1/2 + 1/(2 (n + 1)) of it:
     ///
     /// ```text
     /// mean = (prior + sum of x_i) / (n + 1)          variance = V / 2 + V / (2 (n + 1))
@@ -127,7 +134,7 @@ impl Forecast {
         Self { level, level_sd, first_ln_mg, first_sd, ..*self }
     }
 
-    /// Chance that a shake of this amplitude at this pitch lets more than `room_mg` fall.
+    /// Probability that a shake of this amplitude at this pitch releases more than `room_mg`.
     pub fn chance_above(
         &self,
         falls: &[Fall],
@@ -142,14 +149,14 @@ impl Forecast {
         self.next(falls, readability_mg, pitch_deg, shake_mm).chance_above(room_mg)
     }
 
-    /// The mass that such a shake passes with the chance `risk`, mg.
+    /// The mass that such a shake exceeds with probability `risk`, mg.
     pub fn upper_mg(&self, falls: &[Fall], readability_mg: f64, pitch_deg: f64, shake_mm: f64) -> f64 {
         if shake_mm <= 0.0 {
             return 0.0;
         }
         let next = self.next(falls, readability_mg, pitch_deg, shake_mm);
         let (mut low, mut high) = (0.0f64, MASS_MG_MAX);
-        // Forty halvings of 10 g are below a nanogram.
+        // Forty bisections of 10 g are below a nanogram.
         for _ in 0..40 {
             let middle = (low + high) / 2.0;
             if next.chance_above(middle) > self.risk { low = middle } else { high = middle }
@@ -157,7 +164,7 @@ impl Forecast {
         high
     }
 
-    /// How many times what `reference` gave a shake at this pitch and amplitude should give.
+    /// Expected ratio of the yield of a shake at this pitch and amplitude to that of `reference`.
     pub fn worth(&self, fall: &Fall, reference: &Fall) -> f64 {
         let by_amplitude = self.per_ln_mm * libm::log(fall.shake_mm / reference.shake_mm);
         libm::exp(self.per_deg * (fall.pitch_deg - reference.pitch_deg) + by_amplitude)
@@ -177,7 +184,8 @@ impl Forecast {
     /// Mean and variance of the level of a shake, after these.
     fn filtered(&self, falls: &[Fall], readability_mg: f64, pitch_deg: f64, shake_mm: f64) -> (f64, f64) {
         let place = |pitch_deg: f64, shake_mm: f64| self.per_deg * pitch_deg + self.per_ln_mm * libm::log(shake_mm);
-        // The level less its place: only chance and what is spent move that.
+        // The level with its pitch and amplitude terms removed: only randomness and depletion
+        // change it.
         let (mut at, mut variance) = (self.level, self.level_sd.powi(2));
         for fall in falls.iter().filter(|fall| fall.shake_mm > 0.0 && fall.mass_mg.is_finite()) {
             let mass_mg = fall.mass_mg.max(0.0) + DUST_MG;
@@ -191,20 +199,22 @@ impl Forecast {
         (at + place(pitch_deg, shake_mm), variance)
     }
 
-    /// Where a dose began, at 0 deg and 1 mm: the filter's account of its first shakes up to the first piece.
+    /// Initial level of a dose, at 0 deg and 1 mm: the filter's estimate from its first shakes up
+    /// to the first piece.
     fn first_level(&self, falls: &[Fall], readability_mg: f64) -> Option<f64> {
         let n = 1 + falls.iter().position(|fall| fall.mass_mg >= PIECE_MG)?;
         Some(self.filtered(&falls[..n], readability_mg, 0.0, 1.0).0 + self.spent * n as f64)
     }
 
-    /// Logarithm of a dose's first piece, of a shake of 1 mm.
+    /// Logarithm of a dose's first piece, referred to a shake of 1 mm.
     fn first_piece(&self, falls: &[Fall]) -> Option<f64> {
         let fall = falls.iter().find(|fall| fall.mass_mg >= PIECE_MG && fall.shake_mm > 0.0)?;
         Some(libm::log(fall.mass_mg) - FIRST_PER_LN_MM * libm::log(fall.shake_mm))
     }
 }
 
-/// Mean and standard deviation that are left of a prior, half of whose variance is between powders, after these draws.
+/// Posterior mean and standard deviation after these draws, of a prior with half of its variance
+/// between powders.
 fn pooled(mean: f64, sd: f64, draws: impl Iterator<Item = f64>) -> (f64, f64) {
     let (n, sum) = draws.fold((0.0, mean), |(n, sum), x| (n + 1.0, sum + x));
     (sum / (n + 1.0), sd * (0.5 + 0.5 / (n + 1.0)).sqrt())
@@ -217,7 +227,7 @@ struct Next {
     first: Option<First>,
 }
 
-/// A first piece that may come.
+/// A possible first piece.
 struct First {
     chance: f64,
     ln_mg: f64,
@@ -240,7 +250,7 @@ impl Next {
     }
 }
 
-/// Chance that Student's t of four degrees of freedom is larger.
+/// Upper tail probability of Student's t with four degrees of freedom.
 ///
 /// ```text
 /// 1 - F(t) = 1/2 - 3/4 w (1 - w^2 / 3)          w = t / sqrt(t^2 + 4)
@@ -266,7 +276,8 @@ mod tests {
 
     #[test]
     fn the_tails_are_those_of_the_tables() {
-        // Upper 5 %, 2.5 % and 0.5 % points of t with four degrees of freedom, and 2.5 % of the normal distribution.
+        // Upper 5 %, 2.5 % and 0.5 % points of t with four degrees of freedom, and 2.5 % of the
+        // normal distribution.
         for (t, chance) in [(2.1318, 0.05), (2.7764, 0.025), (4.6041, 0.005), (-2.1318, 0.95)] {
             assert!((above_t4(t) - chance).abs() < 1e-5, "{t}");
         }

@@ -1,7 +1,7 @@
 //! The guard: the policy proposes, the guard disposes.
 //!
-//! Only what [`guard`] returns reaches a device. It is a pure function of what has been read and done, so every rule can
-//! be tested as a table.
+//! Only actions returned by [`guard`] reach a device. It is a pure function of the readings and
+//! actions so far, so every rule can be tested as a table.
 
 use super::forecast::{Fall, Forecast};
 use super::silence::Silence;
@@ -9,16 +9,16 @@ use flip_core::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, PitchLimits, Read
 use flip_core::domain::vial::VialFlaw;
 use serde::Serialize;
 
-/// So near to its upper limit the pitch is at its end, degrees.
+/// The pitch counts as at its end within this distance of its upper limit, degrees.
 const AT_THE_END_DEG: f64 = 0.5;
-/// A shake of this share of the largest amplitude is a full one.
+/// A shake of at least this fraction of the largest amplitude is a full one.
 const FULL: f64 = 0.95;
-/// From one amplitude that is tried to the next: the root of a half.
+/// Factor from one tried amplitude to the next: the square root of a half.
 const GENTLER: f64 = std::f64::consts::FRAC_1_SQRT_2;
-/// From one lower pitch that is tried to the next, degrees.
+/// Step from one tried lower pitch to the next, degrees.
 const LOWER_DEG: f64 = 1.0;
 
-/// What a weighing may do at most.
+/// Limits of a weighing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
     /// Range of the spoon's pitch.
@@ -29,22 +29,26 @@ pub struct Limits {
     pub steps_max: u32,
     /// Bench time before the weighing ends, s.
     pub seconds_max: f64,
-    /// A reading may fall by this much between two steps before the vial counts as moved, mg. Default 3: three steps of
-    /// a 1 mg balance.
+    /// A reading may fall by this much between two steps before the vial counts as moved, mg.
+    /// Default 3: three steps of a 1 mg balance.
     pub fall_mg_max: f64,
-    /// A reading may rise by this much in a step without a shake, mg. Default 3, as above; of simulated spoons no inclining alone let more than 0.5 mg fall.
+    /// A reading may rise by this much in a step without a shake, mg. Default 3, as above; on
+    /// simulated spoons, inclining alone never released more than 0.5 mg.
     pub rise_mg_max: f64,
-    /// So many full shakes in a row at the end of the pitch that give nothing are a blocked spoon. Default 3.
+    /// This many full shakes in a row at the end of the pitch that release nothing mean a blocked
+    /// spoon. Default 3.
     pub blocked_shakes: usize,
-    /// Shakes that should together give so many times what the last one gave that gave something, and give nothing, are a blocked spoon or a balance that
-    /// stands still. Default 8: the gentlest shakes of a dose's end may take five for a step of the display.
+    /// If shakes that together should release this many times the last nonzero yield release
+    /// nothing, the spoon is blocked or the balance is stuck. Default 8: the gentlest shakes at the
+    /// end of a dose may take five for one step of the display.
     pub deaf_shakes: f64,
-    /// Chance that a display stands still, before the dose. Default 0.003: far above what balances do, for what was poured cannot be taken back
-    /// (`docs/reliability.md` has what it costs and prevents). 0: it is believed.
+    /// Prior probability that a display is stuck. Default 0.003: far above that of real balances,
+    /// because poured powder cannot be taken back (cost and benefit in `docs/reliability.md`). 0:
+    /// the display is trusted.
     pub stands_still: f64,
     /// Step of the balance's display, mg.
     pub readability_mg: f64,
-    /// What the next shake may let fall; none: it is not asked.
+    /// Forecast of the next shake; `None`: not used.
     pub forecast: Option<Forecast>,
 }
 
@@ -52,7 +56,7 @@ impl Limits {
     /// Default of `fall_mg_max`.
     pub(super) const FALL_MG_MAX: f64 = 3.0;
 
-    /// The same for an episode, which goes on to its end whatever the spoon does.
+    /// The same for an episode, which runs to its end whatever the spoon does.
     pub fn lenient(self) -> Self {
         Self {
             rise_mg_max: f64::INFINITY,
@@ -81,7 +85,7 @@ impl Limits {
     }
 }
 
-/// What is known before a step.
+/// The situation before a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Situation<'a> {
     /// Target, mg.
@@ -92,49 +96,50 @@ pub struct Situation<'a> {
     pub steps: u32,
     /// Bench time since the tare, s.
     pub seconds: f64,
-    /// When the last motion ended, s of the same clock.
+    /// When the last motion ended, s on the same clock.
     pub moved_s: f64,
-    /// When the reading was complete, s of the same clock.
+    /// When the reading was complete, s on the same clock.
     pub read_s: f64,
-    /// Pitch now, degrees.
+    /// Current pitch, degrees.
     pub pitch_deg: f64,
     /// Reading before the last step.
     pub before: Reading,
     /// Reading now.
     pub now: Reading,
-    /// The last step was a shake. False before the first step.
+    /// Whether the last step was a shake. False before the first step.
     pub shaken: bool,
-    /// Every shake of this dose and what it gave.
+    /// Every shake of this dose and its yield.
     pub falls: &'a [Fall],
-    /// So many of the last ones were made since the display last showed another number; none: displays of this balance stand when all is well, and nobody
-    /// can wait for one to move.
+    /// Number of the latest shakes made since the display last changed; `None`: displays of this
+    /// balance stand still when all is well, and waiting for a change is pointless.
     pub unproven: Option<usize>,
-    /// The display has shown another number since the load cell has felt all that the last shake let fall.
+    /// The display has changed since the load cell has responded to the full yield of the last
+    /// shake.
     pub is_felt: bool,
 }
 
-/// What may be carried out, and what was changed about the proposal.
+/// The allowed action, and how it differs from the proposal.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Allowed {
     /// The action.
     pub action: Action,
-    /// Why it is not what was proposed, if it is not.
+    /// Why it differs from the proposal, if it does.
     pub cut: Option<Cut>,
 }
 
-/// Why an action is not the one that was proposed.
+/// Why an action differs from the proposal.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, thiserror::Error)]
 #[serde(rename_all = "snake_case")]
 pub enum Cut {
-    /// It was beyond the bounds of action or spoon.
+    /// It was outside the bounds of action or spoon.
     #[error("cut to the bounds of the spoon")]
     Bounds,
     /// Too much might have fallen.
     #[error("made gentler: as proposed {upper_mg:.1} mg might fall, and there is room for {room_mg:.1} mg")]
     Gentler {
-        /// Forecast of the proposal, mg.
+        /// Forecast for the proposal, mg.
         upper_mg: f64,
-        /// Up to the target and its tolerance, mg.
+        /// Room up to the target plus its tolerance, mg.
         room_mg: f64,
     },
 }
@@ -143,58 +148,60 @@ pub enum Cut {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, thiserror::Error)]
 #[serde(rename_all = "snake_case")]
 pub enum Halt {
-    /// What stands on the pan is not the vial that somebody said it is.
+    /// The object on the pan is not the vial that was declared.
     #[error("{0}")]
     Vial(VialFlaw),
     /// The balance shows the target or more: nothing may be added.
     #[error("the balance shows the target")]
     TargetReached,
-    /// Arm and policy have no range in common in which powder could be dosed.
+    /// The ranges of arm and policy have no overlap in which powder could be dosed.
     #[error(
         "the arm tilts its spoon from {arm_lower_deg} to {arm_upper_deg} deg and shakes it by up to {shake_mm_max} mm, the policy doses from {lower_deg} to \
          {upper_deg} deg: no dose is possible with both, take another policy or widen the limits that the arm's driver describes"
     )]
     OutOfReach {
-        /// Of the arm, degrees.
+        /// Lower pitch limit of the arm, degrees.
         arm_lower_deg: f64,
-        /// Of the arm, degrees.
+        /// Upper pitch limit of the arm, degrees.
         arm_upper_deg: f64,
-        /// Of the arm, mm.
+        /// Largest amplitude of the arm, mm.
         shake_mm_max: f64,
-        /// Of the policy, degrees.
+        /// Lower pitch limit of the policy, degrees.
         lower_deg: f64,
-        /// Of the policy, degrees.
+        /// Upper pitch limit of the policy, degrees.
         upper_deg: f64,
     },
-    /// Every step is spent.
+    /// Every step is used up.
     #[error("every step is spent")]
     StepsSpent,
-    /// The time is spent.
+    /// The time is up.
     #[error("the time is spent")]
     TimeSpent,
-    /// Even the gentlest shake might let too much fall.
+    /// Even the gentlest shake might release too much.
     #[error("even the gentlest shake might let {upper_mg:.1} mg fall, and there is room for {room_mg:.1} mg")]
     NoRoom {
-        /// Forecast of the gentlest shake, mg.
+        /// Forecast for the gentlest shake, mg.
         upper_mg: f64,
-        /// Up to the target and its tolerance, mg.
+        /// Room up to the target plus its tolerance, mg.
         room_mg: f64,
     },
-    /// Full shakes at the end of the pitch give nothing.
+    /// Full shakes at the end of the pitch release nothing.
     #[error("the last {shakes} full shakes at the end of the pitch gave nothing: the spoon is empty or blocked")]
     Blocked {
-        /// How many.
+        /// Number of shakes.
         shakes: usize,
     },
-    /// What gave something gives nothing any more, or the display should have moved by now and what it may hide leaves no room.
+    /// A spoon that released powder before no longer does, or the display should have changed by
+    /// now and the mass it may hide leaves no room.
     #[error(
         "{shakes} shakes that should have given something gave nothing: the spoon is empty or blocked, or the balance stands still"
     )]
     Deaf {
-        /// How many.
+        /// Number of shakes.
         shakes: usize,
     },
-    /// The display has shown one number through a shake and since: before it shows another no shake may follow, for it may stand still.
+    /// The display has been constant through a shake and since: no shake may follow until it
+    /// changes, as it may be stuck.
     #[error(
         "the balance has shown the same number through the last shake and since, so nothing says that it still weighs: look at it, and at what is in the vial; \
          where the display of a sound balance stands for minutes, write life_s = 0 under [readings] in the bench file"
@@ -212,29 +219,29 @@ pub enum Halt {
     /// The reading fell.
     #[error("the reading fell by {fell_mg} mg: the vial was moved or lifted")]
     VialMoved {
-        /// By how much, mg.
+        /// Size of the fall, mg.
         fell_mg: f64,
     },
-    /// The display shows the vial again.
+    /// The display shows the vial's mass again.
     #[error(
         "the balance shows {rose_mg} mg more, as if the vial had not been tared: it restarted or lost its tare; weigh the vial"
     )]
     TareLost {
-        /// By how much it rose, mg.
+        /// Size of the rise, mg.
         rose_mg: f64,
     },
-    /// The display went back to nothing.
+    /// The display went back to zero.
     #[error(
         "the reading fell by {fell_mg} mg to nothing: the balance restarted, or somebody pressed its tare key; weigh the vial"
     )]
     Zeroed {
-        /// By how much, mg.
+        /// Size of the fall, mg.
         fell_mg: f64,
     },
-    /// The reading rose and nothing was shaken.
+    /// The reading rose without a shake.
     #[error("the reading rose by {rose_mg} mg without a shake: a draught, a leaking spoon or a hand on the balance")]
     Rose {
-        /// By how much, mg.
+        /// Size of the rise, mg.
         rose_mg: f64,
     },
     /// The proposal is not a number.
@@ -243,27 +250,33 @@ pub enum Halt {
 }
 
 impl Halt {
-    /// The weighing has run its course; nothing is wrong, and the reading says how it went.
+    /// Whether the weighing has run its course: nothing is wrong, and the reading decides the
+    /// outcome.
     pub fn is_expected(&self) -> bool {
         matches!(self, Self::TargetReached | Self::StepsSpent | Self::TimeSpent | Self::NoRoom { .. })
     }
 
-    /// It says what the spoon would do or does not do: no matter to a dose that is done.
+    /// Whether the halt is about the spoon's behaviour, which does not matter for a dose that is
+    /// complete.
     pub(super) fn is_of_the_spoon(&self) -> bool {
         matches!(self, Self::NoRoom { .. } | Self::Blocked { .. } | Self::Deaf { .. } | Self::Unproven)
     }
 }
 
-/// The action that may be carried out: the proposal within its bounds and the spoon's, and so gentle that the dose stays within its tolerance but for a
-/// small chance.
+/// Decide which action may be carried out: the proposal, clamped to its bounds and the spoon's, and
+/// gentle enough that the dose exceeds its tolerance only with a small probability.
 ///
-/// What might let too much fall is first made gentler, then, if even the smallest shake is too much there, made at a lower pitch. The change of the pitch is
-/// bounded for each step and each step waits for a fresh reading, which bounds its rate.
+/// A proposal that might release too much is first made gentler, then, if even the smallest shake
+/// is too much at that pitch, moved to a lower pitch. The pitch change per step is bounded and each
+/// step waits for a fresh reading, which bounds its rate.
 ///
 /// # Errors
-/// [`Halt`] when nothing may be carried out; the first rule that applies: unusable reading, moved vial, mass without a shake, target reached, steps or time
-/// spent, blocked, unusable proposal, no room, and [`Halt::Unproven`] where a sign of life from the display is wanted first. Where none can be waited for and the
-/// display rather stands still, [`Halt::Deaf`] in place of spent steps, and where there was room but for what it may hide in place of no room.
+/// [`Halt`] when nothing may be carried out. The first rule that applies, in this order: unusable
+/// reading, moved vial, mass without a shake, target reached, steps or time used up, blocked,
+/// unusable proposal, no room, and [`Halt::Unproven`] if the display must first prove that it is
+/// alive. Where waiting for that is pointless and the display is more likely stuck than not,
+/// [`Halt::Deaf`] replaces used-up steps; it also replaces no room where there would be room but
+/// for the mass that the display may hide.
 pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<Allowed, Halt> {
     is_usable(limits, seen)?;
     if seen.now.mass_mg >= seen.target_mg {
@@ -297,10 +310,10 @@ pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<
     if is_in_doubt(limits, seen, allowed.action) { Err(Halt::Unproven) } else { Ok(allowed) }
 }
 
-/// The display may stand still, and this shake would be one that nothing it shows speaks for.
+/// The display may be stuck, and nothing it shows would support this shake.
 ///
-/// Either the last shake changed nothing on it, or it moved as a load cell does while it comes to rest, and stood still before it had: as much again may then
-/// have fallen as it shows.
+/// Either the display did not change at the last shake, or it moved as a load cell does while
+/// settling, and stopped before it had settled: as much again may then have fallen as it shows.
 fn is_in_doubt(limits: &Limits, seen: &Situation<'_>, action: Action) -> bool {
     let (pitch_deg, shake_mm) = (seen.pitch_deg + action.incline_change_deg, action.executed_shake_mm());
     let Some(unproven) = seen.unproven.filter(|_| shake_mm > 0.0) else { return false };
@@ -311,7 +324,7 @@ fn is_in_doubt(limits: &Limits, seen: &Situation<'_>, action: Action) -> bool {
     unproven > 0 || (!seen.is_felt && limits.forecast.is_some_and(|forecast| chance(&forecast) > forecast.risk))
 }
 
-/// Whether the reading may be built on.
+/// Check that the reading can be relied on.
 fn is_usable(limits: &Limits, seen: &Situation<'_>) -> Result<(), Halt> {
     let numbers = [seen.now.mass_mg, seen.pitch_deg, seen.target_mg, seen.seconds, seen.moved_s, seen.read_s];
     if numbers.iter().any(|number| !number.is_finite()) {
@@ -343,7 +356,8 @@ fn is_blocked(limits: &Limits, falls: &[Fall]) -> bool {
     limits.blocked_shakes > 0 && falls[first..].iter().all(gave_nothing)
 }
 
-/// How many shakes gave nothing since something last fell, if those at no lower a pitch and no smaller an amplitude were together worth many of that one.
+/// How many shakes released nothing since the last fall, if those at no lower pitch and no smaller
+/// amplitude were together worth many times that one.
 fn deaf(limits: &Limits, falls: &[Fall]) -> Option<usize> {
     let gave = |fall: &Fall| fall.mass_mg > limits.readability_mg - 1e-9;
     let last = falls.iter().rposition(gave)?;
@@ -361,7 +375,8 @@ fn bounded(limits: &Limits, pitch_deg: f64, proposed: Action) -> Action {
     Action { incline_change_deg: pitch - pitch_deg, shake_mm: proposed.shake_mm.clamp(0.0, limits.shake_mm_max) }
 }
 
-/// The first of these whose forecast leaves room: the action, gentler ones at its pitch, the gentlest ones at lower pitches.
+/// The first candidate whose forecast leaves room: the action itself, gentler ones at its pitch,
+/// the gentlest ones at lower pitches.
 fn gentle(
     limits: &Limits,
     forecast: &Forecast,

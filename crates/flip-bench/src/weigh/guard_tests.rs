@@ -106,7 +106,7 @@ fn a_spoon_is_blocked_when_full_shakes_at_the_end_of_the_pitch_give_nothing() {
 
 #[test]
 fn what_might_let_too_much_fall_is_made_gentler_then_lower_then_ends_the_dose() {
-    // The room is 10 mg; spoons that gave little, much, and ever more at 30 deg.
+    // The room is 10 mg; spoons that released little, much, and ever more at 30 deg.
     let calm = [fall(28.0, 2.0, 1.0), fall(30.0, 2.0, 1.0), fall(30.0, 2.0, 1.0)];
     let proposed = action(2.0, 2.0);
     assert_eq!(guard(&careful(), &seen(&calm), proposed), Ok(Allowed { action: proposed, cut: None }));
@@ -132,7 +132,7 @@ fn shakes_that_should_give_and_do_not_end_a_dose_after_something_has_fallen() {
         (silent(12, 20.0, 4.0), false),
         ([vec![fall(20.0, 4.0, 2.0)], silent(7, 20.0, 4.0)].concat(), false),
         ([vec![fall(20.0, 4.0, 2.0)], silent(8, 20.0, 4.0)].concat(), true),
-        // Gentler ones, or at a lower pitch, may well give nothing.
+        // Gentler ones, or ones at a lower pitch, may well release nothing.
         ([vec![fall(20.0, 4.0, 2.0)], silent(12, 20.0, 2.0)].concat(), false),
         ([vec![fall(20.0, 4.0, 2.0)], silent(12, 16.0, 4.0)].concat(), false),
         ([vec![fall(20.0, 4.0, 2.0)], silent(8, 20.0, 4.0), vec![fall(24.0, 4.0, 1.0)]].concat(), false),
@@ -146,7 +146,7 @@ fn shakes_that_should_give_and_do_not_end_a_dose_after_something_has_fallen() {
 #[test]
 fn harder_shakes_that_give_nothing_count_for_more() {
     let falls = |n: usize, shake_mm: f64| [vec![fall(20.0, 2.0, 2.0)], vec![fall(20.0, shake_mm, 0.0); n]].concat();
-    // By the power of 0.75 a shake four times as large is worth 2.8.
+    // With an exponent of 0.75, a shake four times as large is worth 2.8.
     for (n, shake_mm, expected) in [(7, 2.0, false), (8, 2.0, true), (2, 8.0, false), (3, 8.0, true)] {
         assert_eq!(deaf(&careful(), &falls(n, shake_mm)).is_some(), expected, "{n} of {shake_mm} mm");
     }
@@ -164,7 +164,7 @@ fn what_a_standing_display_may_hide_is_no_room_for_more_and_its_dose_does_not_en
     };
     let as_proposed = Ok(Allowed { action: action(1.0, 4.0), cut: None });
     assert_eq!(at(&doubting, &silent(0), 3), as_proposed);
-    // One shake of 2 mg, unseen, and another fit into 10 mg.
+    // One unseen shake of 2 mg, plus another, fit into 10 mg.
     assert_eq!(at(&doubting, &silent(1), 4), as_proposed);
     let ends = (1..12).find(|n| at(&doubting, &silent(*n), 4).is_err()).expect("it does not go on for ever");
     assert!((3..8).contains(&ends), "{ends} shakes of 2 mg and more");

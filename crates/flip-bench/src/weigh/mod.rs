@@ -1,4 +1,5 @@
-//! The closed loop: read, observe, propose, guard, act, record. It cannot tell a digital bench from a real one.
+//! The closed loop: read, observe, propose, guard, act, record. It cannot tell a simulated bench
+//! from a real one.
 //!
 //! ```text
 //!  [ARMED]  stand, approach, tare, rest    drift before, spoon filled and level over the vial, zero: the mean of the tared display
@@ -12,9 +13,10 @@
 //!     +--> discard                         where the dose ran its course
 //! ```
 //!
-//! Every way out levels the spoon and takes it away, a panic of the controller or of whoever listens included. A spoon that cannot be levelled is not
-//! taken away: it would pour on its way. Whoever listens hears of each phase and each decision before the motion that follows, and may forbid it: what cannot
-//! be recorded must not move.
+//! Every exit levels the spoon and takes it away, including a panic of the controller or of the
+//! event listener. A spoon that cannot be levelled is not taken away: it would pour on its way. The
+//! listener gets each phase and each decision before the motion that follows, and may forbid it:
+//! nothing moves unless it can be recorded.
 
 mod closer;
 mod ending;
@@ -40,7 +42,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use uncertainty::Watched;
 
-/// What to weigh.
+/// A weighing order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Order {
     /// Target, mg.
@@ -53,32 +55,35 @@ pub struct Order {
     pub readability_mg: f64,
 }
 
-/// How to weigh.
+/// Settings of the weighing loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// For how long the balance is watched before the first motion and for the final reading, s; 0: not at all, the last reading of the dose counts.
+    /// How long the balance is watched before the first motion and for the final reading, s; 0: not
+    /// at all, the last reading of the dose counts.
     pub stand_s: f64,
-    /// For how long at least the display is watched where its mean counts (after the tare, before the dose ends, when all is over), s; 0: not at all, the
-    /// tare is the zero and one reading the result.
+    /// Minimum time over which the display is averaged (after the tare, before the dose ends, at
+    /// the end), s; 0: not at all, the tare is the zero and a single reading the result.
     pub rest_s: f64,
-    /// And at most, while its wander leaves the mean unsure, s.
+    /// Maximum time of the same, while its wander leaves the mean uncertain, s.
     pub rest_max_s: f64,
     /// Longest time from the tare to the last motion, s.
     pub seconds_max: f64,
-    /// How long the display is watched for another number before a shake follows one that it was silent through, s; 0: not at all.
+    /// How long to wait for the display to change before the next shake, if it did not change at
+    /// the last one, s; 0: no wait.
     pub life_s: f64,
-    /// A spoon that gives nothing, and mass that comes without a shake, end the weighing.
+    /// A spoon that releases nothing, and mass that appears without a shake, end the weighing.
     pub strict: bool,
-    /// What is believed of the powder; none: the guard does not ask for what may fall.
+    /// Prior for the powder; `None`: the guard uses no forecast.
     pub forecast: Option<Forecast>,
-    /// What is known of the balance.
+    /// Known accuracy of the balance.
     pub accuracy: Accuracy,
-    /// What the display must show before anything moves, where the balance is watched then.
+    /// What the display must show before anything moves, if the balance is watched then.
     pub pan: PanCheck,
 }
 
 impl Settings {
-    /// On a bench: watched for three seconds, ten to twenty where the mean counts, ten minutes at most, a display that moves within a minute, a powder of which nothing is known.
+    /// On a bench: watched for three seconds, averaged over ten to twenty, ten minutes at most, a
+    /// display that changes within a minute, a powder about which nothing is known.
     pub const BENCH: Self = Self {
         stand_s: 3.0,
         rest_s: 10.0,
@@ -90,7 +95,7 @@ impl Settings {
         accuracy: Accuracy { repeatability_mg: None, class_pct: 0.1 },
         pan: PanCheck::NONE,
     };
-    /// As an episode of a training goes: nothing is watched, and nothing is forecast.
+    /// As in a training episode: no watching, no forecast.
     pub const EPISODE: Self = Self {
         stand_s: 0.0,
         rest_s: 0.0,
@@ -102,11 +107,12 @@ impl Settings {
     };
 }
 
-/// From a shake until a load cell has felt what fell but for a fortieth, s: 0.05 s of falling and 3.5 time constants of 0.16 s.
+/// Time from a shake until a load cell has responded to all but a fortieth of the fallen mass, s:
+/// 0.05 s of falling and 3.5 time constants of 0.16 s.
 const FELT_S: f64 = 0.6;
-/// For so long at most nobody asks whether to stop, s.
+/// How often the stop flag is polled while waiting, s.
 const ASK_EVERY_S: f64 = 1.0;
-/// From watching the balance to taring it a vial may change by this much, mg.
+/// Maximum change of a vial's mass between watching the balance and taring it, mg.
 const VIAL_MG_MAX: f64 = 30.0;
 
 /// Why dosing ended.
@@ -131,7 +137,7 @@ impl End {
     }
 }
 
-/// Why the next thing is not done.
+/// Why the next operation is not carried out.
 enum Halted {
     Stopped,
     Unrecorded,
@@ -145,7 +151,7 @@ impl From<DeviceError> for Halted {
     }
 }
 
-/// A weighing under way.
+/// A weighing in progress.
 struct Loop<'a, B, F> {
     bench: &'a mut B,
     order: &'a Order,
@@ -162,11 +168,13 @@ struct Loop<'a, B, F> {
     must_look: bool,
 }
 
-/// Weigh `order` on `bench` with `controller`, within the frame it was made for and what the arm can do; where these have nothing in common nothing moves.
+/// Weigh `order` on `bench` with `controller`, within the frame it was made for and the range of
+/// the arm; if these do not overlap, nothing moves.
 ///
-/// `on_event` hears of every phase, decision and tick before the motion that follows it; where it breaks, the spoon is levelled and taken away and
-/// nothing else moves. `stop` is looked at before every motion. The spoon is level and away when this returns, unless
-/// [`Weighed::must_look`] says otherwise. What to do about an overdose is the caller's to decide.
+/// `on_event` is called with every phase, decision and tick before the motion that follows it; if
+/// it fails, the spoon is levelled and taken away and nothing else moves. `stop` is checked before
+/// every motion. The spoon is level and away when this returns, unless [`Weighed::must_look`] is
+/// set. How to handle an overdose is up to the caller.
 pub fn weigh(
     bench: &mut impl Bench,
     controller: &Controller,
@@ -197,7 +205,7 @@ pub fn weigh(
             let dosed = weighing.careful(|it| it.begin().and_then(|()| it.dose(controller, rules, &reach)));
             weighing.withdraw(dosed)
         }
-        // Nothing has moved, and nothing has to.
+        // Nothing has moved, and nothing needs to.
         None => End::of(out_of_reach(&reach, rules)),
     };
     let ended = weighing.read_finally(ended);
@@ -208,7 +216,7 @@ pub fn weigh(
     let judge = |cause| (reading_mg.map_or(Outcome::Aborted, |mg| result::judge(order, mg, shakes)), cause);
     let (outcome, cause) = match ended {
         End::Course(cause) => judge(cause),
-        // What is within its tolerance is what was asked for, however the spoon is.
+        // A dose within its tolerance is as ordered, whatever state the spoon is in.
         End::Blocked(cause) => match judge(Some(cause)) {
             (Outcome::Under, cause) => (Outcome::Blocked, cause),
             judged => judged,
@@ -228,7 +236,8 @@ pub fn weigh(
 }
 
 impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
-    /// What `work` comes to, whatever happens in it: a controller that panics must not leave the spoon tilted.
+    /// The result of `work`, whatever happens in it: a controller that panics must not leave the
+    /// spoon tilted.
     fn careful(&mut self, work: impl FnOnce(&mut Self) -> Result<End, Halted>) -> End {
         match catch_unwind(AssertUnwindSafe(|| work(self))) {
             Ok(Ok(end)) => end,
@@ -237,7 +246,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             Ok(Err(Halted::Unrecorded)) => {
                 End::Aborted("the record could not be written, so nothing may move".to_owned())
             }
-            // A stop ends the motion under way, which the arm tells as an error: nothing is wrong with it.
+            // A stop ends the current motion, which the arm reports as an error: nothing is wrong
+            // with it.
             Ok(Err(Halted::Device(_))) if self.stop.load(Ordering::SeqCst) => End::Stopped,
             Ok(Err(Halted::Device(fault))) => {
                 self.must_look = true;
@@ -247,7 +257,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         }
     }
 
-    /// Tell whoever listens; nothing may move where that fails. Whoever listens does not wait for his record once somebody has asked for a stop.
+    /// Send an event; nothing may move if that fails. Once a stop is requested, the listener no
+    /// longer waits for its record.
     fn tell(&mut self, event: &Event<'_>) -> Result<(), Halted> {
         match (self.on_event)(event) {
             ControlFlow::Continue(()) => Ok(()),
@@ -255,7 +266,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         }
     }
 
-    /// Nothing asks for a stop.
+    /// Check that no stop is requested.
     fn go_on(&self) -> Result<(), Halted> {
         if self.stop.load(Ordering::SeqCst) { Err(Halted::Stopped) } else { Ok(()) }
     }
@@ -278,7 +289,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         self.go_on()?;
         let tare = self.bench.tare()?;
         self.tare = Some(tare);
-        // Nothing has moved near the balance since it was watched: another load now is another vial, or none.
+        // Nothing has moved near the balance since it was watched: another load now is another
+        // vial, or none.
         let watched_mg = before.map(|rest| rest.last_mg);
         self.watched.before = before.map(|rest| (rest, tare.tare_mg));
         match watched_mg.zip(tare.tare_mg).map(|(watched_mg, tare_mg)| watched_mg - tare_mg) {
@@ -289,7 +301,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
 
     /// The steps from the tare until something ends them.
     fn dose(&mut self, controller: &Controller, rules: &Rules, reach: &Reach) -> Result<End, Halted> {
-        // The narrower of what the policy was made for and what the arm can do.
+        // The narrower of the policy's frame and the arm's range.
         let rules = &Rules { pitch: reach.pitch, ..*rules };
         let tared_s = self.bench.elapsed_s();
         let readability_mg = self.order.readability_mg;
@@ -301,7 +313,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         let (first, mut moved_s, mut shaken) = (self.bench.read()?, tared_s, false);
         self.record(0, tared_s, Action::default(), first)?;
         let mut now = self.net(first);
-        // The tare stands for the reading before the first: a vial that was lifted since shows at once.
+        // The tare stands in for the reading before the first: a vial lifted since then shows at
+        // once.
         let mut before = Reading { mass_mg: 0.0, stable: true };
         self.is_tared(before, now)?;
         let mut dosing = controller.begin(rules, readability_mg);
@@ -347,7 +360,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
                 return Ok(End::Course(None));
             }
             if matches!(allowed, Err(Halt::Unproven)) && self.shows_life()? {
-                // What the display shows now is true, and no shake is in doubt any more.
+                // The display is now known to be alive, and no shake is in doubt any more.
                 let shown = self.bench.read()?;
                 let shown = self.net(shown);
                 // The step since the last shake may have been an incline.
@@ -367,7 +380,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
                     return Ok(End::of(halt));
                 }
             };
-            // Telling may have taken its time.
+            // Sending the event may have taken time.
             self.go_on()?;
             self.bench.act(action)?;
             moved_s = self.bench.elapsed_s();
@@ -386,32 +399,34 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         Ok(End::of(Halt::StepsSpent))
     }
 
-    /// What the controller sees of this reading.
+    /// The controller's observation for this reading.
     fn seen(&self, now: Reading) -> Observation {
         let (target_mg, pitch_deg) = (self.order.target_mg, self.bench.pitch_deg());
         Observation { reading_mg: now.mass_mg, target_mg, pitch_deg }
     }
 
-    /// This reading would end the dose on target. The frame of a policy knows whole steps of a display.
+    /// Whether this reading would end the dose on target. The frame of a policy knows only whole
+    /// steps of a display.
     fn would_end(&self, rules: &Rules, steps: u32, now: Reading) -> bool {
         let whole = Observation { reading_mg: self.whole_mg(now.mass_mg), ..self.seen(now) };
         rules.after(steps, &whole, self.order.readability_mg) == Episode::Terminated
     }
 
-    /// Shakes since the display last showed another number; none where nobody waits for one.
+    /// Shakes since the display last changed; `None` if changes are not waited for.
     fn unproven(&self) -> Option<usize> {
         let lived_s = self.bench.lived_s();
         let since = self.shaken_s.iter().rev().take_while(|shaken_s| **shaken_s >= lived_s).count();
         (self.settings.life_s > 0.0).then_some(since)
     }
 
-    /// The display lived when the load cell had felt all that the last shake let fall.
+    /// Whether the display has changed since the load cell responded to the full yield of the last
+    /// shake.
     fn is_felt(&self) -> bool {
         let lived_s = self.bench.lived_s();
         self.settings.life_s <= 0.0 || self.shaken_s.last().is_none_or(|shaken_s| shaken_s + FELT_S <= lived_s)
     }
 
-    /// Wait with nothing moving until the display shows another number; `false`: it does not.
+    /// Wait with nothing moving until the display changes; returns whether it did.
     fn shows_life(&mut self) -> Result<bool, Halted> {
         let until_s = self.bench.elapsed_s() + self.settings.life_s;
         loop {

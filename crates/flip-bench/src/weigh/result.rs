@@ -1,4 +1,4 @@
-//! What a weighing leaves behind: a result that a chemist can use, and how sure it is.
+//! The outcome of a weighing: a result that a chemist can use, and its uncertainty.
 
 use super::Order;
 use super::uncertainty::{self, Watched};
@@ -8,17 +8,19 @@ use flip_core::domain::bench::{Standing, Tick};
 use flip_core::domain::bench_check;
 use flip_core::domain::weighing::Outcome;
 
-/// USP <41>: twice the repeatability may be this share of the smallest net weight.
+/// USP <41>: maximum ratio of twice the repeatability to the smallest net weight.
 const USP_SHARE: f64 = 0.001;
-/// Part of the display's step below which a reading shows nothing: it is rounded to none.
+/// Fraction of the display step below which a reading shows nothing: it is rounded to zero.
 const NOTHING: f64 = 0.5;
 
-/// What is known of the balance beside its readings.
+/// Known accuracy of the balance, in addition to its readings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Accuracy {
-    /// Standard deviation of ten weighings of one weight, from the bench's last check, mg; none: never checked.
+    /// Standard deviation of ten weighings of one weight, from the bench's last check, mg; `None`:
+    /// never checked.
     pub repeatability_mg: Option<f64>,
-    /// Largest share of the net weight that twice the repeatability may be, %: the user's class. Default 0.1, as in USP <41>.
+    /// Maximum ratio of twice the repeatability to the net weight, %: the user's class. Default
+    /// 0.1, as in USP <41>.
     pub class_pct: f64,
 }
 
@@ -28,59 +30,65 @@ impl Default for Accuracy {
     }
 }
 
-/// How a weighing went.
+/// Result of a weighing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Weighed {
     /// Within, under or over by the final reading; or why it ended early.
     pub outcome: Outcome,
-    /// Why it ended as it did, where that needs words.
+    /// Why it ended as it did, if that needs an explanation.
     pub cause: Option<String>,
-    /// Asked for, mg.
+    /// Target, mg.
     pub target_mg: f64,
     /// Accepted shortfall, mg.
     pub tolerance_lower_mg: f64,
     /// Accepted excess, mg.
     pub tolerance_upper_mg: f64,
-    /// What the vial weighed when it was tared, mg; none where the balance does not say.
+    /// Mass of the vial at the tare, mg; `None` if the balance does not report it.
     pub tare_mg: Option<f64>,
-    /// Vial and powder, mg; none without a tare.
+    /// Vial and powder, mg; `None` without a tare.
     pub gross_mg: Option<f64>,
-    /// What the display showed in the mean after the tare, mg: readings count from there; none where nobody watched.
+    /// Mean display after the tare, mg, the zero of all readings; `None` if it was not watched.
     pub zero_mg: Option<f64>,
-    /// Final reading, mg; none where the dose was aborted or nothing was read when all stood still.
+    /// Final reading, mg; `None` if the dose was aborted or there was no reading at rest.
     pub reading_mg: Option<f64>,
-    /// Expanded uncertainty of it, k = 2, mg.
+    /// Its expanded uncertainty, k = 2, mg.
     pub uncertainty_mg: f64,
-    /// What the outcome says of the tolerance holds over all of the reading and its uncertainty; none where there is no such outcome.
+    /// Whether the outcome holds over the whole uncertainty interval of the reading; `None` for
+    /// outcomes to which this does not apply.
     pub proven: Option<bool>,
-    /// The net weight is smaller than the balance may weigh by USP <41>, 0.10 %.
+    /// The net weight is below the minimum weight of the balance by USP <41>, 0.10 %.
     pub below_minimum_weight: bool,
-    /// The net weight is smaller than the balance may weigh in the user's class.
+    /// The net weight is below the minimum weight of the balance in the user's class.
     pub below_class_minimum_weight: bool,
-    /// The balance's own flag at the final reading; none without one.
+    /// The balance's own stable flag at the final reading; `None` without one.
     pub stable_by_flag: Option<bool>,
-    /// Our own window at the final reading; none without one.
+    /// Our own stability window at the final reading; `None` without one.
     pub stable_by_window: Option<bool>,
-    /// Drift before anything moved, mg/min: 0 where the readings prove none; none where nobody watched.
+    /// Drift before anything moved, mg/min: 0 where the readings prove none; `None` if it was not
+    /// watched.
     pub drift_before_mg_min: Option<f64>,
-    /// Drift after the spoon was away, mg/min; none where nobody watched.
+    /// Drift after the spoon was away, mg/min; `None` if it was not watched.
     pub drift_after_mg_min: Option<f64>,
-    /// Final reading less the last one while dosing, mg: powder that was in flight, or fell while the spoon was levelled.
+    /// Final reading minus the last one while dosing, mg: powder that was in flight, or fell while
+    /// the spoon was levelled.
     pub in_flight_mg: Option<f64>,
     /// Steps with a shake.
     pub shakes: u32,
     /// Bench time from the beginning to the final reading, s.
     pub seconds: f64,
-    /// A person must look before the bench moves again: the spoon may not be level and away, or a device failed.
+    /// A person must check the bench before it moves again: the spoon may not be level and away, or
+    /// a device failed.
     pub must_look: bool,
     /// The reading after the tare, then one tick for each step.
     pub ticks: Vec<Tick>,
 }
 
-/// By the reading, as a chemist would: the true mass is not to be had on a bench. What shows nothing is never what was asked for.
+/// Judge by the reading, as a chemist would: the true mass is not available on a bench. A dose too
+/// small to show on the display is never within tolerance.
 pub(super) fn judge(order: &Order, reading_mg: f64, shakes: usize) -> Outcome {
     let is_nothing = shakes == 0 || reading_mg < NOTHING * order.readability_mg;
-    // Readings are parts of the readability: a billionth keeps 15.1 - 15 from passing 0.1.
+    // Readings are multiples of the readability: a billionth of slack keeps 15.1 - 15 from
+    // exceeding 0.1.
     match reading_mg - order.target_mg {
         excess if excess > order.tolerance_upper_mg + 1e-9 => Outcome::Over,
         excess if -excess > order.tolerance_lower_mg + 1e-9 || is_nothing => Outcome::Under,
@@ -88,7 +96,8 @@ pub(super) fn judge(order: &Order, reading_mg: f64, shakes: usize) -> Outcome {
     }
 }
 
-/// Whether all that the reading and its uncertainty leave possible is on the outcome's side of the tolerances.
+/// Whether the whole uncertainty interval of the reading is on the outcome's side of the
+/// tolerances.
 fn proven(order: &Order, outcome: Outcome, reading_mg: f64, uncertainty_mg: f64) -> Option<bool> {
     let (low, high) = (reading_mg - uncertainty_mg - order.target_mg, reading_mg + uncertainty_mg - order.target_mg);
     match outcome {
@@ -99,12 +108,13 @@ fn proven(order: &Order, outcome: Outcome, reading_mg: f64, uncertainty_mg: f64)
     }
 }
 
-/// Repeatability as USP <41> takes it, mg: at least 0.41 steps of the display, also where it was never checked.
+/// Repeatability as defined by USP <41>, mg: at least 0.41 steps of the display, also if it was
+/// never checked.
 pub fn repeatability_mg(accuracy: &Accuracy, readability_mg: f64) -> f64 {
     bench_check::repeatability_mg(accuracy.repeatability_mg.unwrap_or(0.0), readability_mg)
 }
 
-/// What the loop knows at its end.
+/// What is known when the loop ends.
 pub(super) struct Known {
     pub(super) outcome: Outcome,
     pub(super) cause: Option<String>,
@@ -151,7 +161,7 @@ pub(super) fn weighed(order: &Order, accuracy: &Accuracy, known: Known) -> Weigh
     }
 }
 
-/// The cause; an aborted dose has no reading, so what was shown last is told as what it is.
+/// The cause; an aborted dose has no reading, so the last displayed value is reported as such.
 fn told(outcome: Outcome, cause: Option<String>, ticks: &[Tick]) -> Option<String> {
     match (cause, last_reading_mg(ticks)) {
         (Some(cause), Some(last_mg)) if outcome == Outcome::Aborted => {
@@ -161,7 +171,7 @@ fn told(outcome: Outcome, cause: Option<String>, ticks: &[Tick]) -> Option<Strin
     }
 }
 
-/// The last reading that was a number, mg; none where nothing was read.
+/// The last reading that was a number, mg; `None` if there was none.
 pub(super) fn last_reading_mg(ticks: &[Tick]) -> Option<f64> {
     ticks.iter().rev().map(|tick| tick.reading.mass_mg).find(|mass_mg| mass_mg.is_finite())
 }

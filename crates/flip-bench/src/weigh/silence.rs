@@ -1,10 +1,13 @@
-//! What a display that has not moved may hide, on balances that give no sign of life for minutes when all is well (`Readings::life_s` 0): a spoon that gives
-//! nothing and a balance that stands still look alike.
+//! Mass that an unchanged display may hide, on balances whose display stays constant for minutes
+//! when all is well (`Readings::life_s` 0): a spoon that releases nothing and a stuck balance look
+//! the same.
 //!
-//! Spoons are the dispenser's ([`Response`]): what is loose depends on the pitch and on what has fallen, so that a spoon which has just let go of a large
-//! piece is expected to keep silent until it is raised. [`GUESSES`] spoonfuls g are weighted with what the display showed up to its last movement; for the z
-//! shakes since then each says what should have fallen, S_g with its variance. A display of step d that lives shows nothing of a sum S with the chance
-//! 1 - S / d, as the sum begins anywhere within a step:
+//! Spoons follow the dispenser's model ([`Response`]): the loose mass depends on the pitch and on
+//! the mass that has fallen, so a spoon that has just released a large piece is expected to release
+//! nothing until it is inclined further. [`GUESSES`] spoonfuls g are weighted by the display up to
+//! its last change; for the z shakes since then each predicts the mass that should have fallen, S_g
+//! with its variance. A live display of step d does not change for a sum S with probability 1 - S /
+//! d, as the sum begins anywhere within a step:
 //!
 //! ```text
 //! live      = sum over g of w_g E max(0, 1 - S_g / d)                                  S_g log-normal
@@ -12,38 +15,39 @@
 //! P(S + next > u | still) = sum over g of w_g P(S_g + next_g > u)
 //! ```
 //!
-//! Nothing is said before the display has moved: nobody can tell a powder that comes late from a display that never lived.
+//! No statement is made before the display has changed once: a powder that comes late cannot be
+//! told from a display that was never alive.
 
 use super::forecast::Fall;
 use flip_core::stats::normal::{cdf, quantile};
 use flip_policy::{Response, Spoonful};
 use std::sync::LazyLock;
 
-/// Spoonfuls in question.
+/// Number of candidate spoonfuls.
 const GUESSES: usize = 384;
-/// Nodes of an expectation over what should have fallen.
+/// Nodes for the expectation over the mass that should have fallen.
 const NODES: usize = 16;
-/// From this chance on a display counts as one that stands still.
+/// Probability from which a display counts as stuck.
 const RATHER: f64 = 0.5;
 
-/// What spoons are like.
+/// Spoon model.
 const RESPONSE: Response = Response::FITTED;
 static SPOONFULS: LazyLock<Vec<Spoonful>> = LazyLock::new(|| RESPONSE.guesses(GUESSES));
 static Z: LazyLock<Vec<f64>> =
     LazyLock::new(|| (0..NODES).map(|k| quantile((k as f64 + 0.5) / NODES as f64)).collect());
 
-/// A display that stood still through one shake or more, after it had moved.
+/// A display that stayed constant through one shake or more, after it had changed.
 #[derive(Debug, Clone)]
 pub struct Silence {
-    /// How many shakes.
+    /// Number of shakes.
     pub shakes: usize,
-    /// How likely the display stands still.
+    /// Probability that the display is stuck.
     pub still: f64,
     shown_mg: f64,
     hidden: Vec<Hidden>,
 }
 
-/// What one of the spoonfuls would have let fall meanwhile.
+/// The mass that one of the spoonfuls would have released meanwhile.
 #[derive(Debug, Clone, Copy)]
 struct Hidden {
     weight: f64,
@@ -51,7 +55,7 @@ struct Hidden {
     variance: f64,
 }
 
-/// A spoonful's account of a dose.
+/// Prediction of one spoonful for a dose.
 #[derive(Debug, Clone, Copy, Default)]
 struct Account {
     ln_weight: f64,
@@ -60,7 +64,8 @@ struct Account {
 }
 
 impl Silence {
-    /// The silence that these shakes end with, where displays stand still with a chance `stands_still`; none if the last one moved the display, or none has.
+    /// The silence at the end of these shakes, with prior probability `stands_still` of a stuck
+    /// display; `None` if the last one changed the display, or none has.
     pub fn after(falls: &[Fall], readability_mg: f64, stands_still: f64) -> Option<Self> {
         let moved = |fall: &Fall| fall.mass_mg.abs() > readability_mg - 1e-9;
         let falls = falls.iter().filter(|fall| fall.shake_mm > 0.0 && fall.mass_mg.is_finite());
@@ -78,7 +83,8 @@ impl Silence {
                 account.mean_mg += mean_mg + more_mg;
                 account.variance += variance;
                 if moved(fall) {
-                    // Of the difference of two rounded readings; Student's t of four degrees of freedom, as avalanches happen.
+                    // Variance of the difference of two rounded readings; Student's t with four
+                    // degrees of freedom, because avalanches happen.
                     let variance = account.variance + readability_mg.powi(2) / 6.0;
                     let z2 = (fall.mass_mg - account.mean_mg).powi(2) / variance;
                     account.ln_weight -= 2.5 * libm::log1p(z2 / 4.0) + 0.5 * libm::log(variance);
@@ -99,12 +105,13 @@ impl Silence {
         Some(Self { shakes, still: stands_still / (stands_still + live), shown_mg, hidden })
     }
 
-    /// The display rather stands still than tells the truth.
+    /// Whether the display is more likely stuck than not.
     pub fn is_still(&self) -> bool {
         self.still > RATHER
     }
 
-    /// Chance that a shake lets more than `room_mg` fall, where a display that is believed says `seen`, with what has fallen unseen.
+    /// Probability that a shake releases more than `room_mg`, including the mass that has fallen
+    /// unseen; `seen` is that probability for a display that is trusted.
     pub fn chance_above(&self, seen: f64, pitch_deg: f64, shake_mm: f64, room_mg: f64) -> f64 {
         let with = |(hidden, spoonful): (&Hidden, &Spoonful)| {
             let poured_mg = self.shown_mg.max(0.0) + hidden.mean_mg;
@@ -118,7 +125,7 @@ impl Silence {
         seen + self.still * (unseen - seen).max(0.0)
     }
 
-    /// What has fallen unseen if the display stands still, mg.
+    /// Mass fallen unseen if the display is stuck, mg.
     pub fn hidden_mg(&self) -> f64 {
         self.hidden.iter().map(|it| it.weight * it.mean_mg).sum()
     }
@@ -131,7 +138,7 @@ impl Hidden {
         [libm::log(self.mean_mg) - variance / 2.0, variance.sqrt()]
     }
 
-    /// Chance that a display of this step shows nothing of it.
+    /// Probability that a display of this step shows none of it.
     fn unseen(&self, readability_mg: f64) -> f64 {
         let [mean, sd] = self.ln();
         Z.iter().map(|z| (1.0 - libm::exp(mean + sd * z) / readability_mg).max(0.0)).sum::<f64>() / NODES as f64
@@ -158,7 +165,7 @@ mod tests {
         Silence::after(falls, readability_mg, STANDS).expect("a silence")
     }
 
-    /// A course that gave 2 mg a shake, each 2 deg higher, and then nothing.
+    /// A course that released 2 mg per shake, each 2 deg higher, and then nothing.
     fn course(silent: usize) -> Vec<Fall> {
         let pitch_deg = |k: usize| 14.0 + 2.0 * k as f64;
         (0..5 + silent).map(|k| fall(pitch_deg(k), 4.0, if k < 5 { 2.0 } else { 0.0 })).collect()
@@ -181,7 +188,7 @@ mod tests {
         assert!(still(1, 1.0) < 0.05, "{}", still(1, 1.0));
         assert!(!after(&course(1), 1.0).is_still() && after(&course(8), 1.0).is_still());
         let hidden = |silent: usize| after(&course(silent), 1.0).hidden_mg();
-        // 2 mg a shake before, each 2 deg higher.
+        // 2 mg per shake before, each 2 deg higher.
         assert!((1.0..4.0).contains(&hidden(1)) && (4.0..16.0).contains(&hidden(5)), "{} {}", hidden(1), hidden(5));
     }
 
@@ -204,7 +211,8 @@ mod tests {
         assert!(chance(2.0) > chance(10.0) && chance(10.0) > chance(40.0));
     }
 
-    /// Spoons as the model has them, on displays that live: a silence that has the chance a comes in a of the doses that could have it, or fewer.
+    /// Spoons from the model, on live displays: a silence of probability a occurs in at most a
+    /// fraction a of the doses that could have it.
     #[test]
     fn spoons_of_the_model_are_seldom_taken_for_displays_that_stand() {
         let doses = 2000;
@@ -221,7 +229,7 @@ mod tests {
                 Silence::after(&falls, 1.0, STANDS).is_some_and(|silence| silence.is_still())
             })
         });
-        // still > 1/2 asks for a chance below 0.003; twenty looks at one course may raise it.
+        // still > 1/2 requires a probability below 0.003; twenty checks of one course may raise it.
         let share = alarms.count() as f64 / doses as f64;
         assert!(share < 0.02, "{share}");
     }

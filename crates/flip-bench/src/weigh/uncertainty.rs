@@ -1,4 +1,5 @@
-//! How sure a net weight is: what the display showed while nothing moved says how far its zero may have gone.
+//! Uncertainty of a net weight: readings taken while nothing moved show how far the zero may have
+//! drifted.
 //!
 //! ```text
 //! U = |B| t + 2 sqrt(u_0^2 + u_1^2 + 2 d^2 / 12 + v_B t^2)
@@ -11,52 +12,58 @@
 //! | B, v_B | drift that the readings prove, and variance of what they leave open | mg/s, mg^2/s^2 |
 //! | t | from the one mean to the other | s |
 //!
-//! *Wander.* Readings are a level, a common slope, noise of their own, and a wander that is forgotten within `MEMORY_S`; the sums of squares about the slope
-//! and over neighbours tell the last two apart. Its variance is raised by n / (n - 2), for n times that memory are all that was seen of it (at most fourfold).
+//! *Wander.* Readings consist of a level, a common slope, independent noise, and a wander with a
+//! memory of `MEMORY_S`; the sums of squares about the slope and between neighbours separate the
+//! last two. Its variance is raised by n / (n - 2), because only n times that memory was observed
+//! (at most fourfold).
 //!
-//! *Drift.* The slopes of every watch, and that from the watch before the tare to the one after it, are weighed by what wander does to each. One digit of a
-//! display is no drift: before the dose the zero is believed to move as little as half of its own wander in a minute (SD; at least an eighth of a digit), and with a chance
-//! of 0.05 to drift by any amount (Cauchy, ten times as wide; an enclosed A&D HR-100A crept by 1.7 to 4.6 mg a minute while it wandered by 0.5). What the
-//! readings make of that belief is its mean B and its variance v_B. A drift that is neither proven nor slow is not covered: more than the readings know.
+//! *Drift.* The slopes of every watch, and that from the watch before the tare to the one after it,
+//! are weighted by the effect of wander on each. One digit of a display is not a drift: a priori
+//! the zero moves by as little as half of its own wander in a minute (SD; at least an eighth of a
+//! digit), and with a probability of 0.05 it drifts by any amount (Cauchy, ten times as wide; an
+//! enclosed A&D HR-100A crept by 1.7 to 4.6 mg a minute while it wandered by 0.5). The posterior
+//! given the readings has mean B and variance v_B. A drift that is neither proven nor slow is not
+//! covered: the readings cannot reveal it.
 //!
-//! It says nothing of buoyancy, nor of a balance that is not adjusted.
+//! Buoyancy and a balance that is not adjusted are not included.
 
 use flip_core::domain::rest::{MEMORY_S, Rest};
 
 /// Coverage factor of the expanded uncertainty.
 const COVERAGE: f64 = 2.0;
-/// The wander's variance is raised by this factor at most for how little was seen of it.
+/// Maximum factor by which the wander's variance is raised for a short observation.
 const RAISED_MAX: f64 = 4.0;
-/// A zero that does not drift moves by this share of its wander in a minute (SD).
+/// A zero that does not drift moves by this fraction of its wander in a minute (SD).
 const SLOW: f64 = 0.5;
-/// One that does by this many times its wander in a minute (Cauchy).
+/// One that does drift, by this many times its wander in a minute (Cauchy).
 const FAST: f64 = 5.0;
-/// Chance that it does, before anything was read.
+/// Prior probability of drift.
 const DRIFTS: f64 = 0.05;
-/// Wander that is taken for granted, in steps of the display: less would not show.
+/// Minimum wander assumed, in steps of the display: less would not show.
 const WANDER_STEPS_MIN: f64 = 0.25;
 
-/// What was watched while nothing moved.
+/// Readings taken while nothing moved.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Watched {
-    /// The vial before it was tared, and what the display showed at the tare, mg.
+    /// The vial before it was tared, and the display at the tare, mg.
     pub(super) before: Option<(Rest, Option<f64>)>,
     /// After the tare.
     pub(super) zero: Option<Rest>,
-    /// When all was over.
+    /// At the end.
     pub(super) last: Option<Rest>,
 }
 
-/// How readings at rest scatter.
+/// Scatter of readings at rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Scatter {
-    /// Variance of what fades within `MEMORY_S`, mg^2.
+    /// Variance of the part that fades within `MEMORY_S`, mg^2.
     wander_mg2: f64,
     /// Variance of each reading's own noise, mg^2.
     noise_mg2: f64,
 }
 
-/// A slope, and what makes it unsure: in units of the wander's variance, in units of the noise's, and by itself.
+/// A slope and its sources of uncertainty: in units of the wander's variance, in units of the
+/// noise's, and its own.
 #[derive(Debug, Clone, Copy)]
 struct Slope {
     mg_s: f64,
@@ -65,7 +72,7 @@ struct Slope {
     own: f64,
 }
 
-/// What is believed of the drift, mg/s and mg^2/s^2.
+/// Posterior of the drift, mg/s and mg^2/s^2.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Drift {
     mean: f64,
@@ -91,7 +98,7 @@ impl Slope {
         Self { mg_s: rest.slope_mg_s, wander: rest.tilt, noise: 1.0 / rest.times_s2, own: 0.0 }
     }
 
-    /// From the vial before the tare, less what was tared, to the zero after it.
+    /// From the vial before the tare, minus the tare, to the zero after it.
     fn between(before: &Rest, tare_mg: f64, zero: &Rest, step_mg: f64) -> Option<Self> {
         let seconds = zero.at_s - before.at_s;
         let per_s2 = 1.0 / seconds.powi(2);
@@ -102,13 +109,14 @@ impl Slope {
     }
 
     fn variance(&self, scatter: &Scatter, step_mg: f64) -> f64 {
-        // A display that shows one number hides what it rounds.
+        // A display that shows a single number hides what it rounds.
         let noise_mg2 = scatter.noise_mg2.max(step_mg.powi(2) / 12.0);
         scatter.wander_mg2 * self.wander + noise_mg2 * self.noise + self.own
     }
 }
 
-/// The mean of the slopes, weighed by what wander does to each; and its variance once it is known how readings scatter.
+/// The mean of the slopes, weighted by the effect of wander on each; and its variance, given the
+/// scatter of the readings.
 fn pooled(slopes: &[Slope], variance: impl Fn(&Slope) -> f64) -> (f64, f64) {
     let all: f64 = slopes.iter().map(|it| 1.0 / it.wander).sum();
     let share = |it: &Slope| 1.0 / it.wander / all;
@@ -141,7 +149,7 @@ impl Scatter {
     }
 }
 
-/// What readings that show this slope, of this variance, make of the belief.
+/// Posterior given readings with this slope and variance.
 fn believed(slope_mg_s: f64, variance: f64, wander_mg: f64) -> Drift {
     let per_s = wander_mg / 60.0;
     let (slow, fast) = ((SLOW * per_s).powi(2), (FAST * per_s).powi(2) + variance);
@@ -157,7 +165,7 @@ fn believed(slope_mg_s: f64, variance: f64, wander_mg: f64) -> Drift {
     Drift { mean, variance: (square - mean.powi(2)).max(0.0) }
 }
 
-/// What is known of the drift, and of the scatter about it.
+/// The drift, and the scatter about it.
 fn drift(watched: &Watched, step_mg: f64) -> (Drift, Scatter) {
     let slopes = watched.slopes(step_mg);
     let rests: Vec<Rest> = watched.rests().collect();
@@ -173,7 +181,8 @@ fn drift(watched: &Watched, step_mg: f64) -> (Drift, Scatter) {
 
 /// Expanded uncertainty of a net weight, mg: the formula above.
 ///
-/// `repeatability_mg` is the one that was checked, if one was. Where nothing was watched each of the two readings counts with 0.41 steps, as USP <41> takes it.
+/// `repeatability_mg` is the checked one, if there is one. If nothing was watched, each of the two
+/// readings counts with 0.41 steps, as in USP <41>.
 pub(super) fn uncertainty_mg(watched: &Watched, repeatability_mg: Option<f64>, step_mg: f64) -> f64 {
     let (drift, scatter) = drift(watched, step_mg);
     let checked_mg2 = repeatability_mg.unwrap_or(0.0).powi(2);
@@ -186,12 +195,14 @@ pub(super) fn uncertainty_mg(watched: &Watched, repeatability_mg: Option<f64>, s
     (drift.mean * seconds).abs() + COVERAGE * variance.sqrt()
 }
 
-/// Standard uncertainty of the mean of one watch, mg, by what it says itself; none of one that is too short to say.
+/// Standard uncertainty of the mean of one watch, mg, from its own readings; `None` if it is too
+/// short to tell.
 pub(super) fn of_mean_mg(rest: &Rest) -> Option<f64> {
     (rest.seconds > 0.0).then(|| Scatter::of(&[*rest], 0.0).of_mean(rest).sqrt())
 }
 
-/// The slope of a watch in mg/min, if it is more than twice what wander and rounding would do; else 0.
+/// The slope of a watch in mg/min, if it is more than twice the effect of wander and rounding;
+/// else 0.
 pub(super) fn proven_mg_min(rest: &Rest, watched: &Watched, step_mg: f64) -> f64 {
     let (_, scatter) = drift(watched, step_mg);
     let slope = Slope::within(*rest);

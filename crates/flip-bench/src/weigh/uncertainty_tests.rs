@@ -1,7 +1,7 @@
 use super::*;
 use flip_core::domain::bench::Moment;
 
-/// A display of this step over a constant mass, from a time on, s.
+/// A display of this step over a constant mass, from a given time on, s.
 fn still(from_s: f64, seconds: f64, mass_mg: f64) -> Rest {
     let seen: Vec<Moment> =
         (0..=(seconds / 0.4) as u32).map(|k| Moment { t_s: from_s + 0.4 * f64::from(k), mass_mg }).collect();
@@ -14,7 +14,8 @@ fn watched(zero: Rest, last: Rest) -> Watched {
 
 #[test]
 fn where_nothing_was_watched_two_readings_count_with_their_rounding() {
-    // 2 sqrt(2 (0.41^2 + 1/12)) = 1.4183; a checked repeatability of 0.6: 2 sqrt(2 (0.36 + 1/12)) = 1.8833.
+    // 2 sqrt(2 (0.41^2 + 1/12)) = 1.4183; a checked repeatability of 0.6: 2 sqrt(2 (0.36 + 1/12)) =
+    // 1.8833.
     assert!((uncertainty_mg(&Watched::default(), None, 1.0) - 1.4183).abs() < 1e-3);
     assert!((uncertainty_mg(&Watched::default(), Some(0.6), 1.0) - 1.8833).abs() < 1e-3);
     assert!((uncertainty_mg(&Watched::default(), None, 0.1) - 0.14183).abs() < 1e-4);
@@ -22,7 +23,8 @@ fn where_nothing_was_watched_two_readings_count_with_their_rounding() {
 
 #[test]
 fn one_digit_in_the_watch_is_no_drift() {
-    // The last reading is one digit higher: by least squares a drift of 0.6 to 20 mg/min, which over 100 s was 1 to 33 mg.
+    // The last reading is one digit higher: by least squares a drift of 0.6 to 20 mg/min, which
+    // over 100 s was 1 to 33 mg.
     for (seconds, u_mg_max) in [(20.0, 2.0), (10.0, 2.0), (3.0, 3.0)] {
         let mut seen: Vec<Moment> =
             (0..=(seconds / 0.19) as u32).map(|k| Moment { t_s: 100.0 + 0.19 * f64::from(k), mass_mg: 10.0 }).collect();

@@ -1,4 +1,4 @@
-//! Messages of an arm's driver process: what prost decodes, and what the client then believes.
+//! Messages of an arm's driver process: how prost decodes them, and what the client accepts.
 
 use crate::engine::{Seen, Target, bounded, outcome};
 use flip_bench::hardware::arm::{Limits, checked, proto};
@@ -11,7 +11,7 @@ pub const DESCRIPTION: Target =
 pub const MESSAGE: Target =
     Target { name: "arm_message", check: check_message, repair: None, words: &[], bytes_max: 512 };
 
-/// What decoding may hold: text of the message's own length, and what a message is.
+/// Memory that decoding may use: text of the message's own length, and the message itself.
 fn bytes_max(bytes: &[u8]) -> usize {
     4 * bytes.len() + (4 << 10)
 }
@@ -48,7 +48,7 @@ fn check_description(bytes: &[u8]) -> Result<Seen, String> {
     Ok(Seen::Read(outcome((description.protocol_version == 1, lower_deg == Reach::FULL.pitch.lower_deg))))
 }
 
-/// The first byte says which message the others are.
+/// The first byte selects the type of the message in the rest.
 fn check_message(bytes: &[u8]) -> Result<Seen, String> {
     let Some((which, body)) = bytes.split_first() else { return Ok(Seen::Refused(0)) };
     match which % 11 {
@@ -86,7 +86,7 @@ fn check_executed(body: &[u8]) -> Result<Seen, String> {
 fn check_state(body: &[u8]) -> Result<Seen, String> {
     let Ok(state) = bounded(bytes_max(body), || proto::State::decode(body))? else { return Ok(Seen::Refused(3)) };
     same_when_written(&state)?;
-    // A mode or station that FLIP does not know is never one that it acts on.
+    // A mode or station unknown to FLIP is never one it acts on.
     let known = (proto::Mode::try_from(state.mode).is_ok(), proto::Station::try_from(state.station).is_ok());
     let is_unspecified = (state.mode() == proto::Mode::Unspecified, state.station() == proto::Station::Unspecified);
     if (!known.0 && !is_unspecified.0) || (!known.1 && !is_unspecified.1) {
@@ -101,7 +101,7 @@ fn plain<M: Message + Default + Debug>(body: &[u8]) -> Result<Seen, String> {
     Ok(Seen::Read(outcome((std::any::type_name::<M>(), message.encoded_len() > 0))))
 }
 
-/// Bytes are compared, because a number that is none does not equal itself.
+/// Bytes are compared, because NaN does not equal itself.
 fn same_when_written<M: Message + Default + Debug>(message: &M) -> Result<(), String> {
     let written = message.encode_to_vec();
     match M::decode(written.as_slice()).map(|again| again.encode_to_vec() == written) {
@@ -110,7 +110,7 @@ fn same_when_written<M: Message + Default + Debug>(message: &M) -> Result<(), St
     }
 }
 
-/// Which of the limits mean something.
+/// Which of the limits are meaningful.
 fn kinds(limits: &proto::Limits) -> [bool; 6] {
     [
         limits.pitch_deg_s_max,

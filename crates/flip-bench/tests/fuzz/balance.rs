@@ -1,4 +1,5 @@
-//! Lines of balances. A mass is what the line shows, and a lost byte never makes another mass of it that looks like the first.
+//! Lines of balances. A mass is the one the line shows, and a lost byte never turns it into another
+//! mass that looks like the first.
 
 use crate::engine::{Seen, Target, bounded, outcome};
 use flip_bench::hardware::balance::reply::{Condition, Reply, Said, Unreadable, Weight};
@@ -9,7 +10,7 @@ type Parse = fn(&[u8]) -> Result<Reply, Unreadable>;
 /// A frame with this number, unit and stability; `None` where the dialect has none.
 type Print = fn(&str, Option<Unit>, bool) -> Option<String>;
 
-/// Longest line that the driver reads, bytes.
+/// Longest line the driver reads, bytes.
 const BYTES_MAX: usize = 256;
 const WORDS: &[&str] = &[
     "S S ",
@@ -83,7 +84,7 @@ fn check(bytes: &[u8], parse: Parse, print: Print) -> Result<Seen, String> {
     }
 }
 
-/// The mass is finite, and its digits stand in the line.
+/// Checks that the mass is finite and its digits are in the line.
 fn check_weight(line: &[u8], weight: &Weight) -> Result<(), String> {
     let bytes = line.len();
     let unit = weight.unit.unwrap_or(Unit::Gram);
@@ -92,7 +93,7 @@ fn check_weight(line: &[u8], weight: &Weight) -> Result<(), String> {
         return Err(format!("{mg} mg in steps of {place_mg} mg"));
     }
     let digits = shown(weight).trim_start_matches('-').to_owned();
-    // A comma is a point, and the last digit may stand in brackets.
+    // A comma is a point, and the last digit may be in brackets.
     let line: Vec<u8> =
         line.iter().filter(|byte| !b"[]".contains(byte)).map(|byte| if *byte == b',' { b'.' } else { *byte }).collect();
     let is_in_line = line.windows(digits.len()).any(|window| window == digits.as_bytes());
@@ -106,7 +107,7 @@ fn check_weight(line: &[u8], weight: &Weight) -> Result<(), String> {
     Ok(())
 }
 
-/// Read again from a frame of our own making, it is the same.
+/// Checks that reading it again from a frame of our own returns the same.
 fn check_printed(weight: &Weight, parse: Parse, print: Print) -> Result<(), String> {
     let Some(line) = print(&shown(weight), weight.unit, weight.stable) else { return Ok(()) };
     match parse(line.as_bytes()).map(|reply| reply.said) {
@@ -115,7 +116,8 @@ fn check_printed(weight: &Weight, parse: Parse, print: Print) -> Result<(), Stri
     }
 }
 
-/// Frames have no checksum; but a line that lost a byte, or its end, is no frame, or has another form, which the driver asks about.
+/// Frames have no checksum; but a line that lost a byte, or its end, is not a frame, or has another
+/// form, which makes the driver query again.
 fn check_lost_bytes(line: &[u8], reply: &Reply, weight: &Weight, parse: Parse) -> Result<(), String> {
     let without_one = (0..line.len()).map(|at| [&line[..at], &line[at + 1..]].concat());
     let cut = (0..line.len()).map(|end| line[..end].to_vec());
@@ -135,7 +137,7 @@ fn form(weight: &Weight) -> (f64, i32, Option<Unit>) {
     (weight.number.mg(weight.unit.unwrap_or(Unit::Gram)), weight.number.decimals(), weight.unit)
 }
 
-/// The number as it would be shown, worked out from the milligrams.
+/// The number as it would be displayed, computed from the milligrams.
 fn shown(weight: &Weight) -> String {
     let unit = weight.unit.unwrap_or(Unit::Gram);
     let decimals = usize::try_from(weight.number.decimals()).expect("at most fifteen");
@@ -188,7 +190,7 @@ fn check_decimal(text: &[u8]) -> Result<Seen, String> {
     let Some(number) = bounded(4 * text.len() + 64, || Decimal::parse(text))? else { return Ok(Seen::Refused(0)) };
     let digits: String = text.iter().filter(|byte| byte.is_ascii_digit()).map(|byte| char::from(*byte)).collect();
     let count: f64 = digits.parse::<u64>().map_err(|error| format!("{digits:?}: {error}"))? as f64;
-    // A number with more digits than `f64` can tell apart must have been refused.
+    // A number with more digits than `f64` can distinguish must have been refused.
     let again = format!("{:.*}", number.decimals() as usize, number.mg(Unit::Milligram).abs()).replace('.', "");
     if again.trim_start_matches('0') != digits.trim_start_matches('0') {
         return Err(format!("{digits} became {again}"));

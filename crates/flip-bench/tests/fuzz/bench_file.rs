@@ -1,4 +1,4 @@
-//! The file that says which devices make a bench.
+//! The file that defines the devices of a bench.
 
 use crate::engine::{Seen, Target, bounded, outcome};
 use flip_bench::hardware::bench_file::BenchFile;
@@ -78,7 +78,7 @@ fn check_file(bytes: &[u8]) -> Result<Seen, String> {
     Ok(Seen::Read(outcome((parts, balance.dialect.name(), balance.readability_mg.is_some()))))
 }
 
-/// Field and first words of a complaint about TOML, without the place.
+/// Field and first words of a TOML error, without the position.
 fn kind(field: &str, message: &str) -> (String, String) {
     let words = message.lines().last().unwrap_or_default().chars().filter(|c| c.is_ascii_alphabetic()).take(12);
     (field.to_owned(), words.collect())

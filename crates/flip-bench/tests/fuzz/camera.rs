@@ -1,12 +1,13 @@
-//! Uploaded camera frames. An input is a description, a line feed, the depth, eight bytes `\n--cut--` and the colour.
+//! Uploaded camera frames. An input is a description, a line feed, the depth, eight bytes
+//! `\n--cut--` and the colour.
 
 use crate::engine::{Seen, Target, bounded, outcome};
 use flip_bench::emulate::camera::upload;
 use flip_bench::hardware::camera::{Frame, SIDE_MAX, SIDE_MIN, Upload};
 
-/// Between depth and colour.
+/// Separator between depth and colour.
 const CUT: &[u8] = b"\n--cut--";
-/// What a PNG begins with.
+/// Signature at the start of a PNG.
 const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 const WORDS: &[&str] = &[
     "\"width\":",
@@ -72,7 +73,7 @@ fn check_frame(input: &[u8]) -> Result<Seen, String> {
     Ok(Seen::Read(outcome((lens.width, lens.height, lens.model.name(), upload.depth.starts_with(SIGNATURE)))))
 }
 
-/// Uploaded again, as a PNG and as bare values, it is the same frame.
+/// Checks that uploading it again, as a PNG and as bare values, returns the same frame.
 fn check_written(frame: &Frame) -> Result<(), String> {
     let mut again = upload(frame).map_err(|error| error.to_string())?;
     let from_png = again.decode();
@@ -84,7 +85,8 @@ fn check_written(frame: &Frame) -> Result<(), String> {
     Ok(())
 }
 
-/// Two images of the size that the description allows, with room for the decoder; a description that is refused leaves no more than a few kilobytes.
+/// Two images of the size the description allows, with room for the decoder; a refused description
+/// leaves no more than a few kilobytes.
 fn bytes_max(upload: &Upload) -> usize {
     let pixels = serde_json::from_slice::<serde_json::Value>(&upload.description).ok().and_then(|said| {
         let side = |name: &str| said["intrinsics"][name].as_u64().filter(|side| *side <= u64::from(SIDE_MAX));
@@ -110,7 +112,8 @@ fn kind(field: &str, message: &str) -> (String, String) {
     (field.to_owned(), message.chars().filter(|c| c.is_ascii_alphabetic()).take(40).collect())
 }
 
-/// Make the checksums of the PNGs' chunks right. Lengths stay as they are; what reaches beyond the image is left alone.
+/// Corrects the checksums of the PNGs' chunks. Lengths stay as they are; anything beyond the image
+/// is left alone.
 fn repair(mut input: Vec<u8>) -> Vec<u8> {
     let starts: Vec<usize> = (0..input.len()).filter(|at| input[*at..].starts_with(SIGNATURE)).collect();
     for start in starts {
@@ -124,7 +127,7 @@ fn repair(mut input: Vec<u8>) -> Vec<u8> {
     input
 }
 
-/// Where the data of the chunk at `at` ends, if its checksum still lies within the input.
+/// End of the data of the chunk at `at`, if its checksum still lies within the input.
 fn chunk_end(input: &[u8], at: usize) -> Option<usize> {
     let length = u32::from_be_bytes(*input.get(at..)?.first_chunk()?);
     let end = at.checked_add(8)?.checked_add(usize::try_from(length).ok()?)?;

@@ -1,10 +1,11 @@
-//! Files that a target begins with: messages as notes and manuals show them, hostile ones, and inputs that once failed.
+//! Seed files of each target: messages as shown in notes and manuals, hostile ones, and inputs that
+//! once failed.
 
 use crate::engine::outcome;
 use std::fs;
 use std::path::PathBuf;
 
-/// What the files of a target hold, in the order of their names.
+/// Contents of a target's files, ordered by name.
 pub fn read(target: &str) -> Vec<Vec<u8>> {
     let mut paths: Vec<PathBuf> = match fs::read_dir(folder(target)) {
         Ok(entries) => entries.map(|entry| entry.unwrap().path()).collect(),
@@ -15,7 +16,7 @@ pub fn read(target: &str) -> Vec<Vec<u8>> {
     paths.iter().map(|path| fs::read(path).unwrap()).collect()
 }
 
-/// Keep an input that failed; returns where.
+/// Saves an input that failed; returns its path.
 pub fn keep(target: &str, input: &[u8]) -> PathBuf {
     let path = folder(target).join(format!("found-{:016x}", outcome(input)));
     fs::write(&path, input).unwrap();

@@ -1,4 +1,5 @@
-//! The loop: corpus files, each of their bits flipped, then mutants, from those inputs whose outcome was new.
+//! The fuzzing loop: corpus files, each of their bits flipped, then mutants of inputs whose outcome
+//! was new.
 
 use crate::corpus;
 use crate::mutate::{Mutator, every_bit_flipped, every_prefix};
@@ -10,36 +11,37 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Once;
 use std::time::{Duration, Instant};
 
-/// Longest that one input may take, s; seconds count only if they were needed three times, because other programs run beside.
+/// Longest time for one input, s; exceeding it counts only three times in a row, because other
+/// programs run at the same time.
 const SECONDS_MAX: f64 = 0.25;
-/// Inputs with outcomes of their own that are kept for mutation, of those that were read and of those that were refused.
+/// Inputs with distinct outcomes kept for mutation, for accepted and for refused ones.
 const KEPT_MAX: usize = 2000;
-/// Longest corpus file of which every bit is flipped, bytes.
+/// Longest corpus file whose every bit is flipped, bytes.
 const FLIPPED_BYTES_MAX: usize = 512;
-/// Tries while an input that fails is made small.
+/// Tries when minimising a failing input.
 const TRIES_MAX: usize = 4000;
 
-/// One parser, and what must hold of it.
+/// One parser and its invariants.
 pub struct Target {
     /// Its folder in `corpus`.
     pub name: &'static str,
-    /// Parse one input and look at what came of it.
+    /// Parses one input and checks the result.
     ///
     /// # Errors
-    /// What should hold and does not.
+    /// The violated invariant.
     pub check: fn(&[u8]) -> Result<Seen, String>,
-    /// Make the checksums of a mutant right, so that it is refused for what it says.
+    /// Corrects the checksums of a mutant, so that it is refused for its content.
     pub repair: Option<fn(Vec<u8>) -> Vec<u8>>,
-    /// What mutants are made of.
+    /// Tokens inserted into mutants.
     pub words: &'static [&'static str],
     /// Longest input, bytes.
     pub bytes_max: usize,
 }
 
-/// What came of an input. The number tells outcomes apart: see [`outcome`].
+/// The outcome of an input. The number distinguishes outcomes: see [`outcome`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Seen {
-    /// It was read.
+    /// It was accepted.
     Read(u64),
     /// It was refused.
     Refused(u64),
@@ -69,7 +71,7 @@ pub fn outcome(of: impl Hash) -> u64 {
     hasher.finish()
 }
 
-/// What `parse` gives.
+/// Returns the result of `parse`.
 ///
 /// # Errors
 /// It held more than `bytes_max` bytes at once, or took longer than [`SECONDS_MAX`].
@@ -90,7 +92,7 @@ pub fn bounded<T>(bytes_max: usize, parse: impl Fn() -> T) -> Result<T, String> 
     Err(format!("took {seconds:.2} s, at most {SECONDS_MAX} s are allowed"))
 }
 
-/// Run a target for the time that the environment gives, and say how it went.
+/// Runs a target for the time set in the environment, and reports the result.
 pub fn fuzz(target: &Target) {
     let files = corpus::read(target.name);
     let seconds = number_from("FLIP_FUZZ_SECONDS").unwrap_or(5.0);
@@ -107,10 +109,10 @@ pub fn fuzz(target: &Target) {
     }
 }
 
-/// Run a target for this long, but look at the corpus in any case.
+/// Runs a target for this long, but always checks the corpus.
 ///
 /// # Errors
-/// The first input that fails, made small.
+/// The first input that fails, minimised.
 pub fn run(target: &Target, files: &[Vec<u8>], limit: Duration, seed: u64) -> Result<Run, Failure> {
     be_quiet_about_expected_panics();
     let begun = Instant::now();
@@ -143,7 +145,7 @@ pub fn run(target: &Target, files: &[Vec<u8>], limit: Duration, seed: u64) -> Re
 
 struct Search<'a> {
     target: &'a Target,
-    /// Kept inputs that were read, and those that were refused; mutants come of both alike.
+    /// Kept inputs that were accepted, and those refused; mutants come from both equally.
     read: Vec<Vec<u8>>,
     refused: Vec<Vec<u8>>,
     /// Which of them has this outcome.
@@ -152,7 +154,7 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Look at one input, and keep it if its outcome is new or if it is the shortest with it.
+    /// Checks one input, and keeps it if its outcome is new or if it is the shortest with it.
     fn look(&mut self, input: Vec<u8>) -> Result<(), Failure> {
         let seen = tried(self.target, &input).map_err(|why| smallest(self.target, &input, why))?;
         self.run.inputs += 1;
@@ -174,7 +176,7 @@ thread_local! {
     static IS_TRYING: Cell<bool> = const { Cell::new(false) };
 }
 
-/// What the target says of this input; a panic is a failure as any other.
+/// The target's outcome for this input; a panic is a failure like any other.
 fn tried(target: &Target, input: &[u8]) -> Result<Seen, String> {
     IS_TRYING.set(true);
     let seen = catch_unwind(|| (target.check)(input));
@@ -202,7 +204,8 @@ fn smallest(target: &Target, input: &[u8], why: String) -> Failure {
     least
 }
 
-/// Panics of a parser become failures with a message of their own; their hundreds while an input is made small say nothing.
+/// Panics of a parser become failures with their own message; the hundreds during minimisation are
+/// noise.
 fn be_quiet_about_expected_panics() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
@@ -224,13 +227,13 @@ fn number_from(variable: &str) -> Option<f64> {
     std::env::var(variable).ok().map(|text| text.parse().unwrap_or_else(|_| panic!("{variable} must be a number")))
 }
 
-/// Straight to standard output, because a test that passes should say this as well.
+/// Writes straight to standard output, because a passing test should report this as well.
 fn say(name: &str, run: &Run) {
     let Run { inputs, read, seconds, corpus_files, outcomes } = run;
     let share = 100.0 * *read as f64 / *inputs as f64;
     let line = format!(
         "fuzz {name}: {inputs} inputs in {seconds:.1} s, {share:.0} % of them read, {outcomes} outcomes, {corpus_files} corpus files\n"
     );
-    // Nothing is lost but the line if nobody listens.
+    // If nobody listens, only the line is lost.
     let _ = std::io::stdout().write_all(line.as_bytes());
 }

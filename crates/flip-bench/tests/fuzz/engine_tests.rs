@@ -1,4 +1,4 @@
-//! The engine itself: what it must find, it finds.
+//! Tests of the engine itself: it finds what it must find.
 
 use crate::engine::{Failure, Seen, Target, bounded, run};
 use std::time::Duration;

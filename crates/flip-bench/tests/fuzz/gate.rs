@@ -61,7 +61,7 @@ fn check_request(line: &[u8]) -> Result<Seen, String> {
     Ok(Seen::Read(kind))
 }
 
-/// A refusal, apart by how far the line was read.
+/// A refusal, distinguished by how far the line was parsed.
 fn refused(line: &[u8]) -> Seen {
     let words = unframed(line).map(|text| (text.split(' ').count(), text.split(' ').next().and_then(number).is_some()));
     Seen::Refused(outcome(words))
@@ -83,7 +83,7 @@ fn without_digits(text: String) -> String {
     text.chars().filter(|c| !c.is_ascii_digit()).collect()
 }
 
-/// A state as the protocol writes it.
+/// A state in the format of the protocol.
 fn print(status: &GateStatus) -> Result<String, String> {
     let opening = status.opening_permille;
     if opening > 1000 {
@@ -121,10 +121,10 @@ fn name(refusal: Refusal) -> &'static str {
     }
 }
 
-/// Put the right checksum behind what stands before the last `*`.
+/// Appends the right checksum to the text before the last `*`.
 fn repair(line: Vec<u8>) -> Vec<u8> {
     let text = line.rsplitn(2, |byte| *byte == b'*').last().unwrap_or_default();
-    // A checksum is over text; what is none stays as it is.
+    // A checksum covers text; other bytes stay as they are.
     match std::str::from_utf8(text) {
         Ok(text) => framed(text).trim_end().as_bytes().to_vec(),
         Err(_) => line,

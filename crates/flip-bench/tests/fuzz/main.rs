@@ -1,7 +1,10 @@
-//! Every parser of what comes from outside, fed with damaged and hostile bytes: no panic, no waste of time or memory, and what holds of each.
+//! Every parser of external input, fed with damaged and hostile bytes: no panic, no waste of time
+//! or memory, and the invariants of each.
 //!
-//! Each target runs for `FLIP_FUZZ_SECONDS` (default 5; `make reliability` gives 60) from the seed `FLIP_FUZZ_SEED` (default 1), two side by side on two cores.
-//! `corpus/<target>/` holds the files it begins with. An input that fails is made small and kept there as `found-…`: every later run looks at it first.
+//! Each target runs for `FLIP_FUZZ_SECONDS` (default 5; `make reliability` sets 60) from the seed
+//! `FLIP_FUZZ_SEED` (default 1), two in parallel on two cores. `corpus/<target>/` holds the files
+//! it begins with. A failing input is minimised and kept there as `found-…`: every later run checks
+//! it first.
 
 mod arm;
 mod balance;

@@ -1,4 +1,5 @@
-//! Modbus RTU: the gripper's registers as the driver reads them, and requests as the emulated gripper reads them.
+//! Modbus RTU: the gripper's registers as the driver reads them, and requests as the emulated
+//! gripper reads them.
 
 use crate::engine::{Seen, Target, bounded, outcome};
 use flip_bench::emulate::gripper::{self as emulated, Request};
@@ -73,13 +74,14 @@ fn check_request(frame: &[u8]) -> Result<Seen, String> {
     }))
 }
 
-/// Put the right checksum behind all but the last two bytes.
+/// Replaces the last two bytes by the right checksum.
 fn repair(mut frame: Vec<u8>) -> Vec<u8> {
     frame.truncate(frame.len().saturating_sub(2));
     framed(frame)
 }
 
-/// With a checksum that is worked out another way than the emulator's: as a division of polynomials, with bits in the order of the wire.
+/// Appends a checksum computed differently from the emulator's: as a polynomial division, with bits
+/// in wire order.
 fn framed(mut body: Vec<u8>) -> Vec<u8> {
     let mut rest = 0xFFFF_u16;
     for byte in &body {

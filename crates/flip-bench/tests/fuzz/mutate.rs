@@ -1,11 +1,11 @@
-//! Mutants: inputs that were looked at, with a few things changed.
+//! Mutants: inputs already checked, with a few things changed.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-/// Bytes that parsers treat in a way of their own.
+/// Bytes that parsers treat specially.
 const BYTES: [u8; 16] = *b"\0\x01\x7f\x80\xff\r\n\t *,.+-09";
-/// Numbers at and beyond what fields can hold.
+/// Numbers at and beyond the limits of fields.
 const NUMBERS: [&str; 16] = [
     "0",
     "-0",
@@ -24,10 +24,10 @@ const NUMBERS: [&str; 16] = [
     "NaN",
     "inf",
 ];
-/// Most that is copied, removed or repeated at once, bytes.
+/// Most bytes copied, removed or repeated at once.
 const PIECE_BYTES_MAX: usize = 32;
 
-/// Makes mutants, the same from the same seed.
+/// Generates mutants, deterministic for a seed.
 pub struct Mutator {
     rng: Pcg64Mcg,
     words: &'static [&'static str],
@@ -43,7 +43,7 @@ impl Mutator {
         self.rng.random()
     }
 
-    /// One of these inputs, changed up to six times.
+    /// One of these inputs with up to six changes.
     pub fn mutant(&mut self, from: &[Vec<u8>]) -> Vec<u8> {
         let mut input = from[self.below(from.len())].clone();
         for _ in 0..self.rng.random_range(1..=6) {
@@ -91,7 +91,7 @@ impl Mutator {
     }
 }
 
-/// The digits from here on.
+/// The digits starting here.
 fn number_at(input: &[u8], at: usize) -> std::ops::Range<usize> {
     at..at + input[at..].iter().take_while(|byte| byte.is_ascii_digit()).count()
 }

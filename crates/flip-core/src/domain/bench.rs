@@ -1,27 +1,27 @@
-//! What passes between a bench and everything else: actions out, readings back.
+//! The messages between a bench and its callers: actions out, readings back.
 
 use super::rest::Rest;
 use serde::{Deserialize, Serialize};
 
-/// What a bench is made of.
+/// The devices behind a bench.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BenchKind {
     /// The simulator, called directly.
     Simulated,
-    /// Emulated devices with their real protocols, around the simulator.
+    /// Emulated devices that speak their real protocols, with the simulator behind them.
     Emulated,
     /// Real devices.
     Devices,
 }
 
 impl BenchKind {
-    /// Something could be left standing somewhere when the process ends.
+    /// Whether hardware could be left in an unsafe position when the process ends.
     pub fn has_devices(self) -> bool {
         self != Self::Simulated
     }
 
-    /// Each dose has an empty vial without anybody's help.
+    /// Whether the bench puts an empty vial in place for each dose without an operator.
     pub fn exchanges_vials(self) -> bool {
         self != Self::Devices
     }
@@ -29,7 +29,7 @@ impl BenchKind {
 
 /// Largest shake amplitude, mm.
 pub const SHAKE_MM_MAX: f64 = 16.0;
-/// An amplitude below this is no shake, mm (as on the published robot).
+/// An amplitude below this counts as no shake, mm (as on the published robot).
 pub const SHAKE_MM_MIN: f64 = 0.9;
 /// Largest change of the spoon's pitch in one step, degrees.
 pub const INCLINE_CHANGE_DEG_MAX: f64 = 8.0;
@@ -39,12 +39,13 @@ pub const INCLINE_CHANGE_DEG_MAX: f64 = 8.0;
 pub struct Action {
     /// Change of the spoon's pitch, degrees; positive is tip down; -8 to 8.
     pub incline_change_deg: f64,
-    /// Amplitude of one out-and-back shake along the spoon, mm; 0 to 16, below 0.9 there is no shake.
+    /// Amplitude of one out-and-back shake along the spoon, mm; 0 to 16; below 0.9 there is no
+    /// shake.
     pub shake_mm: f64,
 }
 
 impl Action {
-    /// From the two outputs of a policy in -1..=1: incline change first, then shake amplitude.
+    /// Converts the two outputs of a policy in -1..=1: incline change first, then shake amplitude.
     pub fn from_unit(unit: [f64; 2]) -> Self {
         Self {
             incline_change_deg: unit[0].clamp(-1.0, 1.0) * INCLINE_CHANGE_DEG_MAX,
@@ -57,7 +58,7 @@ impl Action {
         [self.incline_change_deg / INCLINE_CHANGE_DEG_MAX, 2.0 * self.shake_mm / SHAKE_MM_MAX - 1.0]
     }
 
-    /// The amplitude that is executed: zero below [`SHAKE_MM_MIN`].
+    /// The executed amplitude: zero below [`SHAKE_MM_MIN`].
     pub fn executed_shake_mm(&self) -> f64 {
         if self.shake_mm < SHAKE_MM_MIN { 0.0 } else { self.shake_mm }
     }
@@ -72,16 +73,16 @@ pub struct Reading {
     pub stable: bool,
 }
 
-/// One step of a weighing: the action, and the balance reading after it.
+/// One step of a weighing: the action and the balance reading after it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Tick {
-    /// 0 is the reading after the tare, before any motion.
+    /// Step number; 0 is the reading after the tare, before any motion.
     pub step: u32,
     /// Bench time since the tare, seconds.
     pub t_s: f64,
     /// Pitch of the spoon after the step, degrees.
     pub pitch_deg: f64,
-    /// The action the guard let through.
+    /// The action as passed by the guard.
     pub action: Action,
     /// The settled balance reading.
     pub reading: Reading,
@@ -102,14 +103,14 @@ impl PitchLimits {
     /// FLIP's default: cohesive powders do not leave the spoon below 36 deg.
     pub const WIDE: Self = Self { lower_deg: -10.0, upper_deg: 50.0 };
 
-    /// What both allow; empty, with the upper below the lower, where that is nothing.
+    /// The intersection of two ranges; empty (upper below lower) if they do not overlap.
     #[must_use]
     pub fn within(self, other: Self) -> Self {
         Self { lower_deg: self.lower_deg.max(other.lower_deg), upper_deg: self.upper_deg.min(other.upper_deg) }
     }
 }
 
-/// What an arm can do with its spoon.
+/// The limits of an arm that holds a spoon.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reach {
     /// Range of the pitch.
@@ -119,11 +120,12 @@ pub struct Reach {
 }
 
 impl Reach {
-    /// No bound but those of an action.
+    /// No limits beyond those of an action.
     pub const FULL: Self =
         Self { pitch: PitchLimits { lower_deg: -90.0, upper_deg: 90.0 }, shake_mm_max: SHAKE_MM_MAX };
 
-    /// What it can do of this range of pitch; `None` where that is no dosing: the spoon is never level, never tips down, or never shakes.
+    /// The limits within this pitch range; `None` if dosing is impossible there: the spoon is never
+    /// level, never tips down, or never shakes.
     pub fn of(&self, pitch: PitchLimits) -> Option<Self> {
         let pitch = pitch.within(self.pitch);
         let can_dose = pitch.lower_deg <= pitch.upper_deg && pitch.upper_deg > 0.0 && self.shake_mm_max >= SHAKE_MM_MIN;
@@ -138,28 +140,29 @@ pub struct Tare {
     pub tare_mg: Option<f64>,
 }
 
-/// What a balance showed at some time, with nothing moving.
+/// A balance reading at a point in time, with nothing moving.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Moment {
     /// Bench time, s.
     pub t_s: f64,
-    /// What it showed, mg.
+    /// Displayed mass, mg.
     pub mass_mg: f64,
 }
 
-/// A balance that was watched while nothing moved.
+/// The result of watching a balance while nothing moved.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Standing {
     /// The last reading.
     pub reading: Reading,
-    /// Every reading of the last part lay within one step of the display or the balance's noise: our own criterion beside the balance's flag.
+    /// Whether every reading of the last part lay within one display step or the balance's noise:
+    /// FLIP's own criterion, in addition to the balance's flag.
     pub still: bool,
     /// Slope of the readings, mg/min.
     pub drift_mg_min: f64,
     /// Standard deviation of the readings about that slope, mg.
     pub scatter_mg: f64,
-    /// For how long it was watched, s.
+    /// How long it was watched, s.
     pub seconds: f64,
-    /// All that the readings say of where the display stood.
+    /// Statistics of the display at rest.
     pub rest: Rest,
 }

@@ -1,9 +1,10 @@
-//! Checks of a bench that are kept: how well its balance repeats, what its arm makes of a commanded shake.
+//! Bench checks that are kept on record: repeatability of the balance, and the arm's response to
+//! commanded shakes.
 
 use super::FieldError;
 use serde::{Deserialize, Serialize};
 
-/// Which check.
+/// Kind of check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CheckKind {
@@ -30,10 +31,10 @@ pub struct Repeatability {
 }
 
 impl Repeatability {
-    /// From the readings of one test weight, put on anew for each.
+    /// Computes the result from the readings of one test weight, put on again for each.
     ///
     /// # Errors
-    /// `readings_mg`: fewer than ten, or one that is no number.
+    /// `readings_mg`: fewer than ten, or one that is not a number.
     pub fn of(readings_mg: Vec<f64>, readability_mg: f64) -> Result<Self, FieldError> {
         let n = readings_mg.len();
         if n < REPEATABILITY_N_MIN || readings_mg.iter().any(|mg| !mg.is_finite()) {
@@ -45,7 +46,7 @@ impl Repeatability {
         Ok(Self { readings_mg, sd_mg: (squares / (n as f64 - 1.0)).sqrt(), readability_mg })
     }
 
-    /// Smallest net mass that may be called weighed within this share of itself, mg.
+    /// Smallest net mass that may be weighed to within this share of itself, mg.
     ///
     /// ```text
     /// m_min = 2 max(s, 0.41 d) / share        share 0.001 for "accurately weighed" (USP <41>)
@@ -55,17 +56,18 @@ impl Repeatability {
     }
 }
 
-/// Repeatability as USP <41> takes it, mg: at least 0.41 steps of the display.
+/// Repeatability as defined by USP <41>, mg: at least 0.41 display steps.
 pub fn repeatability_mg(sd_mg: f64, readability_mg: f64) -> f64 {
     sd_mg.max(0.41 * readability_mg)
 }
 
-/// Smallest net weight, mg, of which twice the repeatability is no more than this share: 2000 s for the 0.10 % of USP <41>.
+/// Smallest net weight, mg, for which twice the repeatability is at most this share: 2000 s for the
+/// 0.10 % of USP <41>.
 pub fn minimum_weight_mg(repeatability_mg: f64, share: f64) -> f64 {
     2.0 * repeatability_mg / share
 }
 
-/// The arm's response to a commanded shake: a line through the measurements.
+/// The arm's response to a commanded shake: a straight line fitted to the measurements.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ShakeCalibration {
     /// Commanded and executed amplitudes, mm, and the peak speed, mm/s, of each shake.
@@ -94,10 +96,10 @@ pub struct ExecutedShake {
 }
 
 impl ShakeCalibration {
-    /// The line of least squares through these shakes.
+    /// Fits the least-squares line through these shakes.
     ///
     /// # Errors
-    /// `shakes`: fewer than three amplitudes, or all alike, or no numbers.
+    /// `shakes`: fewer than three amplitudes, all alike, or not numbers.
     pub fn of(shakes: Vec<ExecutedShake>) -> Result<Self, FieldError> {
         let refuse = |why: &str| FieldError::new("shakes", why.to_owned());
         let n = shakes.len() as f64;
@@ -124,12 +126,12 @@ impl ShakeCalibration {
         Ok(Self { shakes, gain, offset_mm, scatter_mm, speed_gain })
     }
 
-    /// What is executed when this is commanded, mm.
+    /// The amplitude executed for this commanded amplitude, mm.
     pub fn executed_mm(&self, commanded_mm: f64) -> f64 {
         (self.offset_mm + self.gain * commanded_mm).max(0.0)
     }
 
-    /// What to command so that this is executed, mm.
+    /// The amplitude to command for this executed amplitude, mm.
     pub fn commanded_mm(&self, wanted_mm: f64) -> f64 {
         ((wanted_mm - self.offset_mm) / self.gain).max(0.0)
     }

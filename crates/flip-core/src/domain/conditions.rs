@@ -1,25 +1,25 @@
-//! Conditions that powder is measured and weighed under, and what they change about the simulated powder.
+//! Conditions under which powder is measured and weighed, and how they change the simulated powder.
 
 use super::parameters::{PARAMETERS, ParameterSet};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// A recorded condition: a number in the unit its name ends in, or a name.
+/// A recorded condition: a number in the unit given by the suffix of its name, or a name.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(untagged)]
 pub enum Condition {
-    /// For example `relative_humidity_pct`.
+    /// A number, for example `relative_humidity_pct`.
     Number(f64),
-    /// For example `batch`.
+    /// A name, for example `batch`.
     Name(String),
 }
 
-/// Conditions by the name of the campaign's column: `relative_humidity_pct`.
+/// Conditions by column name of the campaign, e.g. `relative_humidity_pct`.
 pub type Conditions = BTreeMap<String, Condition>;
 
 impl Condition {
-    /// What a caller typed: a number if it reads as one.
+    /// Parses user input: a number if it reads as one, otherwise a name.
     pub fn typed(text: &str) -> Self {
         text.parse().map_or_else(|_| Self::Name(text.to_owned()), Self::Number)
     }
@@ -39,22 +39,24 @@ impl fmt::Display for Condition {
 pub struct Under {
     /// Version, `sv-…`.
     pub simulator: String,
-    /// The conditions given; a calibration without any is at the version's reference, and a training draws those left out.
+    /// The conditions given. A calibration without any runs at the version's reference; a training
+    /// draws those left out.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Conditions,
 }
 
-/// Changes that conditions make to a simulated powder and its experiments. Nothing by default: the base simulator, bit for bit.
+/// Changes that conditions make to a simulated powder and its experiments. None by default: the
+/// base simulator, bit for bit.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Patch {
-    /// Amplitudes of mechanisms missing from the base simulator, by name.
+    /// Amplitudes of mechanisms not in the base simulator, by name.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub amplitudes: BTreeMap<String, f64>,
     /// Offsets of the powder's parameters, by key.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub parameters: BTreeMap<String, f64>,
-    /// Offsets of the heap experiment's settings, by name; not used for a spoon.
+    /// Offsets of the heap experiment's settings, by name; not applied to a spoon.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub heap: BTreeMap<String, f64>,
 }
@@ -65,7 +67,7 @@ impl Patch {
         *self == Self::default()
     }
 
-    /// The powder under these conditions: parameters stop at their published bounds.
+    /// The powder under these conditions; parameters are clamped to their published bounds.
     pub fn powder(&self, set: &ParameterSet) -> ParameterSet {
         let mut values = set.values();
         for (value, parameter) in values.iter_mut().zip(&PARAMETERS) {

@@ -6,15 +6,15 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum JobKind {
-    /// From a flowability to parameter sets.
+    /// From a measured flowability to parameter sets.
     Calibration,
     /// From parameter sets to a policy.
     Training,
-    /// A policy's errors on the simulated bench.
+    /// Measures a policy's errors on the simulated bench.
     Evaluation,
-    /// From measured angles to what the simulator gets wrong.
+    /// Finds from measured angles what the simulator gets wrong.
     Investigation,
-    /// From piles under a camera to an angle of repose.
+    /// From camera frames of piles to an angle of repose.
     Repose,
 }
 
@@ -28,14 +28,14 @@ pub enum JobState {
     Running,
     /// Done; the result is stored.
     Succeeded,
-    /// Failed; the error gives the reason.
+    /// Failed; the error states the reason.
     Failed,
     /// Cancelled on request.
     Cancelled,
 }
 
 impl JobState {
-    /// Nothing more will happen to the job.
+    /// Whether the job has ended for good.
     pub fn is_terminal(self) -> bool {
         matches!(self, Self::Succeeded | Self::Failed | Self::Cancelled)
     }
@@ -46,6 +46,6 @@ impl JobState {
 pub struct Progress {
     /// 0 to 1.
     pub fraction: f64,
-    /// Current activity, for people: `trial 12, 4 of 10 sets`.
+    /// Current activity in readable form, e.g. `trial 12, 4 of 10 sets`.
     pub message: String,
 }

@@ -1,4 +1,5 @@
-//! The nouns: powders, parameter sets, readings, actions, weighings, jobs. No I/O, no clock, no async.
+//! The domain types: powders, parameter sets, readings, actions, weighings, jobs. No I/O, no clock,
+//! no async.
 
 pub mod bench;
 pub mod bench_check;
@@ -17,26 +18,28 @@ pub mod timestamp;
 pub mod vial;
 pub mod weighing;
 
-/// What is wrong with one field of an input: which field, what was expected, what to do.
+/// A rejected input field: which field, what was expected, what to do.
 ///
-/// Every layer that refuses an input reports it with this; the API turns it into problem+json.
+/// Every layer that rejects an input reports it with this type; the API turns it into problem+json.
 #[derive(Debug, Clone, PartialEq, thiserror::Error, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
 #[error("{field}: {message}")]
 pub struct FieldError {
     /// Path of the field as the caller wrote it, e.g. `target.value`.
     pub field: String,
-    /// The bound and what to do, e.g. `must be between 0.1 and 30 mg; ask for less or use a larger spoon`.
+    /// The bound and how to fix it, e.g. `must be between 0.1 and 30 mg; ask for less or use a
+    /// larger spoon`.
     pub message: String,
 }
 
 impl FieldError {
-    /// A refusal of `field`.
+    /// A rejection of `field`.
     pub fn new(field: impl Into<String>, message: impl Into<String>) -> Self {
         Self { field: field.into(), message: message.into() }
     }
 }
 
-/// `value` if it is finite and within `lower..=upper`, else a [`FieldError`] that names the bound.
+/// Returns `value` if it is finite and within `lower..=upper`, otherwise a [`FieldError`] that
+/// states the bound.
 pub fn bounded(field: &str, value: f64, lower: f64, upper: f64, unit: &str) -> Result<f64, FieldError> {
     if value.is_finite() && (lower..=upper).contains(&value) {
         return Ok(value);

@@ -1,4 +1,4 @@
-//! How a spoon moves: smooth rest-to-rest moves within velocity, acceleration and jerk limits.
+//! Spoon motion: smooth rest-to-rest moves within velocity, acceleration and jerk limits.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,23 +15,24 @@ pub struct MotionLimits {
 }
 
 impl MotionLimits {
-    /// The published robot's relative dynamics 0.25 / 0.13 / 0.05 of an FR3's maxima 3 m/s, 9 m/s^2, 4500 m/s^3.
+    /// The published robot's relative dynamics 0.25 / 0.13 / 0.05 of an FR3's maxima 3 m/s, 9
+    /// m/s^2, 4500 m/s^3.
     pub const PAPER: Self = Self { velocity_m_s: 0.25 * 3.0, acceleration_m_s2: 0.13 * 9.0, jerk_m_s3: 0.05 * 4500.0 };
-    /// FLIP's default, 0.25 / 0.5 / 0.35 of the same maxima: 0.46 g. At the published 0.12 g a smooth shake acts like
-    /// 7 deg more tilt and simulated salt gives 3 mg in five shakes at 45 deg; the published robot's arm adds vibration
-    /// that a rigid spoon does not have.
+    /// FLIP's default, 0.25 / 0.5 / 0.35 of the same maxima: 0.46 g. At the published 0.12 g a
+    /// smooth shake acts like 7 deg more tilt, and simulated salt yields 3 mg in five shakes at 45
+    /// deg; the published robot's arm adds vibration that a rigid spoon does not have.
     pub const BRISK: Self = Self { velocity_m_s: 0.25 * 3.0, acceleration_m_s2: 0.5 * 9.0, jerk_m_s3: 0.35 * 4500.0 };
 }
 
-/// Limits of a turn.
+/// Limits of a rotation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TurnLimits {
-    /// Largest speed, deg/s.
+    /// Maximum angular speed, deg/s.
     pub velocity_deg_s: f64,
-    /// Largest acceleration, deg/s^2.
+    /// Maximum angular acceleration, deg/s^2.
     pub acceleration_deg_s2: f64,
-    /// Largest jerk, deg/s^3.
+    /// Maximum angular jerk, deg/s^3.
     pub jerk_deg_s3: f64,
 }
 
@@ -40,7 +41,7 @@ impl TurnLimits {
     pub const DEFAULT: Self = Self { velocity_deg_s: 60.0, acceleration_deg_s2: 1200.0, jerk_deg_s3: 24_000.0 };
 }
 
-/// A [`Move`] knows no unit: given a turn's numbers, it answers in degrees where it says metres.
+/// A [`Move`] is unit-agnostic: given limits in degrees, its "metres" are degrees.
 impl From<TurnLimits> for MotionLimits {
     fn from(turn: TurnLimits) -> Self {
         Self {
@@ -51,33 +52,34 @@ impl From<TurnLimits> for MotionLimits {
     }
 }
 
-/// A rest-to-rest move: jerk-limited up to constant acceleration, perhaps a cruise, and the mirror image back to rest.
+/// A rest-to-rest move: jerk-limited ramp to constant acceleration, an optional cruise, and the
+/// mirror image back to rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Move {
     limits: MotionLimits,
     distance_m: f64,
     /// Duration of each jerk phase, s.
     ramp_s: f64,
-    /// Acceleration reached, m/s^2.
+    /// Peak acceleration, m/s^2.
     peak_m_s2: f64,
-    /// Speed reached, m/s.
+    /// Peak speed, m/s.
     top_m_s: f64,
-    /// From rest to the largest speed, s.
+    /// Time from rest to peak speed, s.
     rise_s: f64,
-    /// At the largest speed, s.
+    /// Time at peak speed, s.
     cruise_s: f64,
 }
 
 impl Move {
-    /// The fastest such move over `distance_m`, which is zero or more.
+    /// Plans the fastest move over `distance_m`, which must be zero or more.
     ///
     /// ```text
     /// long enough for full acceleration a and below top speed v:   s = v^2/a + v a/j,  rise = v/a + a/j
     /// shorter than 2 a^3 / j^2:                                    a = (s j^2 / 2)^(1/3), rise = 2 a/j
     /// ```
     ///
-    /// Limits whose top speed is reached before full acceleration (`v < a^2/j`) are kept in speed and jerk with less
-    /// acceleration than allowed.
+    /// Limits whose top speed is reached before full acceleration (`v < a^2/j`) keep their speed
+    /// and jerk and use less acceleration than allowed.
     pub fn new(distance_m: f64, limits: MotionLimits) -> Self {
         let MotionLimits { velocity_m_s: v_max, acceleration_m_s2: a, jerk_m_s3: j } = limits;
         let s = distance_m;
@@ -101,12 +103,12 @@ impl Move {
         Self { limits, distance_m, ramp_s: ramp, peak_m_s2: peak, top_m_s: speed, rise_s: rise, cruise_s: cruise }
     }
 
-    /// From rest to rest, s.
+    /// Time from rest to rest, s.
     pub fn duration_s(&self) -> f64 {
         2.0 * self.rise_s + self.cruise_s
     }
 
-    /// Largest speed on the way, m/s.
+    /// Peak speed of the move, m/s.
     pub fn top_m_s(&self) -> f64 {
         self.top_m_s
     }
@@ -131,7 +133,7 @@ impl Move {
         }
     }
 
-    /// Way travelled at `t` after the start, m.
+    /// Distance travelled at `t` after the start, m.
     pub fn position_m(&self, t: f64) -> f64 {
         let fall_starts = self.rise_s + self.cruise_s;
         match t {
@@ -141,7 +143,7 @@ impl Move {
         }
     }
 
-    /// One trapezoid of acceleration.
+    /// One trapezoidal acceleration pulse.
     fn pulse(&self, t: f64) -> f64 {
         if !(0.0..=self.rise_s).contains(&t) {
             return 0.0;
@@ -149,7 +151,7 @@ impl Move {
         (self.limits.jerk_m_s3 * t.min(self.rise_s - t)).min(self.peak_m_s2)
     }
 
-    /// Speed and way at `t` of the trapezoid: its first and second integral.
+    /// Speed and distance at `t` within the trapezoid: its first and second integral.
     ///
     /// ```text
     /// t < T_j          v = j t^2 / 2,               x = j t^3 / 6
@@ -175,7 +177,8 @@ impl Move {
 mod tests {
     use super::*;
 
-    /// Moves of every kind: full acceleration, too short for it, a cruise, a top speed before full acceleration, a turn.
+    /// Moves of every kind: full acceleration, too short for it, with a cruise, top speed before
+    /// full acceleration, a rotation.
     fn cases() -> Vec<(f64, MotionLimits)> {
         let slow = MotionLimits { velocity_m_s: 0.05, ..MotionLimits::PAPER };
         let crawling = MotionLimits { velocity_m_s: 0.002, ..MotionLimits::PAPER };
@@ -205,7 +208,7 @@ mod tests {
                 x += v * dt;
                 if k % 1000 == 0 {
                     let t = f64::from(k + 1) * dt;
-                    // The sum is of first order in the step.
+                    // The sum is first-order accurate in the step.
                     assert!((plan.velocity_m_s(t) - v).abs() < 1e-4 * plan.top_m_s(), "speed at {t} of {distance}");
                     assert!((plan.position_m(t) - x).abs() < 1e-4 * distance, "way at {t} of {distance}");
                 }

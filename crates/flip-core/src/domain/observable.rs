@@ -1,4 +1,4 @@
-//! What a powder can be measured by beside its angle of repose.
+//! Measurable properties of a powder besides its angle of repose.
 
 use super::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Observable {
-    /// Time for a mass to run out of a flat-bottomed cup through a round hole, s. A Hall flow meter: 50 g, 2.54 mm (ASTM B213).
+    /// Time for a mass to run out of a flat-bottomed cup through a round hole, s. A Hall flow meter
+    /// uses 50 g, 2.54 mm (ASTM B213).
     FlowTime {
         /// Mass that runs out, 0.01 to 1000 g.
         mass_g: f64,
@@ -21,18 +22,21 @@ pub enum Observable {
         /// Amplitude of the shake along the spoon, 0.9 to 16 mm.
         shake_mm: f64,
     },
-    /// Slope of the powder left in a flat-bottomed cup after it has run out through a hole in the middle, deg.
+    /// Slope of the powder left in a flat-bottomed cup after draining through a hole in the middle,
+    /// deg.
     DrainedAngle {},
-    /// Height of a heap that covers a round base to the rim, mm.
+    /// Height of a heap that covers a round base to its rim, mm.
     PileHeight {
         /// Diameter of the base, 5 to 500 mm.
         base_diameter_mm: f64,
-        /// From the funnel's tip down to the apex of the finished heap, 0.05 to 0.5 diameters of the base, mm.
+        /// Distance from the funnel's tip down to the apex of the finished heap, mm; 0.05 to 0.5
+        /// base diameters.
         fall_mm: f64,
     },
 }
 
-/// A measured quantity: the mean of `n` repeats and their standard deviation, in the quantity's unit.
+/// A measured quantity: the mean of `n` repeats and their standard deviation, in the quantity's
+/// unit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Observation {
@@ -42,15 +46,16 @@ pub struct Observation {
     pub mean: f64,
     /// Standard deviation over the repeats, above 0.
     pub sd: f64,
-    /// Number of repeats, 2 to 10000: a single one gives no spread.
+    /// Number of repeats, 2 to 10000: a single one has no spread.
     pub n: u32,
 }
 
-/// Least standard deviation of repeats: no balance, clock or protractor shows less.
+/// Smallest standard deviation of repeats; no balance, clock or protractor resolves less.
 pub const SD_MIN: f64 = 1e-4;
 
 impl Observable {
-    /// The same experiment as everyone's who does it at this scale: without factors that only multiply the result.
+    /// The experiment without factors that only scale the result, so that equal experiments at this
+    /// scale compare equal.
     pub fn experiment(self) -> Self {
         match self {
             Self::FlowTime { orifice_mm, .. } => Self::FlowTime { mass_g: 1.0, orifice_mm },
@@ -62,7 +67,7 @@ impl Observable {
         }
     }
 
-    /// Its unit.
+    /// The unit of the observable.
     pub fn unit(&self) -> &'static str {
         match self {
             Self::FlowTime { .. } => "s",
@@ -72,7 +77,7 @@ impl Observable {
         }
     }
 
-    /// The name of its kind, as in JSON.
+    /// The name of the kind, as in JSON.
     pub fn kind(&self) -> &'static str {
         match self {
             Self::FlowTime { .. } => "flow_time",
@@ -101,7 +106,7 @@ impl Observable {
         Ok(())
     }
 
-    /// The range in which its mean can be.
+    /// Possible range of the mean.
     fn range(&self) -> [f64; 2] {
         match *self {
             Self::FlowTime { .. } => [0.01, 1e5],
@@ -113,10 +118,10 @@ impl Observable {
 }
 
 impl Observation {
-    /// The observation, if each of its numbers is possible.
+    /// Validates the observation: each number must be possible.
     ///
     /// # Errors
-    /// The first that is not, by name.
+    /// The first number that is not, by name.
     pub fn checked(self) -> Result<Self, FieldError> {
         self.observable.check()?;
         let [lower, upper] = self.observable.range();

@@ -4,10 +4,11 @@ use super::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-/// One of the nine parameters: key, unit, published bounds, default and what it does in FLIP's simulator.
+/// One of the nine parameters: key, unit, published bounds, default and what it does in FLIP's
+/// simulator.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct Parameter {
-    /// The name in JSON, in the database and (with dashes) on the command line.
+    /// Key in JSON, in the database and (with dashes) on the command line.
     pub key: &'static str,
     /// Unit of the value; empty if it has none.
     pub unit: &'static str,
@@ -15,9 +16,9 @@ pub struct Parameter {
     pub lower: f64,
     /// Upper published bound, inclusive.
     pub upper: f64,
-    /// Value if none is given.
+    /// Default value.
     pub default: f64,
-    /// What it does, in one sentence; `sim/mod.rs` has the equation.
+    /// Its effect, in one sentence; `sim/mod.rs` has the equation.
     pub meaning: &'static str,
 }
 
@@ -93,7 +94,8 @@ pub const PARAMETERS: [Parameter; COUNT] = [
     },
 ];
 
-/// The simulated twin of a powder: one value for each of the nine parameters, each within its published bounds.
+/// The simulated twin of a powder: one value for each of the nine parameters, each within its
+/// published bounds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(try_from = "Values", into = "Values")]
 #[schema(as = ParameterSetValues)]
@@ -167,7 +169,7 @@ impl Default for ParameterSet {
 }
 
 impl ParameterSet {
-    /// A set from values in the order of [`PARAMETERS`].
+    /// Creates a set from values in the order of [`PARAMETERS`].
     ///
     /// # Errors
     /// The first value that is not finite or outside its published bounds, by key.
@@ -219,7 +221,7 @@ impl ParameterSet {
         Self::new(values).expect("clamped into the bounds")
     }
 
-    /// The same set with one parameter changed, by key.
+    /// Returns the set with one parameter changed, by key.
     ///
     /// # Errors
     /// An unknown key, or a value outside its bounds.
@@ -233,7 +235,8 @@ impl ParameterSet {
         Self::new(values)
     }
 
-    /// Content address: `ps-` and the first 16 hexadecimal digits of the SHA-256 of the nine values.
+    /// Content address: `ps-` and the first 16 hexadecimal digits of the SHA-256 of the nine
+    /// values.
     pub fn id(&self) -> String {
         let mut hash = Sha256::new();
         for value in self.values() {

@@ -1,4 +1,4 @@
-//! What a depth camera's frames say of a pile under a funnel.
+//! Measurements of a pile under a funnel from a depth camera's frames.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,13 +7,14 @@ use serde::{Deserialize, Serialize};
 pub struct Angle {
     /// Degrees.
     pub deg: f64,
-    /// Combined standard uncertainty of one measurement, degrees: frames, fit and calibration. Twice this covers about 95 %.
+    /// Combined standard uncertainty of one measurement, degrees: frames, fit and calibration.
+    /// Twice this covers about 95 %.
     pub u_deg: f64,
     /// Uncertainty of the mean from the frame-to-frame spread alone, degrees.
     pub u_frames_deg: f64,
 }
 
-/// What the frames show of a pile.
+/// Measurements of a pile in the frames.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[schema(as = PileMeasurement)]
 pub struct Measurement {
@@ -25,13 +26,13 @@ pub struct Measurement {
     pub height_mm: f64,
     /// Distance between apex and funnel tip, mm.
     pub tip_to_apex_mm: f64,
-    /// Height of the funnel tip above the base as seen in the frames, mm: to be compared with D.
+    /// Height of the funnel tip above the base as measured in the frames, mm; compare with D.
     pub tip_height_seen_mm: f64,
     /// Distance of the apex from the spout's axis, mm.
     pub off_centre_mm: f64,
-    /// Downward angle of the camera, and its roll about its axis, degrees.
+    /// Downward angle of the camera, degrees.
     pub elevation_deg: f64,
-    /// See `elevation_deg`.
+    /// Roll of the camera about its axis, degrees.
     pub roll_deg: f64,
     /// Number of pixels on the flank.
     pub flank_pixels: u32,

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub enum Method {
     /// By camera: funnel tip and pile apex located in depth images.
     Automated,
-    /// By hand, after ISO 8398.
+    /// By hand, per ISO 8398.
     Manual,
 }
 
@@ -35,7 +35,7 @@ pub struct Flowability {
 }
 
 impl Flowability {
-    /// A checked measurement.
+    /// Creates a validated measurement.
     ///
     /// # Errors
     /// An angle outside 5-85 deg, a negative or non-finite SD, or no repeats.
@@ -48,8 +48,8 @@ impl Flowability {
         Ok(Self { repose_deg, sd_deg, n })
     }
 
-    /// The measurement that these repeats make: their mean, their sample standard deviation (0 for a single one, which says nothing of its
-    /// own spread) and their number.
+    /// Summarises repeats: their mean, sample standard deviation (0 for a single one, which has no
+    /// spread of its own) and count.
     ///
     /// # Errors
     /// No repeats or more than 10000; an angle outside 5-85 deg, as `field[position]`.
@@ -59,7 +59,7 @@ impl Flowability {
             bounded(&format!("{field}[{k}]"), angle, 5.0, 85.0, "deg")?;
         }
         let (mean, sd) = mean_and_sd(angles_deg);
-        // Rounding may carry the mean of equal repeats past a bound that each of them keeps.
+        // Rounding may carry the mean of equal repeats past a bound that each of them satisfies.
         Self::new(mean.clamp(5.0, 85.0), sd, angles_deg.len() as u32).map_err(|_| {
             FieldError::new(
                 field,
@@ -68,7 +68,7 @@ impl Flowability {
         })
     }
 
-    /// The measurement that these heaps make, one repeat each.
+    /// Summarises heaps, one repeat each.
     ///
     /// # Errors
     /// As [`HeapReadings::angles_deg`] and [`Flowability::of_repeats`].
@@ -77,14 +77,14 @@ impl Flowability {
     }
 }
 
-/// Heaps on a round base that each covers to the rim, as a ruler or a camera reads them.
+/// Heaps that each cover a round base to its rim, as measured with a ruler or a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HeapReadings<'a> {
     /// Height of each heap above its base, mm.
     pub heights_mm: &'a [f64],
     /// Diameter of the base, 5 to 500 mm: one for each heap, or one for all.
     pub base_diameters_mm: &'a [f64],
-    /// Height of the funnel's tip above the base, 0.1 to 3000 mm, if it is known: no heap is higher.
+    /// Height of the funnel's tip above the base, 0.1 to 3000 mm, if known; no heap is higher.
     pub funnel_height_mm: Option<f64>,
 }
 
@@ -95,12 +95,14 @@ impl HeapReadings<'_> {
     /// ```text
     /// AoR = atan(2 h / d)
     /// ```
-    /// of a heap of height h on a fixed base of diameter d, as ISO 8398 measures it by hand and arXiv:2506.03896 by camera. The latter
-    /// prints 2 h / d; its numbers are degrees, so the arctangent is taken, as in the simulated experiment.
+    /// for a heap of height h on a fixed base of diameter d, as ISO 8398 measures it by hand and
+    /// arXiv:2506.03896 by camera. The latter prints 2 h / d; its numbers are in degrees, so the
+    /// arctangent is taken, as in the simulated experiment.
     ///
     /// # Errors
-    /// No heaps or more than 10000; another number of diameters than heaps; a diameter or funnel outside its bounds; a height that is not
-    /// positive, above the funnel, or of an angle outside 5-85 deg.
+    /// No heaps or more than 10000; a number of diameters that does not match the heaps; a diameter
+    /// or funnel outside its bounds; a height that is not positive, above the funnel, or with an
+    /// angle outside 5-85 deg.
     pub fn angles_deg(&self) -> Result<Vec<f64>, FieldError> {
         let Self { heights_mm, base_diameters_mm, funnel_height_mm } = *self;
         repeats("heights_mm", heights_mm)?;
@@ -144,7 +146,8 @@ fn repeats(field: &str, values: &[f64]) -> Result<(), FieldError> {
     }
 }
 
-/// Mean and sample standard deviation (divisor n - 1) of at least one value; the SD of a single one is 0.
+/// Mean and sample standard deviation (divisor n - 1) of at least one value; the SD of a single
+/// value is 0.
 pub fn mean_and_sd(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
@@ -152,10 +155,10 @@ pub fn mean_and_sd(values: &[f64]) -> (f64, f64) {
     (mean, if n > 1.0 { (squares / (n - 1.0)).sqrt() } else { 0.0 })
 }
 
-/// A powder id: a lower-case letter, then up to 63 letters, digits or underscores.
+/// Parses a powder id: a lower-case letter, then up to 63 letters, digits or underscores.
 ///
 /// # Errors
-/// Any other text; `field` names where it stood.
+/// Any other text; `field` is the name of the field it came from.
 pub fn powder_id(field: &str, text: &str) -> Result<String, FieldError> {
     let ok = text.len() <= 64
         && text.starts_with(|c: char| c.is_ascii_lowercase())
@@ -171,11 +174,11 @@ pub fn powder_id(field: &str, text: &str) -> Result<String, FieldError> {
 pub struct Published {
     /// Powder id.
     pub id: &'static str,
-    /// Name for people.
+    /// Display name.
     pub name: &'static str,
     /// By camera.
     pub automated: Flowability,
-    /// By hand, ISO 8398.
+    /// By hand, per ISO 8398.
     pub manual: Flowability,
 }
 
@@ -183,11 +186,12 @@ const fn angle(repose_deg: f64, sd_deg: f64) -> Flowability {
     Flowability { repose_deg, sd_deg, n: 5 }
 }
 
-/// Where [`PUBLISHED`] comes from.
+/// Source of [`PUBLISHED`].
 pub const PUBLISHED_SOURCE: &str =
     "arXiv:2506.03896, table of automated and manual (ISO 8398) angles of repose, five repeats each";
 
-/// The published measurements, from the most to the least flowable as the paper lists them. Facts from [`PUBLISHED_SOURCE`].
+/// The published measurements, from the most to the least flowable, in the paper's order. Facts
+/// from [`PUBLISHED_SOURCE`].
 pub const PUBLISHED: [Published; 5] = [
     Published { id: "sand", name: "Sand", automated: angle(28.55, 1.94), manual: angle(27.69, 2.54) },
     Published { id: "sugar", name: "Sugar", automated: angle(31.41, 1.42), manual: angle(30.93, 0.87) },
@@ -201,8 +205,8 @@ pub const PUBLISHED: [Published; 5] = [
     },
 ];
 
-/// Mean absolute error of the published robot, mg: powder, and the error of 15 mg and of 20 mg. Its policy trained by curriculum; the
-/// powders were real. arXiv:2506.03896.
+/// Mean absolute error of the published robot by powder, mg, at 15 mg and at 20 mg. Its policy was
+/// trained by curriculum; the powders were real. arXiv:2506.03896.
 pub const PUBLISHED_DOSES: [(&str, [f64; 2]); 5] = [
     ("salt", [2.4, 2.4]),
     ("sugar", [1.6, 1.2]),
@@ -210,10 +214,11 @@ pub const PUBLISHED_DOSES: [(&str, [f64; 2]); 5] = [
     ("sodium_bicarbonate", [3.6, 1.6]),
     ("semolina", [1.8, 2.8]),
 ];
-/// The same over all of them, as published: mean and what stands behind the plus-minus sign, mg.
+/// The same over all powders and targets, as published: the mean and the number after the
+/// plus-minus sign, mg.
 pub const PUBLISHED_DOSES_OVERALL_MG: [f64; 2] = [2.12, 1.53];
 
-/// The entry of [`PUBLISHED_DOSES`], if there is one.
+/// The entry of [`PUBLISHED_DOSES`] for this powder and target, if any.
 pub fn published_mae_mg(powder: &str, target_mg: f64) -> Option<f64> {
     let (_, errors) = PUBLISHED_DOSES.iter().find(|(id, _)| *id == powder)?;
     [15.0, 20.0].iter().position(|published| *published == target_mg).map(|k| errors[k])

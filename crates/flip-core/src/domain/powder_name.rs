@@ -4,12 +4,12 @@ use super::FieldError;
 use super::powder::powder_id;
 use sha2::{Digest, Sha256};
 
-/// Longest name.
+/// Maximum length of a name.
 pub const NAME_CHARS_MAX: usize = 100;
-/// Longest id.
+/// Maximum length of an id.
 const ID_CHARS_MAX: usize = 64;
 
-/// Letters beyond a to z, as they are written without.
+/// Letters outside a to z, with their transliterations.
 const LETTERS: [(&str, &str); 49] = [
     ("ä", "ae"),
     ("ö", "oe"),
@@ -62,11 +62,14 @@ const LETTERS: [(&str, &str); 49] = [
     ("₉⁹", "9"),
 ];
 
-/// The id of the powder that a text names: the text if it is an id, else an id made from it. `Lactose 200M` is `lactose_200m`, `3-Nitrotoluene`
-/// `p_3_nitrotoluene`; letters without a counterpart in a to z are stood for by eight digits of the name's SHA-256.
+/// Returns the id of the powder named by a text: the text itself if it is an id, otherwise an id
+/// derived from it. `Lactose 200M` becomes `lactose_200m`, `3-Nitrotoluene` becomes
+/// `p_3_nitrotoluene`; letters without a counterpart in a to z are replaced by eight digits of the
+/// name's SHA-256.
 ///
 /// # Errors
-/// A text without a letter or digit, of more than 100 characters, or with control characters; `field` names where it stood.
+/// A text without a letter or digit, longer than 100 characters, or with control characters;
+/// `field` is the name of the field it came from.
 pub fn id_of_powder(field: &str, text: &str) -> Result<String, FieldError> {
     if let Ok(id) = powder_id(field, text) {
         return Ok(id);
@@ -81,7 +84,7 @@ pub fn id_of_powder(field: &str, text: &str) -> Result<String, FieldError> {
     Ok(made_of(&same_name(text)))
 }
 
-/// What two spellings of one name share: case and the number of blanks do not count.
+/// Normalises a name for comparison: case and runs of blanks do not matter.
 pub fn same_name(name: &str) -> String {
     name.split_whitespace().collect::<Vec<_>>().join(" ").to_lowercase()
 }
@@ -110,7 +113,7 @@ fn made_of(name: &str) -> String {
     format!("{}_{hash}", id.trim_end_matches('_'))
 }
 
-/// Letters and digits as an id may hold them.
+/// Letters and digits in the form allowed in an id.
 fn plain(letter: char) -> Option<String> {
     let known = || LETTERS.iter().find(|(letters, _)| letters.contains(letter));
     match letter {

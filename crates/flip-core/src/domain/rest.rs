@@ -1,7 +1,9 @@
-//! A display that was watched while nothing moved: what it showed in the mean, how it sloped, and how it wandered.
+//! A display watched while nothing moved: its mean, its slope and its wander.
 //!
-//! A [`Rest`] keeps the sums that say so, so that several of them can be weighed together (`weigh/uncertainty.rs`). Readings of a balance remember where they
-//! were: what warmth, air and the table do to it fades within [`MEMORY_S`]. A mean of n readings is therefore worth much less than n readings.
+//! A [`Rest`] keeps the underlying sums, so that several of them can be pooled
+//! (`weigh/uncertainty.rs`). Balance readings are correlated in time: the effect of warmth, air and
+//! the table fades within [`MEMORY_S`]. A mean of n readings is therefore worth much less than n
+//! independent readings.
 //!
 //! ```text
 //! k(dt) = exp(-|dt| / MEMORY_S)                                correlation of two readings dt apart, but for their noise
@@ -11,40 +13,43 @@
 
 use super::bench::Moment;
 
-/// For how long a balance's readings remember where they wandered, s (an enclosed A&D HR-100A at rest; `docs/bench.md`).
+/// Correlation time of the wander of a balance's readings, s (an enclosed A&D HR-100A at rest;
+/// `docs/bench.md`).
 pub const MEMORY_S: f64 = 6.0;
 
-/// What a display showed while nothing moved, as sums over its readings.
+/// Statistics of a display while nothing moved, as sums over its readings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rest {
-    /// How many readings.
+    /// Number of readings.
     pub readings: usize,
-    /// Mean time, bench time, s.
+    /// Mean time of the readings, bench time, s.
     pub at_s: f64,
-    /// From the first to the last reading, s.
+    /// Time from the first to the last reading, s.
     pub seconds: f64,
-    /// Mean of what was shown, mg.
+    /// Mean reading, mg.
     pub mean_mg: f64,
     /// The last reading, mg.
     pub last_mg: f64,
-    /// Slope of the straight line through the readings, mg/s; 0 for readings of one moment.
+    /// Slope of the straight line through the readings, mg/s; 0 if all were taken at one moment.
     pub slope_mg_s: f64,
     /// Sum of squares about the mean, mg^2.
     pub squares_mg2: f64,
     /// Sum of squared times about their mean, s^2.
     pub times_s2: f64,
-    /// Sums over neighbours: squared differences, mg^2; differences times intervals, mg s; squared intervals, s^2.
+    /// Sums over consecutive readings: squared differences, mg^2; differences times intervals, mg
+    /// s; squared intervals, s^2.
     pub steps: [f64; 3],
-    /// Variance of the mean of readings that wander, in units of the wander's.
+    /// Variance of the mean of wandering readings, in units of the wander's variance.
     pub level: f64,
-    /// Variance of the slope of readings that wander, in units of the wander's, 1/s^2.
+    /// Variance of the slope of wandering readings, in units of the wander's variance, 1/s^2.
     pub tilt: f64,
-    /// Sum over neighbours of what one has forgotten of the other: 1 - exp(-dt / MEMORY_S).
+    /// Sum over consecutive readings of the lost correlation: 1 - exp(-dt / MEMORY_S).
     pub forgotten: f64,
 }
 
 impl Rest {
-    /// What these readings say, in order of time; `None` without one, or where one is not a number.
+    /// Computes the statistics of these readings, which are in order of time; `None` if there are
+    /// none or one is not a number.
     pub fn of(seen: &[Moment]) -> Option<Self> {
         let last = seen.last()?;
         if seen.iter().any(|one| !(one.t_s.is_finite() && one.mass_mg.is_finite())) {
@@ -74,12 +79,13 @@ impl Rest {
     }
 }
 
-/// Correlation of two readings this far apart.
+/// Correlation of two readings this far apart in time.
 fn kept(seconds: f64) -> f64 {
     libm::exp(-seconds.abs() / MEMORY_S)
 }
 
-/// Sums over all pairs of how far one remembers the other: as they are, and times both distances from the mean time.
+/// Sums of the correlation over all pairs of readings: plain, and weighted by both distances from
+/// the mean time.
 fn remembered(seen: &[Moment], at_s: f64) -> (f64, f64) {
     let mut sums = (0.0, 0.0);
     for a in seen {
@@ -116,7 +122,7 @@ mod tests {
         let two = Rest::of(&ramp(2, dt_s, 0.0)).unwrap();
         assert!((two.level - (1.0 + k) / 2.0).abs() < 1e-12 && (two.tilt - 2.0 * (1.0 - k) / 9.0).abs() < 1e-12);
         assert!((two.forgotten - (1.0 - k)).abs() < 1e-12);
-        // For many the integral: 2/x (1 - (1 - e^-x) / x) with x = T / MEMORY_S.
+        // For many readings, the integral: 2/x (1 - (1 - e^-x) / x) with x = T / MEMORY_S.
         let many = Rest::of(&ramp(2001, 0.01, 0.0)).unwrap();
         let x: f64 = 20.0 / MEMORY_S;
         assert!((many.level - 2.0 / x * (1.0 - (1.0 - (-x).exp()) / x)).abs() < 1e-3, "{}", many.level);

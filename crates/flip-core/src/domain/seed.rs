@@ -1,14 +1,16 @@
 //! Seeds: one number in, independent streams out.
 
-/// A seed for a part of a computation: `derive(seed, &[trial, repeat])`.
+/// Derives the seed for a part of a computation: `derive(seed, &[trial, repeat])`.
 ///
-/// SplitMix64 finaliser applied to each index in turn (Steele, Lea, Flood, OOPSLA 2014), so that streams of neighbouring
-/// indices share nothing visible. Pure: the same inputs give the same seed on every machine.
+/// Applies the SplitMix64 finaliser to each index in turn (Steele, Lea, Flood, OOPSLA 2014), so
+/// that streams of neighbouring indices are visibly unrelated. Pure: the same inputs give the same
+/// seed on every machine.
 pub fn derive(seed: u64, path: &[u64]) -> u64 {
     path.iter().fold(mix(seed), |state, &index| mix(state ^ mix(index.wrapping_add(0x9E37_79B9_7F4A_7C15))))
 }
 
-/// An index made of a name, for [`derive`]: what is named draws the same numbers wherever it stands in a list.
+/// An index for [`derive`] made from a name, so that a named item draws the same numbers wherever
+/// it stands in a list.
 pub fn index_of(name: &str) -> u64 {
     name.bytes().fold(mix(name.len() as u64), |state, byte| mix(state ^ u64::from(byte)))
 }

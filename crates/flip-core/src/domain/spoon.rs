@@ -1,4 +1,4 @@
-//! The spoon that powder is dosed with, as a person measures it.
+//! The dosing spoon, as measured by a person.
 
 use super::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
@@ -14,14 +14,15 @@ pub enum FilledBy {
     Hand,
 }
 
-/// A spoon. Values left out are those of FLIP's own, which holds about 40 mg.
+/// A spoon. Omitted values are those of FLIP's own spoon, which holds about 40 mg.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Spoon {
-    /// Mass of one filling, mg, 1 to 100000; if omitted, what a bowl of these dimensions holds of the simulated powder.
+    /// Mass of one filling, mg, 1 to 100000; if omitted, the capacity of a bowl of these dimensions
+    /// for the simulated powder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub capacity_mg: Option<f64>,
-    /// Inner length of the bowl, mm, 2 to 60; with `width_mm` and `depth_mm`.
+    /// Inner length of the bowl, mm, 2 to 60; requires `width_mm` and `depth_mm`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub length_mm: Option<f64>,
     /// Inner width of the bowl, mm, 2 to 60.
@@ -40,20 +41,20 @@ fn is_arm(by: &FilledBy) -> bool {
 }
 
 impl Spoon {
-    /// FLIP's own, filled by the arm.
+    /// Whether this is FLIP's own spoon, filled by the arm.
     pub fn is_usual(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Length, width and depth of the bowl, mm, if it was measured.
+    /// Length, width and depth of the bowl, mm, if measured.
     pub fn bowl_mm(&self) -> Option<[f64; 3]> {
         Some([self.length_mm?, self.width_mm?, self.depth_mm?])
     }
 
-    /// The same spoon if there can be one.
+    /// Validates the spoon.
     ///
     /// # Errors
-    /// The first field that is out of its bounds, or missing beside another.
+    /// The first field that is out of its bounds, or missing while a related one is given.
     pub fn checked(self) -> Result<Self, FieldError> {
         if let Some(capacity_mg) = self.capacity_mg {
             bounded("capacity_mg", capacity_mg, 1.0, 100_000.0, "mg")?;

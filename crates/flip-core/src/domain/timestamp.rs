@@ -1,4 +1,4 @@
-//! Points in time as FLIP stores and shows them.
+//! Points in time as FLIP stores and displays them.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
 use std::fmt;
@@ -14,7 +14,8 @@ pub struct Timestamp(i64);
 const LAST_MS: i64 = 253_402_300_799_999;
 
 impl Timestamp {
-    /// From milliseconds since 1970; clamped to the years 1970-9999, which RFC 3339 can write.
+    /// Creates a timestamp from milliseconds since 1970; clamped to the years 1970-9999, which RFC
+    /// 3339 can represent.
     pub fn from_unix_ms(unix_ms: i64) -> Self {
         Self(unix_ms.clamp(0, LAST_MS))
     }

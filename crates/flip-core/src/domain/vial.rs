@@ -1,30 +1,34 @@
-//! The vial on the pan of a bench that cannot exchange it: what is known of it, and what the display must not show if another, empty one is to be on it.
+//! The vial on the pan of a bench that cannot exchange vials: what is known about it, and which
+//! displays rule out that a new, empty one is in place.
 //!
-//! Each dose sets the display to zero, so that before the next one it shows what was poured if nobody has exchanged the vial, and the difference of two
-//! empty vials if somebody has. Adding up what it showed each time gives the mass of every vial from one origin, as long as nobody else sets it to zero.
+//! Each dose tares the balance. Before the next dose the display therefore shows the poured mass if
+//! the vial has not been exchanged, and the difference between two empty vials if it has. Summing
+//! the displays yields the mass of every vial from one origin, as long as nobody else tares the
+//! balance.
 
 use super::timestamp::Timestamp;
 use super::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
-/// Displays this many steps apart may be of one load.
+/// Displays within this many steps may be of the same load.
 const STEPS_ALIKE: f64 = 3.0;
-/// However fine the display: a balance's zero wanders between two doses by this much, mg.
+/// Wander of a balance's zero between two doses, mg, however fine its display.
 const WANDER_MG: f64 = 2.0;
-/// Empty vials that must have been seen before others are compared with them.
+/// Number of empty vials that must have been seen before others are compared with them.
 const EMPTIES_MIN: usize = 5;
-/// Empty vials that are remembered.
+/// Number of empty vials remembered.
 const EMPTIES_MAX: usize = 20;
-/// An empty vial is within so many standard deviations of the mean of five.
+/// An empty vial lies within this many standard deviations of the mean of five.
 const SPREADS: f64 = 6.0;
-/// And within this of it, mg, however alike the five were.
+/// It must also lie within this distance of the mean, mg, however alike the five were.
 const ALIKE_MG: f64 = 5.0;
 
-/// Whether a person must confirm that the vial is in before a dose starts, where the bench cannot exchange vials.
+/// Whether a person must confirm that the vial is in place before a dose starts, on a bench that
+/// cannot exchange vials.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum VialCheck {
-    /// A person confirms, and the balance checks that it is another vial and empty.
+    /// A person confirms, and the balance checks that the vial is a new one and empty.
     #[default]
     Confirm,
     /// No confirmation and no check: FLIP doses into whatever is on the pan.
@@ -32,24 +36,24 @@ pub enum VialCheck {
 }
 
 impl VialCheck {
-    /// The default.
+    /// Whether this is the default.
     pub fn is_confirm(&self) -> bool {
         *self == Self::Confirm
     }
 }
 
-/// What an empty vial of a lab weighs.
+/// Mass of a lab's empty vials.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EmptyVial {
-    /// In the mean, mg.
+    /// Mean mass, mg.
     pub empty_mg: f64,
-    /// Most that one differs from it, mg.
+    /// Largest deviation of a single vial from the mean, mg.
     pub spread_mg: f64,
 }
 
 impl EmptyVial {
-    /// It, if it can be.
+    /// Validates the values.
     ///
     /// # Errors
     /// The field that is out of its bounds.
@@ -63,65 +67,65 @@ impl EmptyVial {
         (mass_mg - self.empty_mg).abs() <= self.spread_mg
     }
 
-    /// Displays that show one where zero stands for this load, mg.
+    /// Displays that an empty vial can give if zero stands for this load, mg.
     fn band(&self, zero_mg: f64) -> Band {
         let middle_mg = self.empty_mg - zero_mg;
         Band { lower_mg: middle_mg - self.spread_mg, upper_mg: middle_mg + self.spread_mg }
     }
 }
 
-/// The vial on the pan, as far as known.
+/// The vial on the pan, as far as is known.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Vial {
     /// Its name, if one was given.
     pub name: Option<String>,
-    /// The weighing that last poured into it.
+    /// The weighing that last poured into the vial.
     pub weighing: String,
-    /// Mass poured into it by the display, mg; absent if unknown.
+    /// Mass poured into it according to the display, mg; absent if unknown.
     pub holds_mg: Option<f64>,
     /// Start of the first dose into it.
     pub since: Timestamp,
 }
 
-/// What is known of the pan.
+/// What is known about the pan.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pan {
-    /// What stands on it; none: nothing is known, or a person has emptied or exchanged it.
+    /// The vial on the pan; none if nothing is known, or a person has emptied or exchanged it.
     pub vial: Option<Vial>,
-    /// The load that the display's zero stands for, mg from an origin that stays; none: nobody knows.
+    /// The load that the display's zero stands for, mg from a fixed origin; none if unknown.
     pub zero_mg: Option<f64>,
-    /// What the display showed when the last dose had ended, mg.
+    /// The display at the end of the last dose, mg.
     pub shown_mg: Option<f64>,
-    /// What vials weighed that somebody had said were empty, mg from the same origin, the newest last.
+    /// Masses of vials that had been declared empty, mg from the same origin, newest last.
     #[serde(default)]
     pub empties_mg: Vec<f64>,
 }
 
-/// What a dose did to the pan.
+/// The effect of a dose on the pan.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Dosed {
     /// The weighing.
     pub weighing: String,
-    /// The vial that it was for, where it has a name.
+    /// Name of the vial used, if it has one.
     pub vial: Option<String>,
-    /// When it began.
+    /// Start of the dose.
     pub at: Timestamp,
-    /// What the display showed when it was set to zero, mg.
+    /// Display when the balance was tared, mg.
     pub tare_mg: f64,
-    /// What it showed in the end, mg.
+    /// Display at the end, mg.
     pub shown_mg: f64,
-    /// Somebody had said that the vial is empty, and the balance did not contradict.
+    /// Whether the vial was declared empty and the balance did not contradict it.
     pub confirmed: bool,
-    /// Step of the display, mg.
+    /// Display step, mg.
     pub step_mg: f64,
 }
 
-/// Displays from here to there, mg.
+/// A range of displays, mg.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Band {
-    /// Smallest.
+    /// Lower end.
     pub lower_mg: f64,
-    /// Largest.
+    /// Upper end.
     pub upper_mg: f64,
 }
 
@@ -131,50 +135,50 @@ impl Band {
     }
 }
 
-/// What the display must show before anything moves.
+/// Conditions on the display before anything moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PanCheck {
-    /// Displays of the vial of the dose before, which holds powder.
+    /// Displays of the vial from the previous dose, which holds powder.
     pub before: Option<Band>,
-    /// Displays of an empty vial of this lab, by each of the loads that zero may stand for.
+    /// Displays of an empty vial of this lab, for each of the loads that zero may stand for.
     pub empty: [Option<Band>; 2],
 }
 
-/// Why nothing is poured into what stands on the pan.
+/// Why the vial on the pan is rejected.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, thiserror::Error)]
 #[serde(rename_all = "snake_case")]
 pub enum VialFlaw {
-    /// It is the vial of the dose before.
+    /// It is the vial from the previous dose.
     #[error(
         "the balance shows {shown_mg:.1} mg, as at the end of the dose before: the vial that was poured into is still on the pan"
     )]
     SameAsBefore {
-        /// Before anything moved, mg.
+        /// Display before anything moved, mg.
         shown_mg: f64,
     },
-    /// It weighs more than an empty one.
+    /// It is heavier than an empty one.
     #[error(
         "what is on the pan weighs {over_mg:.1} mg more than the heaviest empty vial of this lab: it is not empty, or of another kind"
     )]
     NotEmpty {
-        /// How much more, mg.
+        /// Excess, mg.
         over_mg: f64,
     },
-    /// It weighs less than an empty one.
+    /// It is lighter than an empty one.
     #[error(
         "what is on the pan weighs {under_mg:.1} mg less than the lightest empty vial of this lab: is a vial on it?"
     )]
     TooLight {
-        /// How much less, mg.
+        /// Shortfall, mg.
         under_mg: f64,
     },
 }
 
 impl PanCheck {
-    /// Whatever it shows.
+    /// Accepts any display.
     pub const NONE: Self = Self { before: None, empty: [None, None] };
 
-    /// What is wrong with the pan if the display shows this, mg.
+    /// The flaw that this display reveals, if any; display in mg.
     pub fn flaw(&self, shown_mg: f64) -> Option<VialFlaw> {
         if self.before.is_some_and(|band| band.holds(shown_mg)) {
             return Some(VialFlaw::SameAsBefore { shown_mg });
@@ -191,7 +195,7 @@ impl PanCheck {
 }
 
 impl Pan {
-    /// What the display must show before a dose into a vial that somebody says is in and empty.
+    /// The check to make before a dose into a vial that a person has declared in place and empty.
     pub fn check(&self, step_mg: f64, lab: Option<EmptyVial>) -> PanCheck {
         PanCheck { before: self.filled_band(step_mg), empty: self.empty_bands(lab) }
     }
@@ -199,7 +203,7 @@ impl Pan {
     fn filled_band(&self, step_mg: f64) -> Option<Band> {
         let (vial, shown_mg) = (self.vial.as_ref()?, self.shown_mg?);
         let alike_mg = (STEPS_ALIKE * step_mg).max(WANDER_MG);
-        // An empty vial that weighs the same would show less by what this one holds.
+        // An empty vial of equal mass would show less, by the powder in this one.
         let lower_mg = match vial.holds_mg {
             Some(holds_mg) if holds_mg <= step_mg / 2.0 => return None,
             Some(holds_mg) => alike_mg.min(holds_mg / 2.0),
@@ -208,7 +212,8 @@ impl Pan {
         Some(Band { lower_mg: shown_mg - lower_mg, upper_mg: shown_mg + alike_mg })
     }
 
-    /// By the zero that is known, and by a zero of the empty pan or, where none is known, of a pan with an empty vial.
+    /// Bands for the known zero, and for a zero set on the empty pan or, if no zero is known, on a
+    /// pan with an empty vial.
     fn empty_bands(&self, lab: Option<EmptyVial>) -> [Option<Band>; 2] {
         match (lab, self.zero_mg) {
             (Some(lab), zero_mg) => [Some(lab.band(zero_mg.unwrap_or(lab.empty_mg))), Some(lab.band(0.0))],
@@ -220,7 +225,7 @@ impl Pan {
         }
     }
 
-    /// What vials weighed that were said to be empty, once there were enough.
+    /// Mass of the vials declared empty, once there are enough of them.
     fn learned(&self) -> Option<EmptyVial> {
         if self.empties_mg.len() < EMPTIES_MIN {
             return None;
@@ -231,14 +236,15 @@ impl Pan {
         Some(EmptyVial { empty_mg, spread_mg: (SPREADS * (squares / (n - 1.0)).sqrt()).max(ALIKE_MG) })
     }
 
-    /// While a dose is made nobody knows what the vial holds; if the process ends, that is what is left.
+    /// The state during a dose: the vial's content is unknown; this is what remains if the process
+    /// ends.
     #[must_use]
     pub fn begun(&self, weighing: &str, vial: Option<&str>, at: Timestamp) -> Self {
         let vial = Vial { name: vial.map(str::to_owned), weighing: weighing.to_owned(), holds_mg: None, since: at };
         Self { vial: Some(vial), zero_mg: None, shown_mg: None, empties_mg: self.empties_mg.clone() }
     }
 
-    /// After a dose that began with this pan.
+    /// The state after a dose that began with this pan.
     #[must_use]
     pub fn after(&self, dosed: &Dosed) -> Self {
         let tare_mg = dosed.tare_mg;
@@ -264,21 +270,22 @@ impl Pan {
         }
     }
 
-    /// The load that zero stands for from now on, and the empty vials that can be compared with it.
+    /// The load that zero stands for from now on, and the empty vials comparable with it.
     fn zero_after(&self, tare_mg: f64) -> (f64, Vec<f64>) {
         let learned = self.learned();
         match self.zero_mg {
             Some(zero_mg) if learned.is_none_or(|it| it.holds(zero_mg + tare_mg) || !it.holds(tare_mg)) => {
                 (zero_mg + tare_mg, self.empties_mg.clone())
             }
-            // Somebody set the empty pan to zero, as it was in the beginning.
+            // The empty pan was tared, as at the beginning.
             _ if learned.is_some_and(|it| it.holds(tare_mg)) => (tare_mg, self.empties_mg.clone()),
-            // Another origin: nothing from before can be compared with it.
+            // A new origin: earlier vials cannot be compared with it.
             _ => (tare_mg, Vec::new()),
         }
     }
 
-    /// A person has emptied or exchanged the vial; the display counts on from where it did.
+    /// The state after a person has emptied or exchanged the vial; the display continues from where
+    /// it was.
     #[must_use]
     pub fn emptied(&self) -> Self {
         Self { vial: None, shown_mg: None, ..self.clone() }
@@ -303,7 +310,7 @@ mod tests {
         }
     }
 
-    /// What a display shows whose zero stands for the vial of the dose before.
+    /// A pan after these doses, its display zeroed on the vial of the previous one.
     fn after(doses: &[(f64, f64)]) -> Pan {
         doses.iter().fold(Pan::default(), |pan, (tare_mg, shown_mg)| pan.after(&dosed(*tare_mg, *shown_mg, "A")))
     }
@@ -314,7 +321,7 @@ mod tests {
         for shown_mg in [6.0, 8.0, 9.0, 11.0] {
             assert_eq!(check.flaw(shown_mg), Some(VialFlaw::SameAsBefore { shown_mg }), "{shown_mg}");
         }
-        // An empty vial of the same mass, lighter and heavier ones.
+        // Empty vials of equal mass, lighter and heavier.
         for shown_mg in [0.0, -60.0, 130.0, 3.0] {
             assert_eq!(check.flaw(shown_mg), None, "{shown_mg}");
         }
@@ -326,7 +333,7 @@ mod tests {
         assert_eq!(pan.vial.as_ref().unwrap().holds_mg, Some(11.0));
         assert!(pan.check(1.0, None).flaw(3.0).is_some() && pan.check(1.0, None).flaw(-8.0).is_none());
         assert_eq!(after(&[(11_999.0, 0.0)]).check(1.0, None).flaw(0.0), None);
-        // A small dose beside an empty vial that weighs the same.
+        // A small dose against an empty vial of equal mass.
         let small = after(&[(11_999.0, 2.0)]).check(1.0, None);
         assert!(small.flaw(0.0).is_none() && small.flaw(2.0).is_some() && small.flaw(1.0).is_some());
     }
@@ -337,12 +344,14 @@ mod tests {
         let pan = after(&[(11_999.0, 20.0), (1.0, 9.0)]);
         assert_eq!(pan.zero_mg, Some(12_000.0));
         let check = pan.check(1.0, Some(lab));
-        // The first vial again, with its 20 mg; then an empty one, nothing, and a balance whose empty pan was set to zero.
+        // The first vial again, with its 20 mg; then an empty one, nothing, and a balance zeroed on
+        // its empty pan.
         assert_eq!(check.flaw(19.0), Some(VialFlaw::NotEmpty { over_mg: 4.0 }));
         assert_eq!(check.flaw(-5.0), None);
         assert!(matches!(check.flaw(-12_000.0), Some(VialFlaw::TooLight { .. })));
         assert_eq!(check.flaw(12_003.0), None);
-        // Nothing is known of zero: it stands for the empty pan, or for one with an empty vial.
+        // Nothing is known about zero: it stands for the empty pan, or for a pan with an empty
+        // vial.
         let first = Pan::default().check(1.0, Some(lab));
         assert!(first.flaw(11_990.0).is_none() && first.flaw(3.0).is_none());
         assert!(first.flaw(12_040.0).is_some() && first.flaw(40.0).is_some() && first.flaw(6000.0).is_some());
@@ -358,7 +367,8 @@ mod tests {
         assert_eq!(check.flaw(20.0), Some(VialFlaw::SameAsBefore { shown_mg: 20.0 }));
         assert!(check.flaw(25.0).is_none() && check.flaw(-30.0).is_none(), "{check:?}");
         assert!(matches!(check.flaw(45.0), Some(VialFlaw::NotEmpty { .. })), "{check:?}");
-        // After a crash nobody knows what zero stands for: only the pan that was set to zero without a vial can be compared.
+        // After a crash the meaning of zero is unknown: only a pan zeroed without a vial can be
+        // compared.
         let lost = pan.begun("w", None, Timestamp::from_unix_ms(AT));
         assert_eq!(lost.check(1.0, None), PanCheck::NONE);
         assert_eq!(lost.after(&dosed(12_001.0, 5.0, "B")).empties_mg.len(), 6);

@@ -1,10 +1,10 @@
-//! A weighing: what was asked, and how it ended.
+//! A weighing: the request and its outcome.
 
 use super::conditions::{Patch, Under};
 use super::vial::VialCheck;
 use serde::{Deserialize, Serialize};
 
-/// What a checked request asks for, all masses in mg.
+/// A validated request; all masses in mg.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WeighRequest {
     /// Powder id.
@@ -19,28 +19,30 @@ pub struct WeighRequest {
     pub policy: String,
     /// Seed of the simulated bench.
     pub seed: u64,
-    /// The extended version of the simulator on the bench, and its conditions; none of the base.
+    /// Extended version of the simulator on the bench and its conditions; none for the base
+    /// version.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub under: Option<Under>,
-    /// What the conditions change about the powder.
+    /// Changes that the conditions make to the powder.
     #[serde(default, skip_serializing_if = "Patch::is_none")]
     pub patch: Patch,
-    /// What else was asked.
+    /// Purpose and conditions of the weighing.
     #[serde(default)]
     pub asked: Asked,
-    /// Whether somebody has to say that the vial is in.
+    /// Whether a person must confirm that the vial is in place.
     #[serde(default, skip_serializing_if = "VialCheck::is_confirm")]
     pub vial_check: VialCheck,
 }
 
-/// What follows an overdose, which cannot be undone.
+/// What to do after an overdose, which cannot be undone.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(tag = "action", rename_all = "snake_case", deny_unknown_fields)]
 pub enum OnOverdose {
-    /// It is reported, and nothing more is done.
+    /// Report it and stop.
     #[default]
     Stop,
-    /// The vial is exchanged for an empty one and the dose is repeated. Only if the bench can exchange vials.
+    /// Exchange the vial for an empty one and repeat the dose. Only on a bench that can exchange
+    /// vials.
     DiscardAndRetry {
         /// Maximum number of retries, 1 to 5.
         max: u32,
@@ -66,16 +68,17 @@ pub struct Asked {
     /// Relative humidity at the balance, %.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub relative_humidity_pct: Option<f64>,
-    /// Permitted uncertainty as a share of the net mass, %; it determines the smallest mass that may be weighed. Default 0.1 (USP <41>).
+    /// Permitted uncertainty as a share of the net mass, %; determines the smallest mass that may
+    /// be weighed. Default 0.1 (USP <41>).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accuracy_pct: Option<f64>,
-    /// What follows an overdose.
+    /// What to do after an overdose.
     #[serde(default)]
     pub on_overdose: OnOverdose,
 }
 
 impl Asked {
-    /// Nothing beside the mass.
+    /// Whether nothing besides the mass is set.
     pub fn is_nothing(&self) -> bool {
         *self == Self::default()
     }
@@ -84,24 +87,28 @@ impl Asked {
 /// Measured values of a weighing, besides its final reading.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct MeasuredMass {
-    /// The vial, mg; absent if the balance does not report it.
+    /// Mass of the vial, mg; absent if the balance does not report it.
     pub tare_mg: Option<f64>,
-    /// Vial and powder, mg.
+    /// Mass of vial and powder, mg.
     pub gross_mg: Option<f64>,
-    /// Mean reading after the tare, mg: the net mass is counted from there; absent if it was not watched.
+    /// Mean reading after the tare, mg; the net mass is counted from it. Absent if the balance was
+    /// not watched.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub zero_mg: Option<f64>,
-    /// Powder, mg: mean reading once everything stood still, minus the zero.
+    /// Mass of the powder, mg: mean reading once everything stood still, minus the zero.
     pub net_mg: f64,
-    /// Expanded uncertainty of the net mass (k = 2), mg: readability, wander or repeatability, drift.
+    /// Expanded uncertainty of the net mass (k = 2), mg: readability, wander or repeatability,
+    /// drift.
     pub uncertainty_mg: f64,
-    /// The outcome holds over the whole uncertainty interval of the net mass; false for a dose that is within, not proven. Absent if the outcome does
-    /// not concern the tolerance.
+    /// Whether the outcome holds over the whole uncertainty interval of the net mass; false for a
+    /// dose that is within, but not provably so. Absent if the outcome does not concern the
+    /// tolerance.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub proven: Option<bool>,
-    /// Smallest net mass this balance may weigh at the requested accuracy, mg; absent without a repeatability check.
+    /// Smallest net mass this balance may weigh at the requested accuracy, mg; absent without a
+    /// repeatability check.
     pub minimum_mg: Option<f64>,
-    /// The net mass is below that minimum.
+    /// Whether the net mass is below that minimum.
     pub below_minimum_weight: Option<bool>,
     /// The balance's own flag at the last reading.
     pub stable_by_balance: bool,
@@ -121,11 +128,11 @@ pub struct MeasuredMass {
     pub discarded_mg: Vec<f64>,
 }
 
-/// How a weighing ended. Names are the API's.
+/// How a weighing ended, under the API's names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// Within tolerance by the reading. Never if nothing was poured.
+    /// Within tolerance by the reading. Never used if nothing was poured.
     Within,
     /// By the reading, below the target by more than the tolerance.
     Under,

@@ -14,16 +14,18 @@
 //! | m | `mean` | | of the output |
 //! | q_i | `noise` | `[n]` | 1; the mean of four observations has 1/4 |
 //!
-//! Numerics: Cholesky factor of K; the jitter starts at 1e-10 sf^2 and grows tenfold until the factor exists.
-//! Cost: n^3 / 6 for a factor, n D for a mean, n^2 for a variance; meant for n up to a few hundred.
+//! Numerics: Cholesky factor of K; the jitter starts at 1e-10 sf^2 and grows tenfold until the
+//! factor exists. Cost: n^3 / 6 for a factor, n D for a mean, n^2 for a variance; meant for n up to
+//! a few hundred.
 //!
-//! Source: Rasmussen, Williams, Gaussian Processes for Machine Learning (2006), eq. 2.23-2.24, 4.17, algorithm 2.1.
+//! Source: Rasmussen, Williams, Gaussian Processes for Machine Learning (2006), eq. 2.23-2.24,
+//! 4.17, algorithm 2.1.
 
 pub mod evidence;
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-/// What shapes a Gaussian process; see the table above.
+/// The hyperparameters of a Gaussian process; see the table above.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Hyperparameters<const D: usize> {
     /// Distance over which the function changes, per input; long where an input does nothing.
@@ -49,7 +51,7 @@ impl<const D: usize> Hyperparameters<D> {
     }
 }
 
-/// What the function probably is at one point.
+/// Prediction at one point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Prediction {
     /// Posterior mean.
@@ -58,7 +60,7 @@ pub struct Prediction {
     pub sd: f64,
 }
 
-/// Why there is no Gaussian process.
+/// Why no Gaussian process could be built.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum GaussianProcessError {
     /// No observation, or inputs and outputs differ in number.
@@ -85,7 +87,8 @@ pub struct GaussianProcess<const D: usize> {
 }
 
 impl<const D: usize> GaussianProcess<D> {
-    /// Condition on `outputs[i]` observed at `inputs[i]`, hyperparameters given. Repeated inputs are welcome.
+    /// Conditions on `outputs[i]` observed at `inputs[i]` with given hyperparameters. Inputs may
+    /// repeat.
     ///
     /// # Errors
     /// [`GaussianProcessError`]
@@ -97,7 +100,8 @@ impl<const D: usize> GaussianProcess<D> {
         Self::with_noise(inputs, outputs, &vec![1.0; inputs.len()], hyperparameters)
     }
 
-    /// As [`Self::new`] where observation `i` has the variance `noise[i]` times `noise_sd` squared.
+    /// Like [`Self::new`], but observation `i` has the variance `noise[i]` times `noise_sd`
+    /// squared.
     ///
     /// # Errors
     /// [`GaussianProcessError`]
@@ -145,16 +149,18 @@ impl<const D: usize> GaussianProcess<D> {
         Prediction { mean, sd: (variance - explained).max(0.0).sqrt() }
     }
 
-    /// This process with its own mean at `x` added as an observation (kriging believer): what it would be if `x` were
-    /// evaluated and nothing surprising happened. Unchanged if the point cannot be added.
+    /// Returns this process with its own mean at `x` added as an observation (kriging believer),
+    /// i.e. its state if `x` were evaluated without a surprise. Unchanged if the point cannot be
+    /// added.
     ///
-    /// Source: Ginsbourger, Le Riche, Carraro, Computational Intelligence in Expensive Optimization Problems (2010).
+    /// Source: Ginsbourger, Le Riche, Carraro, Computational Intelligence in Expensive Optimization
+    /// Problems (2010).
     pub fn believe(&self, x: &[f64; D]) -> Self {
         self.observe(&[(*x, self.predict(x).mean, 1.0)])
     }
 
-    /// This process with more observations, each an input, an output and its noise as in [`Self::with_noise`], and the same
-    /// hyperparameters. Unchanged if they cannot be added.
+    /// Returns this process with more observations, each an input, an output and its noise as in
+    /// [`Self::with_noise`], and the same hyperparameters. Unchanged if they cannot be added.
     pub fn observe(&self, more: &[([f64; D], f64, f64)]) -> Self {
         let (mut inputs, mut outputs, mut noise) = (self.inputs.clone(), self.outputs.clone(), self.noise.clone());
         for (x, y, q) in more {

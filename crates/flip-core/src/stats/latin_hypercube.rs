@@ -1,8 +1,9 @@
-//! Space-filling designs for a first look at a box.
+//! Space-filling designs for a first exploration of a box.
 
 use rand::{Rng, RngExt};
 
-/// `n` points of the unit cube, so that each coordinate falls once into each of `n` equal slices of 0..1.
+/// Draws `n` points of the unit cube such that each coordinate falls once into each of `n` equal
+/// slices of 0..1.
 ///
 /// ```text
 /// x[i][k] = (pi_k(i) + u) / n          pi_k a random permutation of 0..n, u uniform on 0..1
@@ -19,9 +20,11 @@ pub fn latin_hypercube<const D: usize>(n: usize, rng: &mut impl Rng) -> Vec<[f64
     points
 }
 
-/// The best of `tries` Latin hypercubes: the one whose two nearest points are farthest apart (maximin).
+/// Returns the best of `tries` Latin hypercubes: the one with the largest distance between its two
+/// nearest points (maximin).
 ///
-/// Source: Johnson, Moore, Ylvisaker, J. Stat. Plan. Inference 26 (1990) 131, by random search instead of exchange.
+/// Source: Johnson, Moore, Ylvisaker, J. Stat. Plan. Inference 26 (1990) 131, by random search
+/// instead of exchange.
 pub fn maximin_latin_hypercube<const D: usize>(n: usize, tries: usize, rng: &mut impl Rng) -> Vec<[f64; D]> {
     let mut best = latin_hypercube(n, rng);
     let mut widest = nearest_pair(&best);
@@ -35,18 +38,18 @@ pub fn maximin_latin_hypercube<const D: usize>(n: usize, tries: usize, rng: &mut
     best
 }
 
-/// Euclidean distance of two points.
+/// Euclidean distance between two points.
 pub fn distance<const D: usize>(a: &[f64; D], b: &[f64; D]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Distance of the two nearest points; infinite with fewer than two.
+/// Distance between the two nearest points; infinite with fewer than two.
 fn nearest_pair<const D: usize>(points: &[[f64; D]]) -> f64 {
     let pairs = points.iter().enumerate().flat_map(|(i, a)| points[..i].iter().map(move |b| distance(a, b)));
     pairs.fold(f64::INFINITY, f64::min)
 }
 
-/// A random order of `0..n` (Fisher and Yates).
+/// A random permutation of `0..n` (Fisher and Yates).
 fn permutation(n: usize, rng: &mut impl Rng) -> Vec<usize> {
     let mut order: Vec<usize> = (0..n).collect();
     for last in (1..n).rev() {

@@ -1,11 +1,11 @@
-//! Minimisation of a smooth function of few variables.
+//! Minimisation of a smooth function of a few variables.
 
 use nalgebra::{DMatrix, DVector};
 
 /// A point, the value there and the gradient there.
 pub type Evaluated = (f64, DVector<f64>);
 
-/// The least value found by BFGS from `start`, and where: `(x, f(x))`.
+/// Minimises with BFGS from `start`; returns the point and the value there, `(x, f(x))`.
 ///
 /// ```text
 /// p = -H g          x' = x + a p, a halved from 1 until f(x') <= f(x) + 1e-4 a g.p
@@ -21,7 +21,8 @@ pub type Evaluated = (f64, DVector<f64>);
 ///
 /// Deterministic. Never returns a point worse than `start`.
 ///
-/// Source: Nocedal, Wright, Numerical Optimization (2006), algorithm 6.1 with the backtracking of algorithm 3.1.
+/// Source: Nocedal, Wright, Numerical Optimization (2006), algorithm 6.1 with the backtracking of
+/// algorithm 3.1.
 pub fn minimise(
     mut f: impl FnMut(&DVector<f64>) -> Evaluated,
     start: DVector<f64>,
@@ -38,7 +39,7 @@ pub fn minimise(
         }
         let mut direction = -(&inverse_hessian * &gradient);
         if direction.dot(&gradient) >= 0.0 {
-            // Rounding has spoilt the curvature: begin again from steepest descent.
+            // Rounding has spoilt the curvature estimate: restart from steepest descent.
             inverse_hessian = DMatrix::identity(n, n);
             direction = -gradient.clone();
         }
@@ -50,7 +51,8 @@ pub fn minimise(
     (x, value)
 }
 
-/// The first of `x + direction / 2^k` with sufficient decrease, or `None` after 25 halvings.
+/// Returns the first of `x + direction / 2^k` with sufficient decrease, or `None` after 25
+/// halvings.
 fn backtrack(
     f: &mut impl FnMut(&DVector<f64>) -> Evaluated,
     x: &DVector<f64>,

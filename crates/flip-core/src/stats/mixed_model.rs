@@ -1,4 +1,4 @@
-//! How well a linear model with grouped noise explains observations: its evidence, in closed form.
+//! Evidence of a linear model with grouped noise, in closed form.
 //!
 //! ```text
 //! y = X beta + F b + e,   e ~ N(0, s^2 V),   V = diag(w_i^2) + sum_g r_g Z_g Z_g^T
@@ -13,24 +13,26 @@
 //! | symbol | name | shape | unit |
 //! |--------|------|-------|------|
 //! | y | `observations` | `[n]` | of the observation |
-//! | X | `fixed` | `[n, p]` | 1; one column for each powder, say: whatever it spans is not looked at |
+//! | X | `fixed` | `[n, p]` | 1; for example one column per powder: effects in its span are ignored |
 //! | F | `features` | `[n, k]` | 1; a cause's signature |
 //! | w | `weights` | `[n]` | 1; SD of each observation's own noise over s |
-//! | r, Z | `groups` | | ratio of variances, and which rows share one draw: those of a day |
+//! | r, Z | `groups` | | ratio of variances, and which rows share one draw: those of one day |
 //! | t | `amplitude` | | SD of the signature's coefficients over s |
 //!
-//! One factor of V serves all features and all observations with the same noise, and one eigendecomposition of F*^T F* all amplitudes: then an
-//! evidence costs n k, which is what makes a null distribution over thousands of simulated campaigns affordable.
+//! One factor of V serves all features and all observations with the same noise, and one
+//! eigendecomposition of F*^T F* serves all amplitudes. An evidence then costs n k, which makes a
+//! null distribution over thousands of simulated campaigns affordable.
 //!
-//! Source: derived here, by integrating beta, b and s out of the normal density in turn; checked against quadrature by a script that shares no
-//! algebra with this file (`tests/reference/mixed_model.py`).
+//! Source: derived here by integrating beta, b and s out of the normal density in turn; checked
+//! against quadrature by a script that shares no algebra with this file
+//! (`tests/reference/mixed_model.py`).
 
 use nalgebra::{Cholesky, DMatrix, DVector, DVectorView, Dyn, SymmetricEigen};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use statrs::function::gamma::ln_gamma;
 use std::f64::consts::{LN_2, PI};
 
-/// Eigenvalues below this share of the largest are directions that the fixed part explains.
+/// Directions with eigenvalues below this share of the largest are explained by the fixed part.
 const RANK_TOLERANCE: f64 = 1e-10;
 
 /// Why a noise model cannot be used.
@@ -44,38 +46,39 @@ pub enum MixedModelError {
     Fixed,
 }
 
-/// Observations that share one draw of the noise, and how much.
+/// Groups of observations that share one draw of the noise, and the size of that draw.
 #[derive(Debug, Clone, Copy)]
 pub struct Group<'a> {
-    /// Group of each row.
+    /// Group index of each row.
     pub of: &'a [usize],
     /// Variance of the shared draw over s^2.
     pub ratio: f64,
 }
 
-/// A noise model, ready to judge: P and the determinants of the module's equations.
+/// A noise model, ready for evaluation: P and the determinants of the module's equations.
 #[derive(Debug, Clone)]
 pub struct Whitening {
     /// P, `[n, n]`.
     project: DMatrix<f64>,
-    /// What is the same for every signature and every observation of this noise.
+    /// The terms common to every signature and every observation with this noise.
     log_base: f64,
     /// n - p.
     freedom: f64,
 }
 
-/// Features under a noise model: the directions in which they can differ, `A = P^T F* U`, and `F*^T F* = U diag(lambda) U^T`.
+/// Features under a noise model: the directions in which they can differ, `A = P^T F* U`, with
+/// `F*^T F* = U diag(lambda) U^T`.
 #[derive(Debug, Clone)]
 pub struct Signature {
     /// `[n, k]`.
     directions: DMatrix<f64>,
     eigenvalues: DVector<f64>,
-    /// U, `[features, k]`: what each direction adds to each feature's coefficient.
+    /// U, `[features, k]`: contribution of each direction to each feature's coefficient.
     rotation: DMatrix<f64>,
 }
 
 impl Whitening {
-    /// The noise model with these weights and groups around this fixed part.
+    /// Builds the noise model with these weights and groups around this fixed part.
     ///
     /// # Errors
     /// [`MixedModelError`]
@@ -83,7 +86,7 @@ impl Whitening {
         Self::with_factor(weights, groups, fixed).map(|(new, _)| new)
     }
 
-    /// The same and V's Cholesky factor, for whoever solves with it.
+    /// Like [`Self::new`], and also returns V's Cholesky factor for further solves.
     ///
     /// # Errors
     /// [`MixedModelError`]
@@ -128,12 +131,14 @@ impl Whitening {
         Ok((Self { project, log_base, freedom }, cholesky))
     }
 
-    /// Features as this noise sees them; `None` if the fixed part explains all of them.
+    /// Projects features under this noise; `None` if the fixed part explains all of them.
     pub fn signature(&self, features: &DMatrix<f64>) -> Option<Signature> {
         let seen = &self.project * features;
-        // Relative to what the features were before the fixed part was taken from them: of nothing, everything is rounding.
+        // Relative to the features before the fixed part was removed: if nothing is left, all of it
+        // is rounding.
         let before = features.norm_squared() * self.project.norm_squared() / features.nrows() as f64;
-        // Columns that the fixed part explains are no directions, and the decomposition of a matrix with many of them need not converge.
+        // Columns explained by the fixed part are not directions, and the decomposition of a matrix
+        // with many of them need not converge.
         let is_seen = |k: &usize| seen.column(*k).norm_squared() > RANK_TOLERANCE * before;
         let columns: Vec<usize> = (0..features.ncols()).filter(is_seen).collect();
         if columns.is_empty() {
@@ -160,7 +165,7 @@ impl Whitening {
         })
     }
 
-    /// `y*^T y*` for each column of `observations`.
+    /// Returns `y*^T y*` for each column of `observations`.
     pub fn squares(&self, observations: &DMatrix<f64>) -> Vec<f64> {
         (&self.project * observations).column_iter().map(|column| column.norm_squared()).collect()
     }
@@ -172,9 +177,11 @@ impl Whitening {
 
     /// Log evidence of noise and signature.
     ///
-    /// `seen` is [`Signature::seen`]'s column of the observation, `squares` its [`Self::squares`]. `signs` says of which features the coefficient
-    /// is positive (or negative): its normal prior loses one half and the other doubles, so the evidence gains twice the posterior probability
-    /// of that sign, which is Student's t. Of two features the two probabilities are taken for independent.
+    /// `seen` is the observation's column of [`Signature::seen`], `squares` its [`Self::squares`].
+    /// `signs` lists the features whose coefficient is known to be positive (or negative): its
+    /// normal prior loses one half and the other doubles, so the evidence gains twice the posterior
+    /// probability of that sign, which is Student's t. For two features the two probabilities are
+    /// treated as independent.
     pub fn log_evidence(
         &self,
         signature: &Signature,
@@ -198,7 +205,7 @@ impl Whitening {
                 mean += rotated * shrink(eigenvalue) * seen[k];
                 variance += rotated.powi(2) * shrink(eigenvalue);
             }
-            // A feature that this noise does not see has either sign alike.
+            // A feature invisible under this noise has either sign with equal probability.
             if variance == 0.0 {
                 return 0.0;
             }
@@ -208,20 +215,20 @@ impl Whitening {
         log_evidence + signs.iter().map(log_sign).sum::<f64>()
     }
 
-    /// n - p: what is known of s.
+    /// n - p: degrees of freedom of the estimate of s.
     pub fn freedom(&self) -> f64 {
         self.freedom
     }
 }
 
 impl Signature {
-    /// What the signature's directions see of each column of `observations`, `[k, columns]`.
+    /// Projects each column of `observations` onto the signature's directions, `[k, columns]`.
     pub fn seen(&self, observations: &DMatrix<f64>) -> DMatrix<f64> {
         self.directions.tr_mul(observations)
     }
 }
 
-/// Log of the mean of numbers given by their logs; minus infinity of nothing.
+/// Log of the mean of numbers given by their logs; minus infinity if there are none.
 pub fn log_mean_exp(logs: &[f64]) -> f64 {
     let largest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     if largest == f64::NEG_INFINITY {
@@ -230,7 +237,7 @@ pub fn log_mean_exp(logs: &[f64]) -> f64 {
     largest + (logs.iter().map(|log| (log - largest).exp()).sum::<f64>() / logs.len() as f64).ln()
 }
 
-/// Probability that Student's t with this freedom is below `statistic`.
+/// Probability that Student's t with this many degrees of freedom is below `statistic`.
 fn student_below(statistic: f64, freedom: f64) -> f64 {
     StudentsT::new(0.0, 1.0, freedom).map_or(0.5, |distribution| distribution.cdf(statistic))
 }

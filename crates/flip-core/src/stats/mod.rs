@@ -1,5 +1,5 @@
-//! Pure numerics used by calibration, evaluation and discovery: no I/O, no clock, randomness only from a generator or a
-//! seed that the caller passes.
+//! Pure numerics used by calibration, evaluation and discovery: no I/O, no clock, randomness only
+//! from a generator or a seed that the caller passes.
 //!
 //! | file | answers |
 //! |------|---------|

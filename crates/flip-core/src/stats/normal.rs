@@ -1,4 +1,4 @@
-//! The standard normal distribution, on `statrs`' error functions.
+//! The standard normal distribution, based on `statrs`' error functions.
 
 use statrs::function::erf::{erfc, erfc_inv};
 use std::f64::consts::{SQRT_2, TAU};
@@ -18,7 +18,7 @@ pub fn pdf(z: f64) -> f64 {
 /// Phi(z) = erfc(-z / sqrt 2) / 2
 /// ```
 ///
-/// Numerics: written with the complement, so that the lower tail keeps its relative precision.
+/// Numerics: uses the complement, so that the lower tail keeps its relative precision.
 pub fn cdf(z: f64) -> f64 {
     0.5 * erfc(-z / SQRT_2)
 }
@@ -39,7 +39,8 @@ pub fn quantile(p: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// `(z, phi(z), Phi(z))`: Abramowitz and Stegun, Handbook of Mathematical Functions, table 26.1 (15 decimals).
+    /// `(z, phi(z), Phi(z))`: Abramowitz and Stegun, Handbook of Mathematical Functions, table 26.1
+    /// (15 decimals).
     const TABLE: [(f64, f64, f64); 4] = [
         (0.0, 0.398_942_280_401_433, 0.5),
         (1.0, 0.241_970_724_519_143, 0.841_344_746_068_543),
@@ -51,7 +52,7 @@ mod tests {
     fn density_and_distribution_match_the_published_table() {
         for (z, density, probability) in TABLE {
             assert!((pdf(z) - density).abs() < 1e-14 && (pdf(-z) - density).abs() < 1e-14);
-            // erfc of statrs is good to about 1e-11 here.
+            // statrs' erfc is accurate to about 1e-11 here.
             assert!((cdf(z) - probability).abs() < 1e-10, "{z}: {}", cdf(z));
             assert!((cdf(-z) - (1.0 - probability)).abs() < 1e-10);
         }

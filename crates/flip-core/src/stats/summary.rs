@@ -1,14 +1,14 @@
-//! Summaries of samples: mean, spread, and how sure the mean is.
+//! Summary statistics of samples: mean, spread and uncertainty of the mean.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-/// Arithmetic mean; `None` of nothing.
+/// Arithmetic mean; `None` for an empty slice.
 pub fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Sample standard deviation; `None` of fewer than two values.
+/// Sample standard deviation; `None` for fewer than two values.
 ///
 /// ```text
 /// s = sqrt( sum (x - mean)^2 / (n - 1) )
@@ -19,7 +19,7 @@ pub fn sd(values: &[f64]) -> Option<f64> {
     (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt())
 }
 
-/// Standard error of the mean, `s / sqrt n`; `None` of fewer than two values.
+/// Standard error of the mean, `s / sqrt n`; `None` for fewer than two values.
 pub fn standard_error(values: &[f64]) -> Option<f64> {
     Some(sd(values)? / (values.len() as f64).sqrt())
 }
@@ -30,8 +30,8 @@ pub fn standard_error(values: &[f64]) -> Option<f64> {
 /// s_w = sqrt( sum over cells sum over x of (x - mean of its cell)^2 / (N - number of cells) )
 /// ```
 ///
-/// The spread of repeats when conditions (powder, target) differ between cells; `None` if no cell holds two values.
-/// Cells of one value carry no information on spread and count on neither side.
+/// The spread of repeats when conditions (powder, target) differ between cells; `None` if no cell
+/// holds two values. Cells with one value carry no information on spread and count on neither side.
 pub fn sd_within_cells<'a>(cells: impl IntoIterator<Item = &'a [f64]>) -> Option<f64> {
     let (mut squares, mut freedom) = (0.0, 0);
     for cell in cells {
@@ -42,16 +42,17 @@ pub fn sd_within_cells<'a>(cells: impl IntoIterator<Item = &'a [f64]>) -> Option
     (freedom > 0).then(|| (squares / freedom as f64).sqrt())
 }
 
-/// Percentile bootstrap interval of the mean: the `(1 - level) / 2` and `(1 + level) / 2` quantiles of the means of
-/// `resamples` samples drawn with replacement. `None` of nothing; `[x, x]` of one value.
+/// Percentile bootstrap interval of the mean: the `(1 - level) / 2` and `(1 + level) / 2` quantiles
+/// of the means of `resamples` samples drawn with replacement. `None` for an empty slice; `[x, x]`
+/// for one value.
 ///
 /// | argument | range | typical |
 /// |----------|-------|---------|
 /// | `level` | 0 to 1 | 0.95 |
 /// | `resamples` | at least 1 | 10 000 |
 ///
-/// Same values and seed, same interval. With few values (n < 10) the interval is too short, as every percentile
-/// bootstrap is.
+/// The same values and seed give the same interval. With few values (n < 10) the interval is too
+/// narrow, as with every percentile bootstrap.
 ///
 /// Source: Efron, Tibshirani, An Introduction to the Bootstrap (1993), chapter 13.
 pub fn bootstrap_mean_interval(values: &[f64], level: f64, resamples: usize, seed: u64) -> Option<[f64; 2]> {
@@ -67,7 +68,8 @@ pub fn bootstrap_mean_interval(values: &[f64], level: f64, resamples: usize, see
     Some([(1.0 - level) / 2.0, (1.0 + level) / 2.0].map(|p| quantile_of_sorted(&means, p)))
 }
 
-/// Linear interpolation between order statistics (type 7 of Hyndman and Fan 1996); `sorted` is not empty.
+/// Interpolates linearly between order statistics (type 7 of Hyndman and Fan 1996); `sorted` must
+/// not be empty.
 fn quantile_of_sorted(sorted: &[f64], p: f64) -> f64 {
     let position = p.clamp(0.0, 1.0) * (sorted.len() - 1) as f64;
     let (below, part) = (position.floor() as usize, position.fract());
@@ -100,7 +102,7 @@ mod tests {
     #[test]
     fn the_spread_within_cells_ignores_differences_between_them() {
         let cells: [&[f64]; 3] = [&[0.0, 2.0], &[100.0, 102.0, 104.0], &[-50.0]];
-        // Squares 2 + 8 over 1 + 2 degrees of freedom.
+        // Sum of squares 2 + 8 over 1 + 2 degrees of freedom.
         assert!((sd_within_cells(cells).unwrap() - (10.0f64 / 3.0).sqrt()).abs() < 1e-12);
     }
 

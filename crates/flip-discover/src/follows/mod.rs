@@ -1,5 +1,6 @@
-//! Columns that follow from what was measured: height, base diameter and flanks of the same heap, another estimate of its angle. They are no conditions, and
-//! would explain the angle better than any.
+//! Detects columns derived from the measurement: height, base diameter and flanks of the same heap,
+//! another estimate of its angle. They are not conditions, and would explain the angle better than
+//! any.
 //!
 //! ```text
 //! x~, y~   column and angle of a row, less the mean of their powder on that day; without days, of their powder
@@ -8,8 +9,9 @@
 //! left     SD of the angle that the column leaves = SD(y~) sqrt(1 - r^2)
 //! ```
 //!
-//! Runs of one powder on one day differ by what heaps do by themselves. A condition explains of that what it changed by, and never the rest; what follows from
-//! the angle has the rest in it. Of the columns that go with it, these follow:
+//! Runs of one powder on one day differ by the natural scatter of heaps. A condition explains only
+//! the part of it that the condition changed; a column derived from the angle contains the rest
+//! too. Of the columns that correlate with the angle, these are derived:
 //!
 //! | by | what is asked |
 //! |---|---|
@@ -21,10 +23,12 @@
 //! | classes | names of the column are ranges of the angle, whatever the powder |
 //! | order | it has runs in the order of their angles less the mean of their powder, as no condition has: deviation, z score, flag of what is above the mean (`order`) |
 //!
-//! But for `order` and `repeats` (and that to a quarter of the scatter) nothing where powders of different angles have the same of it on average: what
-//! knows nothing of powders was there before the heap, or is the angle less its powder's mean.
+//! Except for `order` and `repeats` (and that to a quarter of the scatter), a column is kept if its
+//! average is the same for powders of different angles: a column that does not depend on the powder
+//! was there before the heap, or is the angle less its powder's mean.
 //!
-//! Never asked of columns that causes of the catalogue act through: those are conditions by what the file format says of them.
+//! Columns that causes of the catalogue act through are never tested: the file format defines those
+//! as conditions.
 
 mod order;
 mod words;
@@ -36,40 +40,44 @@ use flip_core::stats::summary::mean;
 use nalgebra::{DMatrix, DVector};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Columns that are set before a heap is poured, beside those that causes act through.
+/// Columns set before a heap is poured, in addition to those that causes act through.
 const SET: [&str; 2] = ["poured_mass_g", "ioniser_on"];
-/// Fewest rows, and freedom within days, that say anything.
+/// Fewest rows, and degrees of freedom within days, that can be judged.
 const ROWS_MIN: usize = 10;
 const FREEDOM_MIN: usize = 10;
-/// Robust SD beyond which a departure is drawn in: a slip of the pen in one cell.
+/// Robust SD beyond which a departure is clamped: a typing error in one cell.
 const OUTLIER_SD: f64 = 4.0;
-/// Least t and share of the scatter of repeats explained, where powders or values agree.
+/// Least t and least explained share of the scatter of repeats, where powders or values agree.
 const STRONG_T: f64 = 5.0;
 const STRONG_SHARE: f64 = 0.2;
-/// Least t where the name says it: that of chance in one of forty columns.
+/// Least t if the name indicates it: that reached by chance in one of forty columns.
 const NAMED_T: f64 = 2.0;
-/// Slope between powders over that within, and how well powders' means lie on a line.
+/// Bounds on the slope between powders over that within, and on how well powders' means lie on a
+/// line.
 const SAME_SLOPE: [f64; 2] = [0.5, 2.0];
 const ON_A_LINE: f64 = 0.8;
-/// Standard errors by which the slope between powders is from that of a condition, which is none.
+/// Standard errors between the slope between powders and that of a condition, which is zero.
 const SLOPE_Z: f64 = 4.0;
 /// Least SD of powders' means over that of repeats: powders that are alike say nothing.
 const POWDERS_APART: f64 = 0.5;
-/// How far a column's mean may be from a powder's angle, degrees, to read nearly the same.
+/// How far a column's mean may be from a powder's angle, degrees, to count as nearly the same.
 const NEARLY_DEG: f64 = 6.0;
-/// Share of the scatter of repeats explained and, in degrees or percent of a flow time, what no powder repeats to.
+/// Share of the scatter of repeats explained and, in degrees or percent of a flow time, the scatter
+/// that no powder repeats to.
 const NEAR_ALL: f64 = 0.9;
 const REPEATS_TO: f64 = 0.4;
 const FLOW_REPEATS_TO: f64 = 2.0;
-/// Part of what repeats scatter by that is left, by rounding, of a column that is the angle less a mean.
+/// Part of the scatter of repeats left, by rounding, by a column that is the angle less a mean.
 const ROUNDING: f64 = 0.25;
 /// Share explained by columns together.
 const TOGETHER: f64 = 0.7;
-/// Variance of powders' means over that of chance, below which a column knows nothing of powders.
+/// Variance of powders' means over that of chance, below which a column does not depend on the
+/// powder.
 const KNOWS_POWDERS: f64 = 4.0;
-/// Most values of a column that somebody may have set, where its name could be that of something else than the heap.
+/// Most distinct values of a column that may have been set by hand, if its name could belong to
+/// something other than the heap.
 const SET_VALUES_MAX: usize = 5;
-/// Share of rows that may lie in another class than their angle says.
+/// Share of rows that may lie in a class other than that of their angle.
 const MISPLACED: f64 = 0.02;
 
 /// One row of the file.
@@ -77,7 +85,7 @@ const MISPLACED: f64 = 0.02;
 struct Row {
     powder: usize,
     session: usize,
-    /// Of the runs behind a summary the mean.
+    /// The mean, for the runs behind a summary.
     angle: f64,
     /// First of its runs.
     run: usize,
@@ -92,7 +100,8 @@ struct Course {
     freedom: f64,
 }
 
-/// The campaign without the columns that follow from what it measures, and these with why.
+/// Returns the campaign without the columns derived from its measurement, and those columns with
+/// the reasons.
 pub(super) fn without(campaign: &Campaign) -> (Campaign, Vec<ColumnLeftOut>) {
     let rows = rows(campaign);
     let asked: Vec<&Covariate> = campaign.covariates.iter().filter(|it| is_asked(&it.name)).collect();
@@ -102,7 +111,8 @@ pub(super) fn without(campaign: &Campaign) -> (Campaign, Vec<ColumnLeftOut>) {
     let named = asked.iter().filter(is_named).filter_map(|it| Some((it.name.as_str(), numbers(it)?)));
     let may_be = |values: &[Option<f64>]| Course::of(&rows, values).is_none_or(|it| !it.is_blind_to_powders());
     let others: Vec<(&str, Vec<Option<f64>>)> = named.filter(|it| may_be(&it.1) && !is_setting(it.0, &it.1)).collect();
-    // What is called like a column that follows, and was not set, is another look at the same heap.
+    // A column named like a derived one, and not set by hand, is another measurement of the same
+    // heap.
     if !left_out.is_empty() || together(&rows, &others) {
         left_out.extend(others.iter().map(|(name, _)| ColumnLeftOut {
             column: (*name).to_owned(),
@@ -119,7 +129,7 @@ fn is_asked(name: &str) -> bool {
     !has_mechanism(name) && !SET.contains(&name)
 }
 
-/// The rows that have an angle. What one row says of all its runs is said once.
+/// The rows that have an angle. Values that one row gives for all its runs count once.
 fn rows(campaign: &Campaign) -> Vec<Row> {
     let mut of_row: Vec<(Row, Vec<f64>)> = Vec::new();
     for run in campaign.measured() {
@@ -140,7 +150,7 @@ fn numbers(covariate: &Covariate) -> Option<Vec<Option<f64>>> {
     }
 }
 
-/// Why a column follows from the angle, if it does.
+/// Why a column is derived from the angle, if it is.
 fn follows(campaign: &Campaign, rows: &[Row], covariate: &Covariate) -> Option<ColumnLeftOut> {
     let reason = match &covariate.values {
         Values::Numbers(values) => of_numbers(campaign.quantity, rows, &covariate.name, values),
@@ -180,7 +190,7 @@ fn of_numbers(quantity: Quantity, rows: &[Row], name: &str, values: &[Option<f64
 }
 
 impl Course {
-    /// `None` where too few rows have both.
+    /// Returns `None` where too few rows have both.
     fn of(rows: &[Row], values: &[Option<f64>]) -> Option<Self> {
         let known: Vec<(Row, f64)> = rows.iter().filter_map(|&row| Some((row, values[row.run]?))).collect();
         let (rows, values): (Vec<Row>, Vec<f64>) = known.into_iter().unzip();
@@ -213,7 +223,7 @@ impl Course {
         self.sum(|x, y| x * y) / self.sum(|_, y| y * y)
     }
 
-    /// SD of the angle within days, and what the column leaves of it.
+    /// SD of the angle within days that the column leaves.
     fn sd(&self) -> f64 {
         (self.sum(|_, y| y * y) / self.freedom).sqrt()
     }
@@ -232,7 +242,8 @@ impl Course {
         of.into_values().map(|[n, x, y]| [n, x / n, y / n]).collect()
     }
 
-    /// Sums over powders of squares and products of their means, by rows: of values, of both, of angles. `None` where their angles are too much alike.
+    /// Sums over powders of squares and products of their means, by rows: of values, of both, of
+    /// angles. `None` where their angles are too much alike.
     fn between(&self) -> Option<[f64; 3]> {
         let powders = self.powders();
         let rows: f64 = powders.iter().map(|it| it[0]).sum();
@@ -251,13 +262,14 @@ impl Course {
         is_same && between.abs() >= SLOPE_Z * (self.variance_of_means() / yy).sqrt()
     }
 
-    /// Whether powders of different angles have the same of it, as far as can be seen.
+    /// Whether powders of different angles have the same average of it, as far as can be seen.
     fn is_blind_to_powders(&self) -> bool {
         let spread = |[xx, ..]: [f64; 3]| xx / (self.powders().len() - 1) as f64;
         self.between().is_some_and(|sums| spread(sums) < KNOWS_POWDERS * self.variance_of_means())
     }
 
-    /// Variance of a powder's mean times its rows, of a condition that knows nothing of powders; runs of a day share what they share of it.
+    /// Variance of a powder's mean times its rows, for a condition that does not depend on the
+    /// powder; runs of a day share their common part.
     fn variance_of_means(&self) -> f64 {
         let variance = |of: fn(&Row) -> (usize, usize)| {
             let (departures, freedom) = departures(&self.rows, &self.values, of);
@@ -270,14 +282,15 @@ impl Course {
         of_powder * (1.0 + (on_a_day - 1.0) * shared)
     }
 
-    /// Whether its means are near powders' angles, and it moves degree for degree with them.
+    /// Whether its means are near the powders' angles, and it moves degree for degree with them.
     fn reads_the_angle(&self) -> bool {
         let is_near = self.powders().iter().all(|[_, x, y]| (x - y).abs() <= NEARLY_DEG);
         is_near && (0.5..=1.5).contains(&self.slope())
     }
 }
 
-/// Departures of values and angles from the means of their groups, what is far drawn in; and the freedom that is left.
+/// Departures of values and angles from the means of their groups, outliers clamped; and the
+/// remaining degrees of freedom.
 fn departures(rows: &[Row], values: &[f64], of: impl Fn(&Row) -> (usize, usize)) -> (Vec<[f64; 2]>, usize) {
     let mut sums: BTreeMap<(usize, usize), [f64; 3]> = BTreeMap::new();
     for (row, value) in rows.iter().zip(values) {
@@ -303,13 +316,14 @@ fn departures(rows: &[Row], values: &[f64], of: impl Fn(&Row) -> (usize, usize))
     (departures, freedom)
 }
 
-/// Whether a column of a few values could have been set, its name being none that only a heap has.
+/// Whether a column with few distinct values could have been set by hand, its name not being
+/// specific to heaps.
 fn is_setting(name: &str, values: &[Option<f64>]) -> bool {
     let different: BTreeSet<u64> = values.iter().flatten().map(|value| value.to_bits()).collect();
     different.len() <= SET_VALUES_MAX && !words::is_of_heaps_alone(name)
 }
 
-/// Whether logarithms of these columns explain together most of the scatter of repeats.
+/// Whether the logarithms of these columns together explain most of the scatter of repeats.
 fn together(rows: &[Row], columns: &[(&str, Vec<Option<f64>>)]) -> bool {
     if columns.len() < 2 {
         return false;
@@ -338,7 +352,8 @@ fn together(rows: &[Row], columns: &[(&str, Vec<Option<f64>>)]) -> bool {
     1.0 - left / (y.norm_squared() / *freedom as f64) >= TOGETHER
 }
 
-/// Whether names are ranges of the angle: no two overlap, over all powders, some powder has two of them, and some two powders share one.
+/// Whether names are ranges of the angle: no two overlap, over all powders, some powder has two of
+/// them, and some two powders share one.
 fn are_classes(rows: &[Row], of: &[Option<usize>]) -> bool {
     let mut known: Vec<(f64, usize, usize)> =
         rows.iter().filter_map(|row| Some((row.angle, of[row.run]?, row.powder))).collect();
@@ -355,7 +370,8 @@ fn are_classes(rows: &[Row], of: &[Option<usize>]) -> bool {
     if known.len() < ROWS_MIN || !has_two(|it| it.1) || !has_two(|it| it.0) {
         return false;
     }
-    // Levels in the order of their medians; a row is misplaced where its place is another level's.
+    // Levels in the order of their medians; a row is misplaced if its position belongs to another
+    // level.
     let mut levels: Vec<(usize, usize)> = Vec::new();
     for level in known.iter().map(|it| it.1).collect::<BTreeSet<_>>() {
         let places: Vec<usize> = (0..known.len()).filter(|&k| known[k].1 == level).collect();

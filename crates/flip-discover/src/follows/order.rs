@@ -1,8 +1,10 @@
-//! Columns that are functions of what is left of the angle beside its powder's mean: deviation from nominal, z score within the powder, rank, a flag
-//! of what is above the mean, the session's mean of such.
+//! Detects columns that are functions of the angle's residual from its powder's mean: deviation
+//! from nominal, z score within the powder, rank, a flag for values above the mean, the session's
+//! mean of these.
 //!
-//! Of a column that was computed so the order of the angles is fixed. Of a condition it is not: beside what the condition does heaps scatter, and
-//! runs with nearly the same of it stand in any order. Asked is how likely a condition leaves so few exceptions:
+//! A column computed this way fixes the order of the angles. A condition does not: heaps scatter in
+//! addition to its effect, and runs at nearly the same setting stand in any order. The test is how
+//! likely a condition would leave so few exceptions:
 //!
 //! ```text
 //! groups     runs of a powder by their angles | all runs by their angle less the mean of powder and day | days by their mean of angles less powders'
@@ -11,9 +13,11 @@
 //! P          product over runs of Phi((c_above - m) / s) - Phi((c_below - m) / s): that each stays in its class, were its class all that it is due to
 //! ```
 //!
-//! That is as strong a condition as any that could have been: its effect is taken to be all that classes differ by. Runs left out as exceptions, by
-//! a typing error, are one in fifty at most, and could have been any: each costs a factor of n, and the order of k names one of k!. Below [`CHANCE`]
-//! the column follows. A condition is left out by mistake where it has this order by chance, and so about as rarely.
+//! This assumes as strong a condition as possible: its effect is taken to be the whole difference
+//! between classes. Runs left out as exceptions, such as typing errors, are one in fifty at most,
+//! and could have been any: each costs a factor of n, and the order of k names one of k!. Below
+//! [`CHANCE`] the column counts as derived. A condition is left out by mistake if it has this order
+//! by chance, and so about as rarely.
 
 use super::super::campaign::{Quantity, Values};
 use super::{FLOW_REPEATS_TO, FREEDOM_MIN, MISPLACED, REPEATS_TO, ROWS_MIN, Row};
@@ -21,12 +25,12 @@ use flip_core::stats::normal;
 use flip_core::stats::summary::mean;
 use std::collections::BTreeMap;
 
-/// Chance of a condition in such order, below which the column is none.
+/// Chance that a condition shows such order, below which the column does not count as one.
 const CHANCE: f64 = 1e-3;
 /// Most names that are put in order.
 const NAMES_MAX: usize = 5;
 
-/// A run, or a day, as it is compared with others of its group.
+/// A run, or a day, compared with others of its group.
 #[derive(Debug, Clone, Copy)]
 struct Point {
     group: usize,
@@ -34,7 +38,7 @@ struct Point {
     y: f64,
 }
 
-/// A way to look at the column, and what of the angle's scatter is free in it.
+/// One way to group the column's rows, and the part of the angle's scatter that is free in it.
 struct Look {
     points: Vec<Point>,
     freedom: usize,
@@ -43,7 +47,8 @@ struct Look {
     of_what: &'static str,
 }
 
-/// Why a column is a function of what is left of the angle beside its powder's mean, if it is. `runs` are behind the rows.
+/// Why a column is a function of the angle's residual from its powder's mean, if it is. `runs` is
+/// the number of runs behind the rows.
 pub(super) fn follows(quantity: Quantity, rows: &[Row], runs: usize, values: &Values) -> Option<String> {
     let (column, ln_orders) = ordered(rows, values)?;
     if column.iter().flatten().count() < ROWS_MIN {
@@ -62,7 +67,7 @@ pub(super) fn follows(quantity: Quantity, rows: &[Row], runs: usize, values: &Va
     })
 }
 
-/// The column as numbers, row by row, and the logarithm of the number of orders that it could have had.
+/// The column as numbers, row by row, and the logarithm of the number of possible orders.
 fn ordered(rows: &[Row], values: &Values) -> Option<(Vec<Option<f64>>, f64)> {
     match values {
         Values::Numbers(values) => Some((rows.iter().map(|row| values[row.run]).collect(), std::f64::consts::LN_2)),
@@ -105,13 +110,13 @@ fn of_days(rows: &[Row], column: &[Option<f64>], repeats_to: f64) -> Option<Look
     let left = less_mean(rows, day);
     let known = (0..rows.len()).filter(|&k| on_day[&day(&rows[k])] > 1);
     let points: Vec<Point> = known.filter_map(|k| Some(Point { group: 0, x: column[k]?, y: left[k] })).collect();
-    // What is known of the mean of a day is not free.
+    // Rows determined by the mean of a day are not free.
     let freedom = points.len().saturating_sub(on_day.values().filter(|runs| **runs > 1).count());
     let of_what = "the angles, less the mean of their powder on the day,";
     (freedom >= FREEDOM_MIN).then_some(Look { points, freedom, repeats_to, of_what })
 }
 
-/// Days by their mean of angles less their powders', where the column has one value a day.
+/// Days by their mean of angles less their powders', if the column has one value a day.
 fn of_means(rows: &[Row], column: &[Option<f64>], repeats_to: f64) -> Option<Look> {
     let left = less_mean(rows, |row| (row.powder, 0));
     let mut of: BTreeMap<usize, (Option<f64>, Vec<f64>)> = BTreeMap::new();
@@ -136,7 +141,7 @@ fn of_means(rows: &[Row], column: &[Option<f64>], repeats_to: f64) -> Option<Loo
 }
 
 impl Look {
-    /// How many points are out of order, rising or falling, where so few are not of chance.
+    /// Number of points out of order, rising or falling, if so few do not occur by chance.
     fn exceptions(&self, ln_orders: f64) -> Option<usize> {
         [1.0, -1.0].into_iter().find_map(|sign| {
             let mut groups: BTreeMap<usize, Vec<Point>> = BTreeMap::new();
@@ -152,10 +157,11 @@ impl Look {
     }
 }
 
-/// The most points of a group that have an order: sorted by x, the longest that do not fall in y.
+/// The largest ordered subset of a group: sorted by x, the longest subsequence that does not fall
+/// in y.
 fn in_order(mut points: Vec<Point>) -> Vec<Point> {
     points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
-    // The last point of the best course of each length, and the point before each point.
+    // The last point of the best sequence of each length, and the point before each point.
     let (mut ends, mut before): (Vec<usize>, Vec<Option<usize>>) = (Vec::new(), Vec::new());
     for (k, point) in points.iter().enumerate() {
         let place = ends.partition_point(|&end| points[end].y <= point.y);
@@ -170,7 +176,7 @@ fn in_order(mut points: Vec<Point>) -> Vec<Point> {
     kept
 }
 
-/// Points of a group in order, by their value of the column.
+/// Points of an ordered group, split by their value of the column.
 fn classes(points: &[Point]) -> Vec<&[Point]> {
     points.chunk_by(|a, b| a.x.to_bits() == b.x.to_bits()).collect()
 }
@@ -185,7 +191,7 @@ fn scatter(groups: &[Vec<Point>]) -> f64 {
     1.4826 * median(groups.iter().flat_map(|group| classes(group)).flat_map(departures).collect())
 }
 
-/// Logarithm of the chance that every point of a group in order stays in its class.
+/// Logarithm of the chance that every point of an ordered group stays in its class.
 fn ln_chance(points: &[Point], scatter: f64) -> f64 {
     let classes = classes(points);
     let middles: Vec<f64> = classes.iter().map(|class| median(class.iter().map(|it| it.y).collect())).collect();

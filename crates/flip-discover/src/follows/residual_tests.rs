@@ -1,4 +1,4 @@
-//! Functions of the angle less its powder's mean, and conditions as strong as any.
+//! Functions of the angle less its powder's mean, and conditions as strong as possible.
 
 use super::super::campaign::Run;
 use super::super::reading::{ColumnRead, FileRead, TakenAs};
@@ -10,7 +10,7 @@ fn angles(laboratory: &Laboratory) -> Vec<f64> {
     laboratory.campaign.runs.iter().filter_map(|run| run.repose_deg).collect()
 }
 
-/// Of each run the mean and SD of angles of its group.
+/// Mean and SD of the angles of each run's group.
 fn groups(laboratory: &Laboratory, of: impl Fn(&Run) -> (usize, usize)) -> Vec<(f64, f64)> {
     let runs = &laboratory.campaign.runs;
     let own =
@@ -88,7 +88,7 @@ fn with_functions_of_the_residual(mut laboratory: Laboratory) -> Laboratory {
 fn what_is_computed_of_the_angle_less_its_powders_mean_is_no_condition() {
     for seed in 0..10 {
         for powders in [3, 5] {
-            // Three hundred runs: of fewer a flag may stay a condition.
+            // Three hundred runs: with fewer, a flag may remain a condition.
             let laboratory = with_functions_of_the_residual(Laboratory::new(seed, powders, 150 / powders, 1.0));
             assert_eq!(laboratory.left_out(), NAMES, "{powders} powders, seed {seed}");
         }
@@ -141,7 +141,7 @@ fn a_deviation_from_the_mean_is_named_and_left_out_and_explains_nothing() {
     let mut report = investigated(&laboratory.campaign);
     assert_eq!(report.verdict, Verdict::NoDiscrepancy, "{}", report.sentence);
     assert_eq!(report.left_out.iter().map(|it| it.column.as_str()).collect::<Vec<_>>(), NAMES[..2]);
-    // And where it is said how the file was read.
+    // The same where the reading of the file is reported.
     let column = ColumnRead {
         column: NAMES[0].to_owned(),
         taken_as: TakenAs::Numbers,

@@ -24,7 +24,7 @@ pub(super) struct Laboratory {
 }
 
 impl Laboratory {
-    /// Powders of which nothing but noise is measured, twice a day.
+    /// Powders measured twice a day, with nothing but noise.
     pub(super) fn new(seed: u64, powders: usize, days: usize, repeat_share: f64) -> Self {
         let mut new = Self { rng: Pcg64::seed_from_u64(seed), campaign: Campaign::default(), volume: Vec::new() };
         new.campaign.powders = POWDERS[..powders].iter().map(|it| it.0.to_owned()).collect();
@@ -46,7 +46,7 @@ impl Laboratory {
         normal::quantile(self.rng.random::<f64>().clamp(1e-12, 1.0 - 1e-12))
     }
 
-    /// What was measured of each heap, read off with this relative error and written down with so many decimals.
+    /// A measurement of each heap, with this relative error and rounded to this many decimals.
     fn read_off(&mut self, name: &str, error: f64, decimals: i32, of: impl Fn(f64, f64) -> f64) {
         let step = 10f64.powi(-decimals);
         let angles: Vec<f64> = self.campaign.runs.iter().filter_map(|run| run.repose_deg).collect();
@@ -59,7 +59,7 @@ impl Laboratory {
         self.campaign.covariates.push(Covariate { name: name.to_owned(), values: Values::Numbers(values) });
     }
 
-    /// A condition, and what it does to the angle.
+    /// A condition and its effect on the angle.
     pub(super) fn condition(&mut self, name: &str, of: impl Fn(&mut Self, &Run) -> f64, effect: impl Fn(f64) -> f64) {
         let runs = self.campaign.runs.clone();
         let values: Vec<f64> = runs.iter().map(|run| of(self, run)).collect();
@@ -90,7 +90,7 @@ fn free_height(angle: f64, volume: f64) -> f64 {
 
 type Geometry = fn(f64, f64) -> f64;
 
-/// Name, decimals and geometry of what may be read off a heap.
+/// Name, decimals and geometry of quantities that can be measured on a heap.
 const MEASURES: [(&str, i32, Geometry); 9] = [
     ("pile_height_mm", 0, height),
     ("height_mm", 1, free_height),
@@ -120,7 +120,8 @@ fn what_is_read_off_the_heap_is_no_condition_however_well_it_is_read() {
 #[test]
 fn a_column_whose_name_says_nothing_is_told_by_what_it_holds() {
     for error in [0.0, 0.02, 0.05] {
-        // By the powders: five, or two, whose means may lie off the line by chance; of ten at 95 % three or more are missed with a chance of 0.01.
+        // By the powders: five, or two, whose means may lie off the line by chance; of ten at 95 %
+        // three or more are missed with a chance of 0.01.
         for (powders, missed_max) in [(5, 0), (2, 2)] {
             let is_missed = |seed: &u64| {
                 let mut laboratory = Laboratory::new(*seed, powders, 20, 1.0);
@@ -144,7 +145,7 @@ fn a_column_whose_name_says_nothing_is_told_by_what_it_holds() {
 fn columns_of_one_heap_are_left_out_together() {
     for seed in 0..10 {
         let mut laboratory = Laboratory::new(seed, 5, 20, 1.0);
-        // Heaps of quite different volume: neither height nor base says much alone.
+        // Heaps of very different volume: neither height nor base says much alone.
         (0..laboratory.volume.len()).for_each(|i| laboratory.volume[i] *= (0.35 * laboratory.normal()).exp());
         laboratory.read_off("height_mm", 0.005, 2, free_height);
         laboratory.read_off("diameter_mm", 0.005, 2, |angle, volume| 2.0 * radius(angle, volume));
@@ -179,25 +180,25 @@ fn a_strong_cause_stays_a_cause_however_little_is_left() {
     for seed in 0..10 {
         for repeat_share in [0.15, 0.5, 1.0] {
             let of = |powders, days| Laboratory::new(seed, powders, days, repeat_share);
-            // Ten degrees of humidity, which heaps hardly scatter beside.
+            // Ten degrees from humidity, next to which heaps hardly scatter.
             let mut humid = of(5, 20);
             humid.condition("relative_humidity_pct", |it, _| it.rng.random_range(30.0..70.0), |h| 0.25 * (h - 50.0));
             assert_eq!(humid.left_out(), [""; 0], "humidity, {repeat_share}, seed {seed}");
-            // What nobody knows, of the day or of the run.
+            // Unknown effects of the day or of the run.
             let mut daily = of(5, 20);
             let days: Vec<f64> = (0..20).map(|_| daily.normal()).collect();
             daily.condition("ward_pressure", |_, run| days[run.session], |x| 4.0 * x);
             assert_eq!(daily.left_out(), [""; 0], "daily, {repeat_share}, seed {seed}");
             for powders in [1, 3, 5] {
                 let mut each = of(powders, 24);
-                // Six degrees beside what repeats scatter by, half a degree and more.
+                // Six degrees against a scatter of repeats of half a degree and more.
                 each.condition("dial", |it, _| it.rng.random_range(0.0..1.0), |x| 6.0 * x);
                 assert!(
                     repeat_share < 0.3 || each.left_out().is_empty(),
                     "dial, {powders}, {repeat_share}, seed {seed}"
                 );
             }
-            // A length that somebody sets, under a name that a heap's might have.
+            // A length that is set by hand, under a name that a heap's might have.
             let mut set = of(5, 20);
             set.condition("height_mm", |it, _| f64::from(it.rng.random_range(4..8u32)) * 10.0, |h| -0.15 * h);
             assert_eq!(set.left_out(), [""; 0], "set, {repeat_share}, seed {seed}");

@@ -1,8 +1,8 @@
-//! Names of columns that are of the heap, or of the flow, that was measured.
+//! Names of columns that belong to the measured heap or flow.
 
 use super::super::campaign::Quantity;
 
-/// What only a heap has.
+/// Properties only a heap has.
 const OF_HEAPS: [&str; 16] = [
     "pile",
     "heap",
@@ -21,7 +21,7 @@ const OF_HEAPS: [&str; 16] = [
     "boeschung",
     "böschung",
 ];
-/// What a heap has and other things too: of a heap where nothing else is named.
+/// Properties that heaps and other things have: taken as a heap's if nothing else is named.
 const MEASURES: [&str; 36] = [
     "height",
     "diameter",
@@ -60,7 +60,7 @@ const MEASURES: [&str; 36] = [
     "pente",
     "rayon",
 ];
-/// What says how, of which side or in which unit, and of nothing else.
+/// Words for manner, side or unit that name no object.
 const QUALIFIERS: [&str; 71] = [
     "mean",
     "average",
@@ -136,18 +136,18 @@ const QUALIFIERS: [&str; 71] = [
 ];
 const UNITS: [&str; 15] =
     ["mm", "cm", "m", "um", "deg", "rad", "mm2", "cm2", "mm3", "cm3", "ml", "g", "mg", "kg", "pct"];
-/// What heaps are poured with, onto or in.
+/// Apparatus that heaps are poured with, onto or in.
 const APPARATUS: [&str; 22] = [
     "funnel", "nozzle", "orifice", "hole", "hopper", "outlet", "drop", "fall", "spoon", "vial", "plate", "table",
     "room", "fill", "pour", "grain", "particle", "sieve", "stand", "tilt", "light", "trichter",
 ];
-/// What is of a flow.
+/// Properties of a flow.
 const OF_FLOWS: [&str; 9] =
     ["flow", "flowrate", "efflux", "discharge", "throughput", "outflow", "duration", "seconds", "auslaufzeit"];
-/// What a length is called by a single letter.
+/// Single-letter names of lengths.
 const LETTERS: [&str; 5] = ["h", "d", "r", "w", "v"];
 
-/// Whether a column is called after what was measured.
+/// Whether a column is named after the measured quantity.
 pub(super) fn is_of_heap(name: &str, quantity: Quantity) -> bool {
     let words = words(name);
     let has = |of: &[&str]| words.iter().any(|word| of.contains(&word.as_str()));
@@ -167,12 +167,12 @@ pub(super) fn is_of_heap(name: &str, quantity: Quantity) -> bool {
     has(&OF_HEAPS) || (has(&MEASURES) && words.iter().all(is_said)) || is_letter
 }
 
-/// Whether nothing but a heap has such a thing.
+/// Whether only a heap has such a property.
 pub(super) fn is_of_heaps_alone(name: &str) -> bool {
     words(name).iter().any(|word| OF_HEAPS.contains(&word.as_str()))
 }
 
-/// Words of a name: `PileHeight2_mm` is pile, height, 2, mm.
+/// Splits a name into words: `PileHeight2_mm` is pile, height, 2, mm.
 fn words(name: &str) -> Vec<String> {
     let mut words = vec![String::new()];
     let (mut was_small, mut was_digit) = (false, false);

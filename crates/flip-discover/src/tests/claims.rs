@@ -1,19 +1,20 @@
-//! What reports claim, over many small campaigns: nothing hidden, outliers, small effects, effects that powders do not share.
+//! What reports claim, over many small campaigns: nothing hidden, outliers, small effects, effects
+//! that powders do not share.
 
 use super::*;
 use crate::report::{Finding, Verdict};
 use crate::sizes::sized;
 use flip_core::domain::seed::derive;
 
-/// What is hidden in a campaign.
+/// The effect hidden in a campaign.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Hidden {
     Nothing,
     /// Some runs went wrong by 6 to 12 deg.
     Outliers,
-    /// Of about the SD of a repeat over the range of the humidity, all powders alike.
+    /// About the SD of a repeat over the range of the humidity, all powders alike.
     Small,
-    /// Several times that: the more, the later a powder is in the list.
+    /// Several times that, growing with a powder's place in the list.
     Graded,
     /// One powder goes one way, the others the other.
     Mixed,
@@ -28,7 +29,8 @@ const NAMES: [&str; 2] = ["talc", "lactose_m200"];
 const SEEDS: u64 = 2;
 
 impl Hidden {
-    /// What is added to the angle of a powder, deg; `share` of the humidity's range from its middle, `by` the operator.
+    /// Contribution to the angle of a powder, deg; `share` of the humidity's range from its middle,
+    /// `by` the operator.
     fn effect(self, powder: usize, share: f64, by: usize) -> f64 {
         match (self, powder) {
             (Self::Nothing | Self::Outliers, _) => 0.0,
@@ -62,7 +64,7 @@ fn campaign(hidden: Hidden, seed: u64) -> Campaign {
             operator.push(Some(by));
         }
     }
-    // Humidity moves powders up by what is known of it; a temperature may do either.
+    // Humidity moves powders up, as is known of it; a temperature may go either way.
     let name = if hidden == Hidden::Mixed { "temperature_c" } else { "relative_humidity_pct" };
     let numbers = Covariate { name: name.to_owned(), values: Values::Numbers(humidity) };
     let names = ["Ada", "Ben"].map(str::to_owned).to_vec();
@@ -71,7 +73,7 @@ fn campaign(hidden: Hidden, seed: u64) -> Campaign {
     Campaign { powders, runs, covariates: vec![numbers, levels], ..Campaign::default() }.checked().unwrap()
 }
 
-/// What a report says before it says what to do next.
+/// The part of a report before its advice on what to do next.
 fn headline(report: &Report) -> &str {
     report.sentence.split(" What would").next().unwrap_or_default()
 }
@@ -80,12 +82,13 @@ fn is_claimed(finding: &Finding) -> bool {
     is_told(finding.ci95, &finding.unit)
 }
 
-/// Of angles: how repeats scatter is told beside them, and decides nothing.
+/// Findings of angles: scatter of repeats is reported alongside, and decides nothing.
 fn of_angles(report: &Report) -> impl Iterator<Item = &Finding> {
     report.findings.iter().filter(|it| it.unit == "deg")
 }
 
-/// Every powder that is named has its own effect beside its name, of one of the findings; how many are.
+/// Checks that every named powder has its own effect next to its name, taken from one of the
+/// findings; returns how many are named.
 fn named(report: &Report, case: &str) -> usize {
     let effects = || of_angles(report).flat_map(|finding| finding.by_powder.iter().map(move |it| (finding, it)));
     let names = NAMES.into_iter().filter(|name| headline(report).contains(&name.replace('_', " ")));
@@ -132,6 +135,6 @@ fn a_headline_of_nothing_is_no_cause_and_a_named_powder_has_its_own_effect() {
         verdicts.push((case, report.verdict));
     }
     println!("{verdicts:?}, {powders} powders named");
-    // Otherwise nothing was asked of either rule.
+    // Otherwise neither rule was tested.
     assert!(causes > 0 && powders > 0, "{verdicts:?}");
 }

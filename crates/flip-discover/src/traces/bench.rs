@@ -1,7 +1,9 @@
-//! The simulated bench that signatures come from: what a shaken spoon lets fall, and what the balance shows of it.
+//! The simulated bench that signatures come from: what a shaken spoon dispenses, and what the
+//! balance shows.
 //!
-//! Signatures are differences of two runs of this bench over the actions, times and fills that were recorded, one with the mechanism at a small size
-//! and one without. Scatter of shakes and of readings is the same in both and cancels, so it is left out of both.
+//! Signatures are differences of two runs of this bench over the recorded actions, times and fills,
+//! one with the mechanism at a small size and one without. Scatter of shakes and of readings is the
+//! same in both and cancels, so it is left out of both.
 //!
 //! ```text
 //! mass of shake k        d_k = mu_k (1 + a g_k)                    mu_k: the powder's own response, fitted
@@ -23,28 +25,31 @@
 //! | `densification` | -log(1 + n / N), -n | over their size at n = 10 |
 //! | `actuator` | log(1 - b / A), -A of the amplitude A | over their range; b: backlash |
 //!
-//! A reading that relaxes to its plateau is a first-order filter's, of which lag is the part `a` that passes through it, or a moving average's.
-//! Source: derived here; first-order and moving-average filters are textbook, the forms of the spoon are ours and no number in them was measured.
+//! A reading that relaxes to its plateau comes from a first-order filter, where lag is the part `a`
+//! that passes through it, or from a moving average. Source: derived here; first-order and
+//! moving-average filters are textbook, the forms of the spoon are ours and none of their numbers
+//! was measured.
 
 use super::design::Design;
 use super::readings::Kind;
 
-/// What may happen to the readings, of unit size.
+/// A possible effect on the readings, of unit size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Sensor {
-    /// mg/s; the time in which it ends, s.
+    /// mg/s; the time after which it levels off, s.
     Drift { ends_s: f64 },
     /// Share of the reading that lags; the filter's time, s.
     Lag { tau_s: f64 },
     /// As [`Self::Lag`] with a moving average.
     Average { window_s: f64 },
-    /// Share of the mass a second.
+    /// Share of the mass per second.
     Uptake { humidity: Humidity, ends_s: f64 },
     /// mg after each shake; the time in which it decays, s.
     Static { humidity: Humidity, decay_s: f64 },
 }
 
-/// What humidity does to an effect, as a factor: 1 at 60 % where damp adds to it, at 20 % where it takes from it.
+/// Effect of humidity, as a factor: 1 at 60 % where damp increases it, at 20 % where damp reduces
+/// it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Humidity {
     /// Nothing.
@@ -59,10 +64,10 @@ pub(super) enum Humidity {
     Charged(i32),
 }
 
-/// What may happen to the mass of a shake, of unit size.
+/// A possible effect on the mass of a shake, of unit size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Spoon {
-    /// Share of a shake that is held back; the shakes after which it is not.
+    /// Share of a shake that is held back; the number of shakes it lasts.
     HoldupShakes { lasts: f64 },
     /// As [`Self::HoldupShakes`] over the mass poured, mg.
     HoldupMass { lasts_mg: f64 },
@@ -70,7 +75,7 @@ pub(super) enum Spoon {
     Fill,
     /// Fall of log mass by shake 10, as log(1 + shakes / this).
     Densification { shakes: f64 },
-    /// Fall of log mass by shake 10, the same each shake.
+    /// Fall of log mass by shake 10, equal for each shake.
     DensificationSteady,
     /// Rise of log mass over the recorded amplitudes, as log(1 - b / A); the backlash b, mm.
     Backlash { backlash_mm: f64 },
@@ -91,7 +96,7 @@ impl Humidity {
     }
 }
 
-/// Relaxation over x seconds that ends in T, T (1 - exp(-x / T)); x if it never does.
+/// Relaxation over x seconds that levels off in T, T (1 - exp(-x / T)); x if it never does.
 fn until(x: f64, ends_s: f64) -> f64 {
     if ends_s.is_finite() { -ends_s * libm::expm1(-x / ends_s) } else { x }
 }
@@ -99,14 +104,15 @@ fn until(x: f64, ends_s: f64) -> f64 {
 /// The bench as it was used.
 pub(super) struct Bench<'a> {
     pub design: &'a Design,
-    /// Mass that each plateau is above the one before, mg; of the first of a log its own, in doses, and none in controls.
+    /// Mass of each plateau above the one before, mg; for the first of a log its own, in doses, and
+    /// zero in controls.
     steps_mg: Vec<f64>,
     /// Relative humidity of each plateau, percent.
     humidity_pct: Vec<f64>,
 }
 
 impl<'a> Bench<'a> {
-    /// The bench over the masses that the balance ended up at.
+    /// The bench over the final masses on the balance.
     pub fn new(design: &'a Design) -> Self {
         let levels = design.levels(&design.shown_mg);
         let known: Vec<f64> = design.plateaus.iter().filter_map(|plateau| plateau.humidity_pct).collect();
@@ -126,7 +132,7 @@ impl<'a> Bench<'a> {
         Self { design, steps_mg, humidity_pct }
     }
 
-    /// What the balance shows at each reading with an effect of this size, mg.
+    /// Simulated reading at each time with an effect of this size, mg.
     pub fn shown_mg(&self, effect: Sensor, size: f64) -> Vec<f64> {
         let mut shown = Vec::with_capacity(self.design.times_s.len());
         for log in &self.design.logs {
@@ -153,7 +159,7 @@ impl<'a> Bench<'a> {
     fn weight(&self, effect: Sensor, j: usize, kind: Kind, is_step: bool) -> f64 {
         match effect {
             Sensor::Lag { .. } | Sensor::Average { .. } if is_step => self.steps_mg[j],
-            // What is in the vial takes water up, not the standard.
+            // The powder in the vial takes up water, the standard does not.
             Sensor::Uptake { humidity, .. } if kind == Kind::Dose => {
                 self.steps_mg[j] * humidity.factor(self.humidity_pct[j])
             }
@@ -164,7 +170,8 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// The mass of each shake with an effect of this size, mg, where the powder's own response lets fall `nominal`, mg.
+    /// The mass of each shake with an effect of this size, mg, where the powder's own response is
+    /// `nominal`, mg.
     pub fn masses_mg(&self, nominal: &[f64], effect: Spoon, size: f64) -> Vec<f64> {
         let (design, mut poured, mut log) = (self.design, 0.0, usize::MAX);
         let fills: Vec<f64> =

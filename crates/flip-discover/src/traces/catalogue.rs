@@ -1,36 +1,36 @@
-//! The causes that readings of the balance may show, and the forms that each may have.
+//! The causes that balance readings may show, and the possible forms of each.
 
 use super::bench::{Humidity, Sensor, Spoon};
 use super::design::Design;
 use super::readings::Kind;
 use super::shakes::is_fill_known;
 
-/// A cause that the simulated bench can be extended by.
+/// A cause the simulated bench can be extended by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum TraceMechanism {
-    /// The balance's zero moves at a steady rate, whatever is on it.
+    /// The balance's zero drifts at a steady rate, whatever the load.
     BalanceDrift,
-    /// The reading follows the load late.
+    /// The reading lags behind the load.
     BalanceLag,
     /// Powder in the vial takes up water.
     MassUptake,
-    /// What is in the vial evaporates.
+    /// The contents of the vial evaporate.
     Evaporation,
     /// Charged powder pulls at the pan until the charge has leaked away.
     BalanceStatic,
     /// Readings scatter more where the bench vibrates more.
     VibrationNoise,
-    /// The spoon keeps what it is shaken first.
+    /// The spoon retains the first powder it is given.
     SpoonHoldup,
-    /// A fuller spoon lets fall more.
+    /// A fuller spoon dispenses more.
     FillLevel,
-    /// Shaken powder packs and lets fall less.
+    /// Shaken powder packs and dispenses less.
     Densification,
-    /// A shake is not as long as it was commanded to be.
+    /// A shake differs in length from the commanded one.
     Actuator,
 }
 
-/// What is looked at.
+/// The level at which a cause acts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Level {
     /// Readings within plateaus.
@@ -41,23 +41,24 @@ pub(super) enum Level {
     Scatter,
 }
 
-/// A form of a cause, and the number of its shape.
+/// A form of a cause, and the value of its shape parameter.
 pub(super) type Shaped = (Effect, Option<f64>);
 
-/// What a cause does, of unit size.
+/// The effect of a cause, of unit size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Effect {
     Sensor(Sensor),
     Spoon(Spoon),
-    /// Rise of the log variance, as log(1 + (v / this)^2), from the 5th to the 95th percentile of v; this in m/s^2.
+    /// Rise of the log variance, as log(1 + (v / this)^2), from the 5th to the 95th percentile of
+    /// v; this in m/s^2.
     Vibration(f64),
 }
 
-/// Numbers of a cause as reports have them: of its size and of its shape, name and unit.
+/// A cause's parameters as named in reports, for its size and its shape: name and unit.
 pub(super) type Names = [(&'static str, &'static str); 2];
 
 impl TraceMechanism {
-    /// All of them.
+    /// Every mechanism.
     pub const ALL: [Self; 10] = [
         Self::BalanceDrift,
         Self::BalanceLag,
@@ -71,7 +72,7 @@ impl TraceMechanism {
         Self::Actuator,
     ];
 
-    /// Name, as reports have it, and family.
+    /// Name used in reports, and family.
     pub fn name(self) -> (&'static str, &'static str) {
         match self {
             Self::BalanceDrift => ("balance_drift", "sensor"),
@@ -95,7 +96,7 @@ impl TraceMechanism {
         }
     }
 
-    /// Sign of an effect's size, where physics says so.
+    /// Sign of an effect's size, where physics fixes it.
     pub(super) fn sign(self) -> Option<f64> {
         match self {
             Self::BalanceDrift | Self::BalanceStatic => None,
@@ -128,7 +129,7 @@ impl TraceMechanism {
         }
     }
 
-    /// The forms that it may have in this design, each with the number of its shape.
+    /// The possible forms in this design, each with the value of its shape parameter.
     ///
     /// # Errors
     /// Why the design cannot tell.
@@ -192,7 +193,7 @@ impl TraceMechanism {
         })
     }
 
-    /// Whether what it needs was recorded.
+    /// Checks that everything it needs was recorded.
     fn recorded(self, design: &Design) -> Result<(), String> {
         let has_dose = design.logs.iter().any(|log| log.kind == Kind::Dose);
         let has_step = design.logs.iter().any(|log| log.plateaus.len() > 1);
@@ -202,7 +203,8 @@ impl TraceMechanism {
             _ => Ok(()),
         };
         let counted = match self.level() == Level::Shakes && !design.shakes.is_empty() {
-            // A controller shakes ever less on the way to the target: unrecorded, that is every cause of the spoon.
+            // A controller shakes less and less on the way to the target: unrecorded, that looks
+            // like every cause of the spoon.
             true if !design.knows(|plateau| plateau.shake_mm) => Err("shake_mm was not recorded".to_owned()),
             // And a spoon empties, in the simulator too.
             true if !is_fill_known(design) => Err("spoon_fill_mg was not recorded".to_owned()),
@@ -247,14 +249,15 @@ impl TraceMechanism {
     }
 }
 
-/// Within what a cause may differ.
+/// The grouping within which a cause may differ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Differs {
     Powders,
     Sessions,
 }
 
-/// Whether a covariate was recorded in at least half of the plateaus and varies, and if not, why.
+/// Checks that a covariate was recorded in at least half of the plateaus and varies; the error
+/// states why not.
 fn varies(design: &Design, of: impl Fn(&super::design::Plateau) -> Option<f64>) -> Result<(), String> {
     let known: Vec<f64> = design.plateaus.iter().filter_map(of).collect();
     let (missing, count) = (design.plateaus.len() - known.len(), design.plateaus.len());

@@ -1,30 +1,35 @@
-//! From readings to what is judged: plateaus between shakes, rows of averaged readings, masses of shakes, scatter.
+//! Turns readings into the judged quantities: plateaus between shakes, rows of averaged readings,
+//! masses of shakes, scatter.
 //!
-//! The design is fixed, readings are not: each function that takes `shown` gives the same statistic of the measured and of simulated readings.
+//! The design is fixed, readings are not: each function that takes `shown` computes the same
+//! statistic for measured and simulated readings.
 
 use super::readings::{Kind, Reading, Traces, Weighing};
 use flip_core::stats::summary::mean;
 use std::ops::Range;
 
-/// Most rows that a plateau is averaged to, in doses and in controls; early readings are averaged least.
+/// Most rows a plateau is averaged to, in doses and in controls; early readings are averaged least.
 const ROWS_MAX: [usize; 2] = [6, 24];
-/// Most readings of a plateau that are looked at, in doses and in controls; of more, every second, third and so on.
+/// Most readings of a plateau that are used, in doses and in controls; beyond that, every second,
+/// third and so on.
 const READINGS_MAX: [usize; 2] = [40, 600];
-/// Step of a standard's log that is a mass put on the pan, over what readings usually move by and over a third of the display's step.
+/// Step of a standard's log that counts as a mass put on the pan, over the usual change between
+/// readings and over a third of the display's step.
 const STEP_MIN: f64 = 8.0;
-/// Readings that settled ones are compared with.
+/// Number of readings that settled ones are compared with.
 const SETTLED_READINGS: usize = 5;
-/// Share of doses that begin at nothing, from which on their first readings are those before the first shake.
+/// Share of doses that begin at zero, from which on their first readings are those before the first
+/// shake.
 const TARED_SHARE: f64 = 0.8;
 
-/// One weighing as it is looked at.
+/// One weighing as it is judged.
 #[derive(Debug, Clone)]
 pub(super) struct Log {
     pub kind: Kind,
-    /// Number of its powder and of its session.
+    /// Indices of its powder and of its session.
     pub powder: usize,
     pub session: usize,
-    /// In [`Design::plateaus`].
+    /// Range in [`Design::plateaus`].
     pub plateaus: Range<usize>,
 }
 
@@ -32,9 +37,10 @@ pub(super) struct Log {
 #[derive(Debug, Clone)]
 pub(super) struct Plateau {
     pub log: usize,
-    /// In [`Design::times_s`].
+    /// Range in [`Design::times_s`].
     pub readings: Range<usize>,
-    /// When the mass fell: between the last reading before and the first after, as near to the latter as readings are to each other.
+    /// When the mass fell: between the last reading before and the first after, as near to the
+    /// latter as the spacing of readings.
     pub step_s: f64,
     pub shake: Option<u32>,
     pub shake_mm: Option<f64>,
@@ -56,21 +62,21 @@ pub(super) struct Row {
 #[derive(Debug, Clone)]
 pub(super) struct Shake {
     pub log: usize,
-    /// Nothing if the pan was tared before.
+    /// `None` if the pan was tared before.
     pub before: Option<usize>,
     pub after: usize,
-    /// How many shakes there were with it.
+    /// Number of shakes up to and including it.
     pub number: f64,
 }
 
-/// The plan of all readings.
+/// The design of all readings.
 #[derive(Debug, Clone)]
 pub(super) struct Design {
     pub logs: Vec<Log>,
     pub plateaus: Vec<Plateau>,
     pub rows: Vec<Row>,
     pub shakes: Vec<Shake>,
-    /// Of each reading, from the first of its log, s.
+    /// Time of each reading since the first of its log, s.
     pub times_s: Vec<f64>,
     /// As measured, mg.
     pub shown_mg: Vec<f64>,
@@ -81,7 +87,7 @@ pub(super) struct Design {
 }
 
 impl Design {
-    /// The plan of checked traces.
+    /// The design of checked traces.
     pub fn new(traces: &Traces) -> Self {
         let names = |of: &dyn Fn(&Weighing) -> String| {
             let mut all: Vec<String> = traces.weighings.iter().map(of).collect();
@@ -89,7 +95,7 @@ impl Design {
             all.dedup();
             move |name: &String| all.binary_search(name).unwrap_or(0)
         };
-        // A dose of nobody knows what is of a powder of its own.
+        // A dose of unknown powder gets a powder of its own.
         let own =
             |weighing: &Weighing| if weighing.kind == Kind::Dose { format!("?{}", weighing.id) } else { String::new() };
         let powder_of = |weighing: &Weighing| weighing.powder.clone().unwrap_or_else(|| own(weighing));
@@ -159,7 +165,8 @@ impl Design {
         }
     }
 
-    /// Shakes between counted plateaus of doses. Where nearly all doses begin at nothing, that was before the first shake, whatever its number.
+    /// Shakes between counted plateaus of doses. If nearly all doses begin at zero, that was before
+    /// the first shake, whatever its number.
     fn find_shakes(&self) -> Vec<Shake> {
         let doses: Vec<&Log> = self.logs.iter().filter(|log| log.kind == Kind::Dose).collect();
         let levels = self.levels(&self.shown_mg);
@@ -170,7 +177,7 @@ impl Design {
         for log in doses {
             let first = &self.plateaus[log.plateaus.start];
             let is_before = starts || first.shake == Some(0);
-            // A pan that showed more than a few shakes at the first reading was not tared.
+            // A pan whose first reading exceeded a few shakes was not tared.
             let is_tared = levels[log.plateaus.start].abs() <= 5.0 * typical + noise;
             if !is_before && first.shake == Some(1) && is_tared {
                 shakes.push(Shake { log: first.log, before: None, after: log.plateaus.start, number: 1.0 });
@@ -189,7 +196,7 @@ impl Design {
         shakes
     }
 
-    /// Whether at least half of the plateaus that shakes end at have what `of` gives.
+    /// Whether `of` returns a value for at least half of the plateaus that end a shake.
     pub fn knows(&self, of: impl Fn(&Plateau) -> Option<f64>) -> bool {
         let known = self.shakes.iter().filter(|shake| of(&self.plateaus[shake.after]).is_some()).count();
         known > 0 && 2 * known >= self.shakes.len()
@@ -207,7 +214,7 @@ impl Design {
         self.rows.iter().map(of).collect()
     }
 
-    /// Where each plateau ends up: the mean of the later half of its readings, mg.
+    /// Final level of each plateau: the mean of the later half of its readings, mg.
     pub fn levels(&self, shown: &[f64]) -> Vec<f64> {
         let of = |plateau: &Plateau| {
             let late = &shown[plateau.readings.start + plateau.readings.len() / 2..plateau.readings.end];
@@ -222,7 +229,8 @@ impl Design {
         self.shakes.iter().map(|shake| levels[shake.after] - shake.before.map_or(0.0, |k| levels[k])).collect()
     }
 
-    /// Variance of a reading within each plateau by differences of neighbours, which nothing slow adds to, mg^2; nothing of one with fewer than 3.
+    /// Variance of a reading within each plateau from differences of neighbours, which slow changes
+    /// do not affect, mg^2; `None` with fewer than 3.
     pub fn scatter(&self, shown: &[f64]) -> Vec<Option<f64>> {
         let of = |plateau: &Plateau| {
             let readings = &shown[plateau.readings.clone()];
@@ -232,7 +240,8 @@ impl Design {
         self.plateaus.iter().map(of).collect()
     }
 
-    /// SD of a reading, display and all, mg: from differences of neighbours in the later half of plateaus, where nothing relaxes any more.
+    /// SD of a reading, display included, mg: from differences of neighbours in the later half of
+    /// plateaus, where relaxation has ended.
     pub fn reading_sd(&self) -> f64 {
         let (mut squares, mut count) = (0.0, 0);
         for plateau in &self.plateaus {
@@ -251,7 +260,8 @@ fn typical_step(doses: &[&Log], levels: &[f64]) -> f64 {
     all.get(all.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Where a weighing's plateaus are: by the count of shakes, in a control without one by its large steps; `None` of a dose without.
+/// Where a weighing's plateaus are: by the count of shakes, in a control without one by its large
+/// steps; `None` for a dose without.
 fn parts(weighing: &Weighing, readability_mg: f64) -> Option<Vec<Range<usize>>> {
     let readings = &weighing.readings;
     let is_counted = readings.iter().all(|reading| reading.shake_index.is_some());
@@ -268,8 +278,9 @@ fn parts(weighing: &Weighing, readability_mg: f64) -> Option<Vec<Range<usize>>> 
     Some(parts)
 }
 
-/// Whether the load of a standard's log changes after each reading: where two readings leave the settled ones before them on the same side. What
-/// follows has settled when a few readings in turn move little.
+/// Whether the load of a standard's log changes after each reading: where two readings deviate from
+/// the settled ones before them on the same side. The following readings have settled when a few in
+/// turn move little.
 fn steps(readings: &[Reading], readability_mg: f64) -> Vec<bool> {
     let shown: Vec<f64> = readings.iter().map(|reading| reading.balance_mg).collect();
     let moves: Vec<f64> = shown.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
@@ -297,12 +308,12 @@ fn steps(readings: &[Reading], readability_mg: f64) -> Vec<bool> {
     is_split
 }
 
-/// The coarsest step of a display that all readings keep to, mg; 0 if none does.
+/// The coarsest step of a display that all readings are multiples of, mg; 0 if none is.
 fn readability(traces: &Traces) -> f64 {
     let keeps = |step: f64| {
         let mut shown =
             traces.weighings.iter().flat_map(|weighing| &weighing.readings).map(|reading| reading.balance_mg / step);
-        // Files are written in decimal: what is left is rounding.
+        // Files are written in decimal: the remainder is rounding.
         shown.all(|steps| (steps - steps.round()).abs() < 1e-6 * steps.abs().max(1.0))
     };
     let steps = (-4..=2).rev().flat_map(|decade| [5.0, 2.0, 1.0].map(|digit| digit * 10f64.powi(decade)));

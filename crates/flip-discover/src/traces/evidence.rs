@@ -1,4 +1,5 @@
-//! The evidence of [`mixed_model`](flip_core::stats::mixed_model) for noise that has no ties between weighings.
+//! The evidence of [`mixed_model`](flip_core::stats::mixed_model) for noise that is independent between
+//! weighings.
 //!
 //! ```text
 //! V = diag(V_1, .., V_B),   X = (X_own, X_all),   X_own = diag(X_1, .., X_B)
@@ -7,16 +8,17 @@
 //! |X^T V^-1 X| = prod_b |R_b|^2 |R|^2
 //! ```
 //!
-//! and the rest as there. What costs n^3 there costs the sum of the blocks' here, so thousands of readings take seconds. Shakes, readings and scatter
-//! are all judged by it: `own` are the levels of plateaus, say, and `all` what a powder's response has.
+//! and the rest as there. The n^3 cost there is the sum over blocks here, so thousands of readings
+//! take seconds. Shakes, readings and scatter are all judged by it: `own` are the levels of
+//! plateaus, say, and `all` a powder's response.
 //!
-//! Source: derived here, from the module named above by taking the fixed part out in two turns.
+//! Source: derived here, from the module named above by removing the fixed part in two steps.
 
 use flip_core::stats::normal;
 use nalgebra::{Cholesky, DMatrix, DVector, DVectorView, SymmetricEigen};
 use std::ops::{AddAssign, Range};
 
-/// Lengths below this share of what they were before the fixed part was taken out are rounding.
+/// Columns shorter than this share of their length before the fixed part was removed are rounding.
 const RANK_TOLERANCE: f64 = 1e-6;
 /// Root mean squares of a signature over the SD of one row's noise.
 pub(super) const AMPLITUDES: [f64; 6] = [0.02, 0.06, 0.2, 0.6, 2.0, 6.0];
@@ -26,14 +28,15 @@ pub(super) struct Whitening {
     blocks: Vec<Range<usize>>,
     /// P_b of each block.
     own: Vec<DMatrix<f64>>,
-    /// Q, `[n, columns of X_all that are left]`.
+    /// Q, `[n, remaining columns of X_all]`.
     all: DMatrix<f64>,
     log_base: f64,
     /// Rows less columns of X.
     pub freedom: f64,
 }
 
-/// What the evidence needs to know of a signature and of observations: F*^T F* = U diag(lambda) U^T, and U^T F*^T y*.
+/// The terms of a signature and of observations that the evidence needs: F*^T F* = U diag(lambda)
+/// U^T, and U^T F*^T y*.
 pub(super) struct Signature {
     eigenvalues: DVector<f64>,
     /// `[k, observations]`.
@@ -50,19 +53,20 @@ pub(super) struct Course {
     seen: DMatrix<f64>,
 }
 
-/// Evidence of one amplitude and what it says of the signature's first coefficient.
+/// Evidence of one amplitude and the estimate of the signature's first coefficient.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fit {
     pub log_evidence: f64,
     pub first: f64,
     pub first_sd: f64,
-    /// What of the squares the signature leaves.
+    /// Part of the squares that the signature leaves.
     pub left: f64,
 }
 
 impl Whitening {
-    /// The noise whose block `b` has covariance `covariance(b)`, around `own(b)` `[rows of b, p_b]` and `all` `[n, g]`; `None` if it has no factor
-    /// or leaves no freedom. Columns that others explain are left out.
+    /// The noise whose block `b` has covariance `covariance(b)`, around `own(b)` `[rows of b, p_b]`
+    /// and `all` `[n, g]`; `None` if it has no factor or leaves no freedom. Columns explained by
+    /// others are left out.
     pub fn new(
         blocks: &[Range<usize>],
         covariance: impl Fn(usize) -> DMatrix<f64>,
@@ -95,17 +99,18 @@ impl Whitening {
         &seen - &self.all * self.all.tr_mul(&seen)
     }
 
-    /// tr(P diag(kernel(b)) P^T) before what is common to all blocks is taken out.
+    /// tr(P diag(kernel(b)) P^T) before the part common to all blocks is removed.
     pub fn trace(&self, kernel: impl Fn(usize) -> DMatrix<f64>) -> f64 {
         self.own.iter().enumerate().map(|(b, own)| (own * kernel(b)).component_mul(own).sum()).sum()
     }
 
-    /// Log evidence of the noise alone, up to what all noises have in common; `squares` is y*^T y*.
+    /// Log evidence of the noise alone, up to terms common to all noises; `squares` is y*^T y*.
     pub fn log_null(&self, squares: f64) -> f64 {
         self.log_base - self.freedom / 2.0 * squares.ln()
     }
 
-    /// A course `[n]` against `seen`, observations that went through [`Self::apply`], group by group; each block is of one group.
+    /// A course `[n]` against `seen`, observations passed through [`Self::apply`], group by group;
+    /// each block is of one group.
     pub fn course(&self, course: &[f64], group: &[usize], seen: &DMatrix<f64>) -> Course {
         let count = group.iter().max().map_or(0, |last| last + 1);
         let mut new = Course { gram: DMatrix::zeros(count, count), seen: DMatrix::zeros(count, seen.ncols()) };
@@ -122,8 +127,9 @@ impl Whitening {
         new
     }
 
-    /// Evidence of noise and signature for observation `k`; with a `sign` the first coefficient has it, as in
-    /// [`mixed_model`](flip_core::stats::mixed_model::Whitening::log_evidence), with the normal distribution for Student's t of such freedom.
+    /// Evidence of noise and signature for observation `k`; with a `sign` the first coefficient has
+    /// it, as in [`mixed_model`](flip_core::stats::mixed_model::Whitening::log_evidence), with the
+    /// normal distribution in place of Student's t with so many degrees of freedom.
     pub fn fit(&self, signature: &Signature, k: usize, squares: f64, amplitude: f64, sign: Option<f64>) -> Fit {
         let (mut explained, mut log_volume, mut first, mut variance) = (0.0, 0.0, 0.0, 0.0);
         for (j, &eigenvalue) in signature.eigenvalues.iter().enumerate() {
@@ -142,7 +148,8 @@ impl Whitening {
 }
 
 impl Course {
-    /// The course for all groups alike and, where they differ by this share of it, one more column for each; `None` if the fixed part explains it.
+    /// The course for all groups alike and, where they differ by this share of it, one more column
+    /// for each; `None` if the fixed part explains it.
     pub fn signature(&self, differ: Option<f64>) -> Option<Signature> {
         let groups = self.gram.nrows();
         let columns = DMatrix::from_fn(groups, 1 + differ.map_or(0, |_| groups), |i, k| match k {
@@ -178,7 +185,8 @@ struct Basis {
     log_volume: f64,
 }
 
-/// Gram and Schmidt, twice for accuracy; columns that depend on those before them, or were lost to what was taken out before, are left out.
+/// Gram-Schmidt, twice for accuracy; columns that depend on those before them, or that an earlier
+/// projection removed, are left out.
 fn basis(columns: DMatrix<f64>) -> Basis {
     let (mut kept, mut log_volume): (Vec<DVector<f64>>, f64) = (Vec::new(), 0.0);
     for column in columns.column_iter() {

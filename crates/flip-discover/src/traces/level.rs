@@ -1,4 +1,5 @@
-//! One level of what is looked at, judged: the evidence of each cause, of a wander that no cause makes, and of nothing.
+//! Judges one level: the evidence of each cause, of a wander that no cause explains, and of noise
+//! alone.
 //!
 //! ```text
 //! E_0 = mean over plain noises of the evidence of noise alone
@@ -7,7 +8,8 @@
 //!     + 1/2 mean over wandering noises, forms and amplitudes of it
 //! ```
 //!
-//! A cause keeps its name where a little is left that wanders, for its true form is none of ours; how much may be left is the caller's to say.
+//! A cause keeps its name if a small wander remains, since its true form is none of ours; the
+//! caller decides how much may remain.
 
 use super::catalogue::TraceMechanism;
 use super::evidence::{AMPLITUDES, Fit, Whitening};
@@ -18,21 +20,23 @@ use rayon::prelude::*;
 /// A noise model.
 pub(super) struct Noise {
     pub model: Whitening,
-    /// Whether anything wanders in it.
+    /// Whether it includes a wander.
     pub is_wander: bool,
-    /// Squares that every set of readings has at least: those of what a display's steps hide.
+    /// Lower bound on the sum of squares of any set of readings: the part hidden by the display's
+    /// steps.
     pub floor: f64,
 }
 
 /// A form of a cause.
 pub(super) struct Form {
-    /// `[n]`, mean square 1 as plain noise sees it.
+    /// `[n]`, mean square 1 as whitened by plain noise.
     pub course: Vec<f64>,
     /// Size of the effect over the coefficient of the course.
     pub scale: f64,
-    /// Number of its shape.
+    /// Value of its shape parameter.
     pub shape: Option<f64>,
-    /// What an effect of size 1 changes from the lowest to the highest tenth of what it goes with.
+    /// Change due to an effect of size 1 from the lowest to the highest tenth of the covariate it
+    /// goes with.
     pub span: f64,
 }
 
@@ -42,23 +46,24 @@ pub(super) struct Hypothesis {
     pub forms: Vec<Form>,
     /// Group of each row, of those that may differ in the cause.
     pub group: Vec<usize>,
-    /// How much they may differ over what they share; not at all once.
+    /// How much they may differ relative to their common part; one entry is `None`.
     pub differ: Vec<Option<f64>>,
 }
 
-/// What the evidence says of a cause's size and shape in the measured readings, all of it.
+/// The full estimate of a cause's size and shape from the measured readings.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Estimate {
     /// One for each form, noise and amplitude.
     parts: Vec<Part>,
-    /// Share of what is more than noise that the cause explains: all of it as probably as nothing wanders beside it, else the share of the log
-    /// evidence or of the squares that it gains alone, whichever is more.
+    /// Share of the structure beyond noise that the cause explains: all of it, with the probability
+    /// that nothing else wanders; otherwise the share of the log evidence or of the squares that it
+    /// gains alone, whichever is more.
     pub explained: f64,
     /// Share of the squares that its best form leaves, with the most probable plain noise.
     pub left: f64,
 }
 
-/// What one form says under one noise and amplitude.
+/// The estimate of one form under one noise and amplitude.
 #[derive(Debug, Clone, Copy)]
 struct Part {
     weight: f64,
@@ -69,11 +74,12 @@ struct Part {
     span: f64,
 }
 
-/// A level, judged.
+/// A judged level.
 pub(super) struct Verdict {
-    /// Of each cause, `[hypothesis][readings]`, log of the evidence over that of plain noise; the first readings are the measured ones.
+    /// For each cause, `[hypothesis][readings]`, log of the evidence over that of plain noise; the
+    /// first readings are the measured ones.
     pub causes: Vec<(TraceMechanism, Vec<f64>)>,
-    /// The same of a wander.
+    /// The same for a wander.
     pub wander: Vec<f64>,
     pub estimates: Vec<Estimate>,
     /// Odds of the plain noises in the measured readings.
@@ -81,7 +87,7 @@ pub(super) struct Verdict {
 }
 
 impl Form {
-    /// A raw signature made to size 1; `None` if the fixed part explains it.
+    /// A raw signature scaled to size 1; `None` if the fixed part explains it.
     pub fn new(raw: &[f64], shape: Option<f64>, span: f64, plain: &Whitening) -> Option<Self> {
         let column = DMatrix::from_column_slice(raw.len(), 1, raw);
         let size = (plain.apply(&column).norm_squared() / plain.freedom).sqrt();
@@ -98,7 +104,8 @@ struct Sized {
     span: f64,
 }
 
-/// What one noise says: of itself, of each cause, and of the sizes in the measured readings.
+/// Results under one noise: for the noise itself, for each cause, and for the sizes in the measured
+/// readings.
 struct Seen {
     null: Vec<f64>,
     causes: Vec<Vec<f64>>,
@@ -107,7 +114,8 @@ struct Seen {
     freedom: f64,
 }
 
-/// Judges observations `[n, 1 + simulated]` on all causes of this level. `white` is the variance of noise alone, where that is known beforehand.
+/// Judges observations `[n, 1 + simulated]` on all causes of this level. `white` is the variance of
+/// noise alone, if known beforehand.
 pub(super) fn judge(
     noises: &[Noise],
     hypotheses: &[Hypothesis],
@@ -172,7 +180,8 @@ fn see(noise: &Noise, hypotheses: &[Hypothesis], observations: &DMatrix<f64>) ->
 fn estimate(noises: &[Noise], seen: &[Seen], h: usize, white: Option<f64>) -> Estimate {
     let counts = [false, true].map(|which| noises.iter().filter(|noise| noise.is_wander == which).count().max(1));
     let mut new = Estimate::default();
-    // With the most probable plain noise: its log weight, what the cause explains of the squares, and what is more than noise.
+    // With the most probable plain noise: its log weight, the part of the squares that the cause
+    // explains, and the part beyond noise.
     let (mut plain, mut is_plain) = ((f64::NEG_INFINITY, 0.0, 0.0), Vec::new());
     new.left = 1.0;
     for (noise, seen) in noises.iter().zip(seen) {
@@ -207,12 +216,13 @@ fn estimate(noises: &[Noise], seen: &[Seen], h: usize, white: Option<f64>) -> Es
 }
 
 impl Estimate {
-    /// Mean and 95 % limits of the size, as of a normal distribution with the mixture's mean and variance.
+    /// Mean and 95 % limits of the size, from a normal distribution with the mixture's mean and
+    /// variance.
     pub fn size(&self) -> [f64; 3] {
         self.mixture(|_| 1.0)
     }
 
-    /// The same of what the size changes over the span.
+    /// The same for the change over the span.
     pub fn effect(&self) -> [f64; 3] {
         self.mixture(|part| part.span)
     }
@@ -230,8 +240,8 @@ impl Estimate {
         [mean, mean - 1.96 * sd, mean + 1.96 * sd]
     }
 
-    /// Weighted median of the shape and the limits between which all but 2.5 % on each side lies, each half a step of the grid wider; `None` if no
-    /// probable form has one.
+    /// Weighted median of the shape and the limits that leave out 2.5 % on each side, each widened
+    /// by half a grid step; `None` if no probable form has one.
     pub fn shape(&self) -> Option<[f64; 3]> {
         let mut all: Vec<(f64, f64)> =
             self.parts.iter().filter_map(|part| part.shape.map(|shape| (shape, part.weight))).collect();

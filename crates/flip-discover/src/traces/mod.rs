@@ -1,4 +1,4 @@
-//! What the simulated bench gets wrong, by what a balance showed during weighings.
+//! Finds what the simulated bench gets wrong, from balance readings during weighings.
 //!
 //! ```text
 //! readings.rs    what was recorded
@@ -15,9 +15,10 @@
 //! report.rs      what of it a document has            words.rs   its sentences and experiments
 //! ```
 //!
-//! As for angles of repose, what a calibration would absorb is not looked at, and the best of all causes is compared with the best that readings of
-//! the same design have when nothing is wrong. Something that wanders in each weighing in its own way is nobody's signature: it is judged beside the
-//! causes, and a cause that leaves too much of it gives its name up.
+//! As for angles of repose, anything a calibration would absorb is not judged, and the best of all
+//! causes is compared with the best in readings of the same design where nothing is wrong.
+//! Something that wanders in each weighing in its own way has no signature: it is judged alongside
+//! the causes, and a cause that leaves too much of it loses its name.
 
 mod bench;
 mod catalogue;

@@ -1,4 +1,5 @@
-//! Noise that readings, masses of shakes and scatter have when nothing is wrong, and noise that wanders.
+//! The noise of readings, masses of shakes and scatter when nothing is wrong, and noise that
+//! wanders.
 //!
 //! ```text
 //! row of n readings            V = diag(1 / n) + r K                                       unit: variance of a reading
@@ -21,7 +22,8 @@ use super::level::Noise;
 use nalgebra::DMatrix;
 use std::ops::Range;
 
-/// Noise that a balance's own filter correlates: its variance over that of white noise, 0 being white alone, and the filter's time, s.
+/// Noise correlated by a balance's own filter: its variance over that of white noise, 0 being white
+/// alone, and the filter's time, s.
 pub(super) const FILTERED: [(f64, f64); 10] = [
     (0.0, 0.2),
     (0.3, 0.1),
@@ -34,19 +36,21 @@ pub(super) const FILTERED: [(f64, f64); 10] = [
     (1.0, 0.4),
     (4.0, 0.4),
 ];
-/// Time constant of the simulated balance's own filter, s: what it does to a step is no discrepancy.
+/// Time constant of the simulated balance's own filter, s: its response to a step is not a
+/// discrepancy.
 const NOMINAL_LAG_S: f64 = 0.16;
 /// Fewest rows of a plateau that can spare one for it.
 const NOMINAL_ROWS_MIN: usize = 4;
-/// What wanders: its time, s, and whether it is smooth.
+/// Kinds of wander: the time, s, and whether it is smooth.
 const WANDERS: [(f64, bool); 5] = [(1.0, false), (5.0, false), (30.0, false), (2.0, true), (8.0, true)];
-/// Variance of what wanders over that of a reading.
+/// Variance of a wander over that of a reading.
 const WANDER_RATIOS: [f64; 4] = [0.1, 1.0, 10.0, 100.0];
 /// Scatter of the log of a shake's mass.
 pub(super) const SCATTERS: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
-/// Variance of what shakes of a weighing have in common over that of one shake.
+/// Variance common to the shakes of a weighing over that of one shake.
 pub(super) const WEIGHING_RATIOS: [f64; 3] = [0.0, 0.1, 0.5];
-/// Variance of what each shake changes for all after it; plain noise has none where the pitch is known.
+/// Variance of the change from each shake to all after it; plain noise has none if the pitch is
+/// known.
 const STEP_RATIOS: [f64; 3] = [0.0, 0.05, 0.3];
 
 /// Runs of equal neighbours.
@@ -63,8 +67,9 @@ fn runs(of: impl Iterator<Item = usize>) -> Vec<Range<usize>> {
     runs
 }
 
-/// Noises of the rows of readings around each plateau's own level and, after a step of the load, its own approach to it through the simulated
-/// balance's filter: exp(-x / 0.16 s) has the same shape whenever the step was, so its size is free. Plateaus of few rows cannot spare that.
+/// Noises of the rows of readings around each plateau's own level and, after a step of the load,
+/// its own approach to it through the simulated balance's filter: exp(-x / 0.16 s) has the same
+/// shape whenever the step was, so its size is free. Plateaus of few rows cannot spare that.
 pub(super) fn of_readings(design: &Design) -> Vec<Noise> {
     let rows = &design.rows;
     let blocks = runs(rows.iter().map(|row| design.plateaus[row.plateau].log));
@@ -89,7 +94,7 @@ pub(super) fn of_readings(design: &Design) -> Vec<Noise> {
         })
     };
     let length = |i: usize| design.times_s[rows[i].readings.end - 1] - design.times_s[rows[i].readings.start];
-    // What is left of a correlated noise in its mean over a row.
+    // The part of a correlated noise that remains in its mean over a row.
     let left = |i: usize, scale_s: f64| {
         let x = length(i) / scale_s;
         if x < 1e-3 { 1.0 } else { (2.0 / x * (1.0 - (1.0 - (-x).exp()) / x)).sqrt() }
@@ -111,7 +116,8 @@ pub(super) fn of_readings(design: &Design) -> Vec<Noise> {
     let noise = |scale_s: f64, is_smooth: bool, ratio: f64| {
         Whitening::new(&blocks, |b| white(b) + ratio * kernel(b, scale_s, is_smooth), own, &fixed)
     };
-    // A display's steps hide what is smaller, so a load that shows no noise is not known better than to them.
+    // A display hides anything smaller than its steps, so a load that shows no noise is known no
+    // better than one step.
     let steps = design.readability_mg.powi(2) / 12.0;
     let finish = |model: Whitening, is_wander: bool| Noise { floor: steps * model.trace(white), model, is_wander };
     let plain = FILTERED
@@ -124,13 +130,14 @@ pub(super) fn of_readings(design: &Design) -> Vec<Noise> {
     plain.chain(wanders.map(|model| finish(model, true))).collect()
 }
 
-/// Masses of shakes as they are judged: z = asinh(d / w), near log d where the balance resolves it and linear where it does not.
+/// Masses of shakes as they are judged: z = asinh(d / w), near log d where the balance resolves it
+/// and linear where it does not.
 pub(super) struct Masses {
     /// w, mg.
     pub width_mg: f64,
     /// SD of a plateau's level, mg.
     pub level_sd_mg: f64,
-    /// What each powder's own response lets fall, mg.
+    /// Mass dispensed by each powder's own response, mg.
     pub nominal_mg: Vec<f64>,
     /// Columns of the response, `[shakes, p]`.
     pub fixed: DMatrix<f64>,
@@ -148,14 +155,16 @@ impl Masses {
     }
 }
 
-/// A noise of shakes, and over the square of its scatter of log mass what weighings have in common and what each shake changes for all after it.
+/// A noise of shakes; relative to the square of its scatter of log mass, the part common to a
+/// weighing and the change from each shake to all after it.
 pub(super) struct ShakeNoise {
     pub noise: Noise,
     pub weighing: f64,
     pub step: f64,
 }
 
-/// Noises of the masses of shakes. A pitch that nobody recorded may go up and down: then what changes from shake to shake is plain noise.
+/// Noises of the masses of shakes. An unrecorded pitch may go up and down: then the change from
+/// shake to shake is plain noise.
 pub(super) fn of_shakes(design: &Design, masses: &Masses) -> Vec<ShakeNoise> {
     let is_pitch_known = design.knows(|plateau| plateau.pitch_deg);
     let shakes = &design.shakes;
@@ -176,7 +185,7 @@ pub(super) fn of_shakes(design: &Design, masses: &Masses) -> Vec<ShakeNoise> {
                 let common = own + weighing + step * (i.min(j) + 1) as f64;
                 let (i, j) = (start + i, start + j);
                 let shown = (masses.level_sd_mg / scatter).powi(2) * masses.slope(i) * masses.slope(j) * levels(i, j);
-                // A little more on the diagonal: masses that are all noise have no slope.
+                // A small addition to the diagonal: masses that are all noise have no slope.
                 masses.log_slope(i) * masses.log_slope(j) * common + shown + 1e-3 * own
             })
         };

@@ -1,19 +1,19 @@
-//! What a balance showed during weighings, as it was recorded.
+//! Recorded balance readings during weighings.
 
 use flip_core::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
-/// Fewest readings that can say anything.
+/// Fewest readings that can be judged.
 pub const READINGS_MIN: usize = 30;
 
-/// One reading of the balance and what was recorded with it; `None` where it was not.
+/// One reading of the balance and the conditions recorded with it; `None` where not recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Reading {
-    /// Since any fixed moment of the weighing, s.
+    /// Time since any fixed moment of the weighing, s.
     pub t_s: f64,
-    /// What the balance showed, mg.
+    /// Balance reading, mg.
     pub balance_mg: f64,
-    /// Whether the balance called it stable.
+    /// Whether the balance reported it stable.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stable: Option<bool>,
     /// Shakes so far: readings with the same number follow the same shake.
@@ -36,13 +36,13 @@ pub struct Reading {
     pub vibration_rms_m_s2: Option<f64>,
 }
 
-/// What was on the pan.
+/// The load on the pan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
     /// A vial that powder is shaken into.
     Dose,
-    /// Nothing that changes: a control of the balance.
+    /// A constant load: a control of the balance.
     Zero,
     /// A standard mass, perhaps put on during the log.
     Standard,
@@ -51,17 +51,17 @@ pub enum Kind {
 /// The readings of one weighing, or of one control of the balance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Weighing {
-    /// As the file has it.
+    /// Its id in the file.
     pub id: String,
     /// Name of the powder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub powder: Option<String>,
-    /// Day, or whatever shares the state of the balance.
+    /// Day, or another unit over which the balance's state is shared.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub session: Option<String>,
-    /// What was on the pan.
+    /// The load on the pan.
     pub kind: Kind,
-    /// Mass that was wanted, mg.
+    /// Target mass, mg.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target_mg: Option<f64>,
     /// In the order of time.
@@ -76,11 +76,11 @@ pub struct Traces {
 }
 
 impl Traces {
-    /// The traces, if they can say anything at all.
+    /// Returns the traces if they can be judged at all.
     ///
     /// # Errors
-    /// Fewer than [`READINGS_MIN`] readings; a number that is not finite; time that runs backwards; shakes that are uncounted; readings that
-    /// are all the same.
+    /// Fewer than [`READINGS_MIN`] readings; a number that is not finite; time that runs backwards;
+    /// shakes that are uncounted; readings that are all the same.
     pub fn checked(self) -> Result<Self, FieldError> {
         let count: usize = self.weighings.iter().map(|weighing| weighing.readings.len()).sum();
         if count < READINGS_MIN {

@@ -1,4 +1,4 @@
-//! What a document has of balance readings.
+//! The part of a document about balance readings.
 
 use super::super::claim::{self, Proposal, is_told};
 use super::super::investigate::{CERTAIN, CLAIM, SIGNIFICANCE, WORTH_TELLING};
@@ -10,14 +10,14 @@ use super::words;
 use super::{Kind, Parameter, TraceCause, TraceJudged, TraceMechanism, TraceScreening, Traces};
 use std::f64::consts::LN_10;
 
-/// Share of its log evidence over that of a wander, which every cause may have beside it, by which a cause must lead every other: less may be a matter
-/// of the form that each was given.
+/// Share of its log evidence over that of a wander, which every cause may have alongside it, by
+/// which a cause must lead every other: a smaller lead may be due to the forms chosen.
 const LEAD_MIN: f64 = 0.1;
 
-/// What wanders in each weighing in its own way, as documents have it.
+/// Something that wanders in each weighing in its own way, as named in documents.
 pub const WANDER: &str = "wander";
 
-/// The parts of a document that balance readings have.
+/// The parts of a document that come from balance readings.
 pub(in super::super) struct TraceReport {
     pub channel: TraceChannel,
     pub sentence: String,
@@ -30,7 +30,7 @@ pub(in super::super) struct TraceReport {
     pub untestable: Vec<UntestableReport>,
 }
 
-/// What a screening amounts to; `corrected` is its p-value, given what else is judged.
+/// The result of a screening; `corrected` is its p-value, given what else is judged.
 pub(in super::super) fn report(traces: &Traces, screening: &TraceScreening, corrected: f64) -> TraceReport {
     let (proposal, told) = judge(screening, corrected);
     let has_effect = told.first().and_then(|it| it.effect.as_ref()).is_some_and(|it| is_told(it.ci95, it.unit));
@@ -71,7 +71,7 @@ pub(in super::super) fn report(traces: &Traces, screening: &TraceScreening, corr
     }
 }
 
-/// As documents have it.
+/// Name used in documents.
 pub(super) fn name(cause: TraceCause) -> &'static str {
     match cause {
         TraceCause::Known(mechanism) => mechanism.name().0,
@@ -79,7 +79,7 @@ pub(super) fn name(cause: TraceCause) -> &'static str {
     }
 }
 
-/// What the evidence proposes, and the causes that are told of, most probable first.
+/// The proposal from the evidence, and the causes reported, most probable first.
 fn judge(screening: &TraceScreening, corrected: f64) -> (Proposal, Vec<&TraceJudged>) {
     let judged = &screening.judged;
     let Some(top) = judged.first().filter(|_| corrected <= SIGNIFICANCE) else {

@@ -1,4 +1,4 @@
-//! Is anything wrong with the simulated bench, and what explains it best.
+//! Decides whether anything is wrong with the simulated bench, and what explains it best.
 //!
 //! ```text
 //! B_h = E_h / E_0                              on the level on which cause h acts
@@ -6,8 +6,9 @@
 //! T   = max over h of log(prior_h B_h)         p = (1 + number of simulated readings with T at least as large) / (1 + number of simulated)
 //! ```
 //!
-//! Levels: readings within plateaus, masses of shakes, scatter within plateaus. Each has its own fixed part (levels of plateaus; responses of powders),
-//! which a calibration would absorb and which is therefore not looked at.
+//! Levels: readings within plateaus, masses of shakes, scatter within plateaus. Each has its own
+//! fixed part (levels of plateaus; responses of powders), which a calibration would absorb and
+//! which is therefore not judged.
 
 use super::bench::Bench;
 use super::catalogue::{self, Differs, Level, Shaped, TraceMechanism};
@@ -23,25 +24,27 @@ use flip_core::stats::mixed_model::log_mean_exp;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-/// How much powders or sessions may differ in a cause, over what they share.
+/// How much powders or sessions may differ in a cause, relative to their common part.
 const DIFFERENCES: [f64; 2] = [0.3, 1.0];
-/// Share of structure that a cause must explain, the rest being wander, for what it leaves to be called white.
+/// Share of structure that a cause must explain, the rest being wander, for its residuals to count
+/// as white.
 pub(super) const EXPLAINED_MIN: f64 = 0.5;
-/// Most averaged readings of all simulations together: some ten matrices of so many numbers are held at once.
+/// Most averaged readings of all simulations together: about ten matrices of this many numbers are
+/// held at once.
 const SIMULATED_ROWS_MAX: usize = 20_000_000;
-/// Odds before any data of what wanders, and of an actuator: a curved response of the spoon looks like one.
+/// Prior odds of a wander, and of an actuator: a curved response of the spoon looks like one.
 const PRIORS: [f64; 2] = [1.0, 0.3];
 
 /// How to screen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Settings {
-    /// Of the simulated readings.
+    /// Seed of the simulated readings.
     pub seed: u64,
     /// Simulated sets of readings in which nothing is wrong, 99 to 9999.
     pub simulations: u32,
 }
 
-/// What may explain a discrepancy.
+/// A possible explanation of a discrepancy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum TraceCause {
     /// A mechanism of the catalogue.
@@ -50,10 +53,10 @@ pub enum TraceCause {
     Unknown,
 }
 
-/// A number of a cause, with its 95 % interval.
+/// A parameter of a cause, with its 95 % interval.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameter {
-    /// What it is.
+    /// Its name.
     pub name: &'static str,
     /// Best guess.
     pub value: f64,
@@ -61,11 +64,12 @@ pub struct Parameter {
     pub low95: f64,
     /// Upper limit of 95 %.
     pub high95: f64,
-    /// Of all three.
+    /// Unit of all three.
     pub unit: &'static str,
 }
 
-/// How large a cause is: the change from the 5th to the 95th percentile of what it goes with.
+/// How large a cause is: the change from the 5th to the 95th percentile of the covariate it goes
+/// with.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Effect {
     /// Column of the file.
@@ -83,15 +87,15 @@ pub struct Effect {
 /// A cause and how well it explains the readings.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TraceJudged {
-    /// What.
+    /// The cause.
     pub mechanism: TraceCause,
     /// Log of the evidence over that of noise alone.
     pub log_evidence: f64,
-    /// Probability among all that was judged, if one cause is at work alone.
+    /// Probability among everything judged, if one cause is at work alone.
     pub probability: f64,
     /// Its size and its shape.
     pub parameters: Vec<Parameter>,
-    /// How large it is; nothing of what wanders.
+    /// How large it is; `None` for a wander.
     pub effect: Option<Effect>,
 }
 
@@ -102,31 +106,32 @@ pub struct TraceScreening {
     pub p_value: f64,
     /// Most probable first.
     pub judged: Vec<TraceJudged>,
-    /// Mechanisms of which these readings cannot tell, and why, in the catalogue's order.
+    /// Mechanisms these readings cannot judge, and why, in the catalogue's order.
     pub untestable: Vec<(TraceMechanism, String)>,
-    /// Whether what the best cause leaves of the readings is white. Where it is not the cause gave its probability to the unknown.
+    /// Whether the residuals of the best cause are white. If not, its probability went to the
+    /// unknown.
     pub white: bool,
     /// The largest evidence here, with its prior, natural log.
     pub statistic: f64,
     /// The same in each of the simulated readings, in ascending order.
     pub null: Vec<f64>,
-    /// Readings and shakes that were looked at.
+    /// Number of readings and of shakes judged.
     pub looked_at: [u32; 2],
     /// Why masses of shakes were not judged, where they were not.
     pub unjudged: Option<Unjudged>,
 }
 
-/// Masses of shakes that follow no formula, so that only the simulator itself could say what it would have let fall.
+/// Masses of shakes that follow no formula, so only the simulator itself could predict them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Unjudged {
     /// Why.
     pub why: String,
-    /// Simulated doses that it would take: as many sets of all of them as make one in twenty.
+    /// Simulated doses required: as many sets of all of them as make one in twenty.
     pub doses: u32,
 }
 
 impl TraceCause {
-    /// As reports have it, and the family within which causes look alike.
+    /// Name used in reports, and the family within which causes look alike.
     pub fn name(self) -> (&'static str, Option<&'static str>) {
         match self {
             Self::Known(mechanism) => (mechanism.name().0, Some(mechanism.name().1)),
@@ -135,10 +140,11 @@ impl TraceCause {
     }
 }
 
-/// Judge every cause of the catalogue, and what wanders, on what a balance showed.
+/// Judges every cause of the catalogue, and a wander, on balance readings.
 ///
 /// # Errors
-/// A setting out of bounds; more readings than so many simulations can have; traces that [`Traces::checked`] refuses or whose weighings leave nothing to judge.
+/// A setting out of bounds; more readings than this many simulations can have; traces that
+/// [`Traces::checked`] refuses or whose weighings leave nothing to judge.
 pub fn screen_traces(traces: &Traces, settings: &Settings) -> Result<TraceScreening, FieldError> {
     if !(99..=9999).contains(&settings.simulations) {
         let message = format!("must be from 99 to 9999, got {}", settings.simulations);
@@ -203,7 +209,7 @@ pub fn screen_traces(traces: &Traces, settings: &Settings) -> Result<TraceScreen
     let is_judged = levels.iter().any(Option::is_some);
     Ok(match is_judged {
         true => TraceScreening { unjudged, ..concluded },
-        // With nothing to judge there is no evidence, of whatever wanders either.
+        // With nothing to judge there is no evidence, not even for a wander.
         false => {
             let null = vec![0.0; concluded.null.len()];
             TraceScreening { unjudged, p_value: 1.0, judged: Vec::new(), statistic: 0.0, null, ..concluded }
@@ -211,10 +217,10 @@ pub fn screen_traces(traces: &Traces, settings: &Settings) -> Result<TraceScreen
     })
 }
 
-/// What each level sees of one set of readings.
+/// The data of each level for one set of readings.
 struct Seen([Vec<f64>; 3]);
 
-/// All that is judged on one design.
+/// Everything that is judged on one design.
 struct Plan<'a> {
     design: &'a Design,
     bench: &'a Bench<'a>,
@@ -238,7 +244,7 @@ impl Plan<'_> {
         (0..plateaus.len()).filter(has_both).collect()
     }
 
-    /// What the measured readings say of the bench's scatter when nothing is wrong.
+    /// Estimates the bench's scatter when nothing is wrong from the measured readings.
     fn scatter(&self, readings: &[Noise], shakes: &[ShakeNoise], measured: &Seen) -> Scatter {
         let plain = judge(readings, &[], &column(measured, Level::Readings), None).plain;
         let mut filtered: Vec<(f64, (f64, f64))> = plain.into_iter().zip(FILTERED).collect();
@@ -263,7 +269,7 @@ impl Plan<'_> {
         Scatter { reading_mg, filtered, shakes }
     }
 
-    /// What each level sees of readings, `[rows]` each.
+    /// The data of each level for these readings, `[rows]` each.
     fn seen(&self, shown: &[f64]) -> Seen {
         let design = self.design;
         let floor = (design.readability_mg.powi(2) / 50.0).max(0.1 * design.reading_sd().powi(2));
@@ -283,7 +289,7 @@ impl Plan<'_> {
         }
     }
 
-    /// What an effect of small size does to a level, over that size, `[rows]`.
+    /// Change of a level under an effect of small size, over that size, `[rows]`.
     fn raw(&self, effect: catalogue::Effect) -> Vec<f64> {
         use catalogue::Effect;
         /// Size of an effect whose signature is a difference of two runs of the bench.
@@ -333,7 +339,7 @@ impl Plan<'_> {
             let form = |&(effect, shape): &Shaped| {
                 let raw = self.raw(effect);
                 let span = match self.masses {
-                    // Of the log of a shake's mass.
+                    // In the log of a shake's mass.
                     Some(masses) if level == Level::Shakes => {
                         let of_log = |(i, dz): (usize, &f64)| dz / masses.log_slope(i);
                         along.span(&raw.iter().enumerate().map(of_log).collect::<Vec<f64>>())
@@ -410,7 +416,7 @@ impl Plan<'_> {
         TraceScreening { p_value, judged, untestable, white, statistic: here, null, looked_at, unjudged: None }
     }
 
-    /// How large a cause is over what it goes with.
+    /// How large a cause is over the covariate it goes with.
     fn effect(&self, mechanism: TraceMechanism, estimate: &Estimate) -> Option<Effect> {
         let along = Along::of(mechanism, self.design, &self.scattered());
         let [value, low, high] = estimate.effect().map(|effect| mechanism.in_unit(effect));

@@ -1,14 +1,17 @@
-//! What each powder's spoon lets fall, as its own shakes have it: the response around which shakes are judged.
+//! The response of each powder's spoon, fitted to its own shakes: the law around which shakes are
+//! judged.
 //!
 //! ```text
 //! z = asinh(d / w),   w = 2 sqrt(2) s          s: SD of a plateau's level
 //! z ~ a_p + b_p ln A + c_p theta + e theta^2    of powder p, amplitude A, pitch theta; columns that did not vary are left out
 //! ```
 //!
-//! A calibrated simulation has all of these from the powder, so whatever they span is not looked at. Without amplitudes there is no response: who shakes
-//! ever less makes what looks like any cause of the spoon. Nor is there without the spoon's fill: a simulated spoon lets fall less as it empties and packs,
-//! and nothing in the first shakes of a heap that has not begun to slide, so that what it should have let fall depends on what was in it. A pitch that was
-//! not recorded may have grown from shake to shake: a trend stands for it.
+//! A calibrated simulation derives all of these from the powder, so nothing in their span is
+//! judged. Without amplitudes there is no response: an operator who shakes less and less mimics any
+//! cause of the spoon. Nor is there one without the spoon's fill: a simulated spoon dispenses less
+//! as it empties and packs, and nothing in the first shakes of a heap that has not begun to slide,
+//! so the expected mass depends on the fill. An unrecorded pitch may have grown from shake to
+//! shake: a trend stands for it.
 
 use super::design::Design;
 use super::level::Verdict;
@@ -17,12 +20,13 @@ use super::readings::Kind;
 use super::screen::{EXPLAINED_MIN, Unjudged};
 use nalgebra::{DMatrix, DVector};
 
-/// Fewest shakes beyond the columns of the response that say anything.
+/// Fewest shakes beyond the columns of the response that can be judged.
 const SPARE_MIN: usize = 12;
 
-/// Share of simulated readings, which follow a law, that wander as much as those that are said to follow none.
+/// Share of simulated readings, which follow a law, that wander as much as those reported to follow
+/// none.
 const LAWFUL: f64 = 0.05;
-/// Sets of simulated doses of which this one would be the first of twenty.
+/// Number of sets of simulated doses among which this one would be the first of twenty.
 const SETS: usize = 19;
 
 impl Masses {
@@ -33,7 +37,7 @@ impl Masses {
     }
 }
 
-/// The response; `None` of too few shakes, or without their amplitudes or fills.
+/// The response; `None` with too few shakes, or without their amplitudes or fills.
 pub(super) fn response(design: &Design) -> Option<Masses> {
     if !design.knows(|plateau| plateau.shake_mm) || !is_fill_known(design) {
         return None;
@@ -45,7 +49,7 @@ pub(super) fn response(design: &Design) -> Option<Masses> {
     }
     let late = |k: usize| design.plateaus[k].readings.len().div_ceil(2) as f64;
     let counts: f64 = design.shakes.iter().map(|shake| late(shake.after)).sum::<f64>() / masses.len() as f64;
-    // Where loads do not move between readings, averaging does not help against a display's steps.
+    // If loads do not move between readings, averaging does not help against a display's steps.
     let shown = design.readability_mg.powi(2) / 12.0;
     let level_sd_mg = (shown + design.reading_sd().powi(2) / counts).sqrt();
     let mut sorted = masses.clone();
@@ -54,7 +58,7 @@ pub(super) fn response(design: &Design) -> Option<Masses> {
     let z = DVector::from_iterator(masses.len(), masses.iter().map(|mg| (mg / width_mg).asinh()));
     let solved = fixed.clone().svd(true, true).solve(&z, 1e-9).ok()?;
     let fitted = &fixed * solved;
-    // A shake is expected to let something fall.
+    // A shake is expected to dispense something.
     let nominal_mg = fitted.iter().map(|z| (width_mg * z.sinh()).max(0.2 * width_mg)).collect();
     Some(Masses { width_mg, level_sd_mg, nominal_mg, fixed })
 }
@@ -64,7 +68,7 @@ pub(super) fn is_fill_known(design: &Design) -> bool {
     design.knows(|plateau| plateau.fill_mg)
 }
 
-/// Why shakes were not judged whose amplitudes are known, where nobody recorded what was in the spoon.
+/// Why shakes with known amplitudes were not judged when the spoon's fill was not recorded.
 pub(super) fn unfilled(design: &Design) -> Option<Unjudged> {
     let is_shaken = design.knows(|plateau| plateau.shake_mm);
     (is_shaken && !is_fill_known(design)).then(|| {
@@ -75,9 +79,10 @@ pub(super) fn unfilled(design: &Design) -> Option<Unjudged> {
     })
 }
 
-/// Why there is no law around which shakes could be judged, if there is none: they scatter more than any noise that is thought of, or wander more than
-/// all but one in twenty sets of simulated shakes, which follow the law, and no cause explains it.
-/// `scatter`: of log mass around the response, as [`scatter`] has it.
+/// Why there is no law around which shakes could be judged, if there is none: they scatter more
+/// than any noise considered, or wander more than all but one in twenty sets of simulated shakes,
+/// which follow the law, and no cause explains it.
+/// `scatter`: of log mass around the response, as returned by [`scatter`].
 pub(super) fn unlike(design: &Design, scatter: f64, judged: &Verdict) -> Option<Unjudged> {
     let left = judged.estimates.iter().map(|of| of.left).fold(1.0, f64::min);
     let scatter = scatter * left.sqrt();
@@ -95,7 +100,7 @@ pub(super) fn unlike(design: &Design, scatter: f64, judged: &Verdict) -> Option<
     Some(unjudged(design, &format!("masses of shakes {how} around any law of amplitude and pitch")))
 }
 
-/// Whether the first is among the largest, and evidence at all.
+/// Whether the first is among the largest, and is evidence at all.
 pub(super) fn is_rare(logs: &[f64]) -> bool {
     let as_large = logs.iter().filter(|&&log| log >= logs[0]).count();
     logs[0] > 0.0 && as_large as f64 <= LAWFUL * logs.len() as f64
@@ -106,7 +111,7 @@ fn unjudged(design: &Design, why: &str) -> Unjudged {
     Unjudged { why: format!("{why}; what a simulated spoon would let fall takes {doses} simulated doses"), doses }
 }
 
-/// Scatter of log mass by plain noise, as probable as the masses make it.
+/// Most probable scatter of log mass under plain noise.
 pub(super) fn scatter(seen: &[f64], noises: &[ShakeNoise]) -> f64 {
     let seen = DMatrix::from_column_slice(seen.len(), 1, seen);
     let of = |it: &ShakeNoise| {

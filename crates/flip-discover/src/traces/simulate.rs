@@ -1,11 +1,12 @@
-//! Readings of the same design in which nothing is wrong.
+//! Simulates readings of the same design in which nothing is wrong.
 //!
 //! ```text
 //! d_k = mu_k exp(c (e_k + sqrt(w) u + sqrt(v) (u_1 + .. + u_k)))         m_k = m_(k-1) + d_k         y = m_k + s (e + sqrt(r) f), shown to the display's step
 //! ```
 //!
-//! with the scatter c of shakes, the share w that a weighing's have in common, the share v that each shake changes for those after it, the noise s of a reading and the share r of it that the balance's own
-//! filter correlates, as probable as the measured readings make them.
+//! with the scatter c of shakes, the share w common to a weighing, the share v by which each shake
+//! changes those after it, the noise s of a reading and the share r of it correlated by the
+//! balance's own filter, each drawn by its probability given the measured readings.
 
 use super::design::Design;
 use super::noise::Masses;
@@ -14,7 +15,7 @@ use flip_core::stats::normal;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-/// What the bench scatters by when nothing is wrong.
+/// The bench's scatter when nothing is wrong.
 pub(super) struct Scatter {
     /// SD of the balance's white noise, mg.
     pub reading_mg: f64,
@@ -24,7 +25,8 @@ pub(super) struct Scatter {
     pub shakes: Vec<(f64, [f64; 3])>,
 }
 
-/// SD of a balance's noise whose readings, shown in steps of `readability_mg`, scatter by `shown_sd_mg` on average over where loads lie.
+/// SD of a balance's noise whose readings, shown in steps of `readability_mg`, scatter by
+/// `shown_sd_mg` on average over the loads' positions within a step.
 ///
 /// # Formula
 /// ```text
@@ -69,7 +71,7 @@ pub(super) fn readings(design: &Design, masses: Option<&Masses>, scatter: &Scatt
     let measured = levels.clone();
     let step_mg = design.readability_mg;
     for log in &design.logs {
-        // Where in the display's step a load lies is not known.
+        // The position of a load within the display's step is not known.
         let shift = step_mg * (normal::cdf(draw()) - 0.5);
         log.plateaus.clone().for_each(|k| levels[k] += shift);
     }
@@ -81,7 +83,7 @@ pub(super) fn readings(design: &Design, masses: Option<&Masses>, scatter: &Scatt
             }
             together += own * f64::sqrt(step) * draw();
             let mass = masses.nominal_mg[i] * (own * draw() + together).exp();
-            // A shake that was not looked at leaves the steps after it as they are.
+            // A shake that was not judged leaves the steps after it as they are.
             let skipped = shake.before.map_or(0.0, |before| levels[before]);
             levels[shake.after] = skipped + mass;
             let next = design.shakes.get(i + 1).and_then(|next| next.before);

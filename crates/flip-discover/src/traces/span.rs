@@ -1,11 +1,12 @@
-//! How large a cause is over what it goes with: the change of its signature from the lowest to the highest tenth of that, whose middles are the 5th
-//! and the 95th percentile.
+//! How large a cause is over the covariate it goes with: the change of its signature from the
+//! lowest to the highest tenth of that, whose middles are the 5th and the 95th percentile.
 
 use super::catalogue::{Level, TraceMechanism};
 use super::design::{Design, Plateau};
 use super::readings::Kind;
 
-/// What a cause goes with, one value for each row of its level; `None` where the cause does not act.
+/// The covariate a cause goes with, one value for each row of its level; `None` where the cause
+/// does not act.
 pub(super) struct Along {
     /// Column of the file.
     pub covariate: &'static str,
@@ -13,7 +14,7 @@ pub(super) struct Along {
 }
 
 impl Along {
-    /// What `mechanism` goes with; `scattered` are the plateaus of the level of scatter.
+    /// The covariate `mechanism` goes with; `scattered` are the plateaus of the level of scatter.
     pub fn of(mechanism: TraceMechanism, design: &Design, scattered: &[usize]) -> Self {
         let plateau = |row: &super::design::Row| &design.plateaus[row.plateau];
         let rows = |of: &dyn Fn(&super::design::Row) -> Option<f64>| design.rows.iter().map(of).collect();
@@ -44,7 +45,7 @@ impl Along {
         Self { covariate, at }
     }
 
-    /// The 5th and the 95th percentile; `None` where nothing is known.
+    /// The 5th and the 95th percentile; `None` if no values are known.
     pub fn ends(&self) -> Option<[f64; 2]> {
         let mut known: Vec<f64> = self.at.iter().flatten().copied().collect();
         known.sort_by(f64::total_cmp);
@@ -52,7 +53,8 @@ impl Along {
         Some([at(0.05)?, at(0.95)?])
     }
 
-    /// Mean of a signature over the highest tenth less that over the lowest; 0 where nothing is known.
+    /// Mean of a signature over the highest tenth less that over the lowest; 0 if no values are
+    /// known.
     pub fn span(&self, signature: &[f64]) -> f64 {
         let mut known: Vec<(f64, f64)> =
             self.at.iter().zip(signature).filter_map(|(at, &of)| at.map(|at| (at, of))).collect();
@@ -70,7 +72,8 @@ impl Along {
 }
 
 impl TraceMechanism {
-    /// An effect on this cause's level in the unit of the document: mg, or percent of a shake's mass or of a reading's SD.
+    /// Converts an effect on this level to the unit of the document: mg, or percent of a shake's
+    /// mass or of a reading's SD.
     pub(super) fn in_unit(self, effect: f64) -> f64 {
         match self.level() {
             Level::Readings => effect,
@@ -87,7 +90,7 @@ impl TraceMechanism {
         }
     }
 
-    /// What changes, and between what: `a shake's mass, from shake 1 to shake 14`.
+    /// What changes, and between which values: `a shake's mass, from shake 1 to shake 14`.
     pub(super) fn between(self, covariate: &str, [from, to]: [f64; 2]) -> String {
         let number = |x: f64| {
             let decimals = (2.0 - x.abs().max(1e-9).log10().floor()).clamp(0.0, 4.0) as usize;

@@ -1,4 +1,5 @@
-//! What a document says of balance readings, made from its numbers, and the controls that would prove a cause.
+//! A document's sentences about balance readings, made from its numbers, and the controls that
+//! would prove a cause.
 
 use super::super::claim::is_told;
 use super::super::report::{Experiment, TraceChannel, Verdict};
@@ -9,7 +10,7 @@ use std::collections::BTreeMap;
 /// One run of a control: column and value.
 type Settings = &'static [(&'static str, &'static str)];
 
-/// What shows a cause and no other: what to do, the runs in their order, minutes.
+/// A control that shows one cause and no other: what to do, the runs in their order, minutes.
 struct Control {
     what: &'static str,
     runs: &'static [Settings],
@@ -122,7 +123,8 @@ fn control(cause: TraceCause) -> Control {
     Control { what, runs, minutes }
 }
 
-/// The control that would prove the most probable cause, and rule the others out; nothing where nothing is wrong.
+/// The control that would prove the most probable cause and rule the others out; nothing where
+/// nothing is wrong.
 pub(super) fn experiment(told: &[TraceCause], verdict: Verdict) -> Option<Experiment> {
     let first = told.first().filter(|_| verdict != Verdict::NoDiscrepancy)?;
     let Control { what, runs, minutes } = control(*first);
@@ -136,7 +138,7 @@ pub(super) fn experiment(told: &[TraceCause], verdict: Verdict) -> Option<Experi
     })
 }
 
-/// What a cause does, to a chemist.
+/// The effect of a cause, worded for a chemist.
 fn spoken(cause: TraceCause) -> &'static str {
     let TraceCause::Known(mechanism) = cause else { return "readings wander, in each weighing in their own way" };
     match mechanism {
@@ -153,7 +155,7 @@ fn spoken(cause: TraceCause) -> &'static str {
     }
 }
 
-/// What changes by the effect.
+/// The quantity the effect changes.
 fn changed(cause: TraceCause) -> &'static str {
     match cause {
         TraceCause::Known(TraceMechanism::VibrationNoise) => "the SD of a reading changes by ",
@@ -172,7 +174,7 @@ fn sized(judged: &TraceJudged) -> String {
     format!(": {}{} {}", changed(judged.mechanism), sizes::sized(effect.value, effect.ci95, effect.unit), effect.span)
 }
 
-/// What balance readings say, in one sentence or two.
+/// What balance readings show, in one sentence or two.
 pub(super) fn sentence(told: &[&TraceJudged], channel: &TraceChannel) -> String {
     let unjudged = channel.unjudged.as_ref();
     let unjudged = unjudged.map_or(String::new(), |why| format!("What the spoon lets fall is not judged: {why}."));

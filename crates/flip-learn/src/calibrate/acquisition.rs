@@ -1,9 +1,9 @@
-//! How much a simulation somewhere is worth.
+//! The value of a simulation at a point.
 
 use flip_core::stats::gaussian_process::Prediction;
 use flip_core::stats::normal::{cdf, pdf};
 
-/// Expected improvement of the absolute error |f - t| on `incumbent`.
+/// Expected improvement of the absolute error |f - t| over `incumbent`.
 ///
 /// ```text
 /// EI = E[max(tau - |f - t|, 0)],   f ~ N(mu, s^2)
@@ -17,12 +17,13 @@ use flip_core::stats::normal::{cdf, pdf};
 /// | t | `target` | deg | finite |
 /// | tau | `incumbent` | deg | > 0 |
 ///
-/// Never negative, at most `incumbent`; max(tau - |d|, 0) for s = 0. |f - t| is a folded normal, so this is its
-/// lower partial moment; the usual EI on a Gaussian process of the error itself would call an angle of zero error as
-/// likely as one beyond zero.
+/// Never negative, at most `incumbent`; max(tau - |d|, 0) for s = 0. |f - t| is a folded normal, so
+/// this is its lower partial moment; the usual EI on a Gaussian process of the error itself would
+/// consider an angle of zero error as likely as one beyond zero.
 ///
-/// Source: the integral is elementary, split at f = t; the idea of modelling the output instead of its distance to the
-/// target is that of Uhrenholt and Jensen, "Efficient Bayesian Optimization for Target Vector Estimation" (2019).
+/// Source: the integral is elementary, split at f = t; the idea of modelling the output instead of
+/// its distance to the target is from Uhrenholt and Jensen, "Efficient Bayesian Optimization for
+/// Target Vector Estimation" (2019).
 pub fn expected_improvement(at: Prediction, target: f64, incumbent: f64) -> f64 {
     let d = at.mean - target;
     if at.sd <= 0.0 {
@@ -32,7 +33,7 @@ pub fn expected_improvement(at: Prediction, target: f64, incumbent: f64) -> f64 
     let value = (incumbent - d) * (cdf(b) - cdf(c))
         + (incumbent + d) * (cdf(c) - cdf(a))
         + at.sd * (pdf(a) + pdf(b) - 2.0 * pdf(c));
-    // Far tails cancel to rounding noise of either sign.
+    // In the far tails the terms cancel to rounding noise of either sign.
     value.clamp(0.0, incumbent)
 }
 
@@ -65,7 +66,8 @@ mod tests {
             let (sampled, hits) =
                 (gains.iter().sum::<f64>() / n, gains.iter().filter(|g| **g > 0.0).count() as f64 / n);
             let at = Prediction { mean, sd };
-            // Four standard errors of 200 000 draws of a number of SD below tau / 2, and of a proportion.
+            // Four standard errors of 200 000 draws of a number with SD below tau / 2, and of a
+            // proportion.
             assert!((expected_improvement(at, target, tau) - sampled).abs() < 4.0 * tau / 2.0 / n.sqrt());
             assert!((probability_within(at, target, tau) - hits).abs() < 4.0 * 0.5 / n.sqrt());
         }

@@ -1,16 +1,22 @@
-//! Sets read off the shared emulator and verified.
+//! Reads sets off the shared emulator and verifies them.
 //!
-//! 1. Of a space-filling pool of the box, the points whose expected error is least are the *accepted region* ([`REGION`] of them).
-//! 2. From it, as many points as sets are missing are taken, each as far as possible from those before it: the sets are to differ.
-//! 3. A point that the emulator is not sure of is simulated once, a *search* trial, before it is chosen: one heap tells whether ten are
-//!    worth it.
-//! 4. The points are verified with fresh seeds. The emulator learns from every run; a point that misses is replaced.
+//! 1. The points with the least expected error in a space-filling pool of the box form the
+//!    *accepted region* ([`REGION`] of them).
+//! 2. As many points as sets are missing are taken from it, each as far as possible from those
+//!    before it, so that the sets differ.
+//! 3. A point that the emulator is unsure of is first simulated once, as a *search* trial: one heap
+//!    shows whether ten are worth it.
+//! 4. The points are verified with fresh seeds. The emulator learns from every run; a point that
+//!    misses is replaced.
 //!
-//! Sets may be verified by heaps of another size than the emulator's ([`Settings::verify_particles`]). The first [`PILOTS`] are then verified
-//! before the others: how far their heaps stand from what the emulator says is the shift between the sizes ([`size_shift`]), and from then on the
-//! emulator is asked for the target less that shift, and told what was seen less that shift.
+//! Sets may be verified with heaps of a different size from the emulator's
+//! ([`Settings::verify_particles`]). In that case the first [`PILOTS`] are verified before the
+//! others: the difference between their heaps and the emulator's prediction is the shift between
+//! the sizes ([`size_shift`]). From then on, both the target and the observations are passed to the
+//! emulator less that shift.
 //!
-//! A target outside what the emulator can reach gets the nearest point verified instead, and the parameter that stands in the way.
+//! For a target outside the emulator's reach, the nearest point is verified instead, and the
+//! limiting parameter is reported.
 
 use super::acquisition::probability_within;
 use super::channel::Knowledge;
@@ -29,24 +35,24 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
-/// Points of the pool.
+/// Number of points in the pool.
 const POOL: usize = 12_000;
-/// Points of the accepted region, per set wanted.
+/// Points in the accepted region, per set wanted.
 const REGION: usize = 20;
-/// Points that the emulator's mean brings closest to the target, for each of the accepted region.
+/// Number of points preselected by the emulator's mean, for each point of the accepted region.
 const CLOSE: usize = 8;
-/// Seeds of the pool, which no trial has.
+/// Seeds of the pool; no trial uses them.
 const POINTS: u64 = u64::MAX - 1;
 /// Below this probability of passing, a point is simulated before it is verified.
 const SURE: f64 = 0.95;
-/// Most search trials.
+/// Maximum number of search trials.
 const SEARCH_MAX: usize = 10;
-/// Sets verified before the shift between two sizes of heaps is known.
+/// Number of sets verified before the shift between two heap sizes is known.
 const PILOTS: usize = 2;
-/// Steps of a walk to the nearest angle.
+/// Steps of the descent to the nearest angle.
 const WALK: usize = 60;
 
-/// What to simulate next; nothing when the calibration is over.
+/// Plans the next simulations; empty when the calibration is over.
 pub(super) fn plan(
     trials: &[Trial],
     target: &Flowability,
@@ -73,7 +79,8 @@ pub(super) fn plan(
     };
     let pool = pool(settings.seed);
     if let Some(nearest) = beyond_reach(&emulator, target, settings, &pool) {
-        // Once: its verification is the answer. Pilots were verified before anybody knew.
+        // Verify only once: the verification is the answer. Pilots were verified before this was
+        // known.
         let pilots = if settings.verify_particles.is_some() { PILOTS } else { 0 };
         return if candidates_of(trials).len() <= pilots { verification(&[nearest]) } else { Vec::new() };
     }
@@ -95,7 +102,7 @@ pub(super) fn plan(
     verification(&chosen.iter().map(|rated| rated.set).collect::<Vec<_>>())
 }
 
-/// Why a calibration ends with fewer sets than wanted.
+/// Explains why a calibration ends with fewer sets than wanted.
 pub(super) fn shortfall(
     trials: &[Trial],
     target: &Flowability,
@@ -121,8 +128,9 @@ pub(super) fn shortfall(
     }
 }
 
-/// Angle of the heaps that verify less that of heaps of the emulator's size, degrees: the mean over what was verified of what the emulator,
-/// before it has seen any of it, says less. None where they are of one size, or nothing is verified yet.
+/// Angle of the verification heaps minus that of heaps of the emulator's size, degrees: the mean
+/// over the verified runs of the difference from the emulator's prediction before it has seen any
+/// of them. None if the sizes are equal, or nothing has been verified yet.
 pub(super) fn size_shift(trials: &[Trial], settings: &Settings, emulator: &Emulator) -> Option<f64> {
     settings.verify_particles?;
     let verified = trials.iter().filter(|trial| trial.phase == Phase::Verification);
@@ -131,12 +139,12 @@ pub(super) fn size_shift(trials: &[Trial], settings: &Settings, emulator: &Emula
     summary::mean(&shifts)
 }
 
-/// A target in heaps of the emulator's size.
+/// Converts a target to heaps of the emulator's size.
 pub fn in_emulator_heaps(target: &Flowability, shift: Option<f64>) -> Flowability {
     Flowability { repose_deg: target.repose_deg - shift.unwrap_or(0.0), ..*target }
 }
 
-/// The emulator after what was simulated, all of it in heaps of the emulator's size.
+/// The emulator extended by the simulations so far, all converted to heaps of the emulator's size.
 fn grown(trials: &[Trial], settings: &Settings, emulator: &Emulator) -> Emulator {
     let shift = size_shift(trials, settings, emulator).unwrap_or(0.0);
     let moved = trials.iter().cloned().map(|mut trial| {
@@ -153,17 +161,18 @@ fn pool(seed: u64) -> Vec<ParameterSet> {
     latin_hypercube(POOL, &mut rng).iter().map(space::parameters_at).collect()
 }
 
-/// A point and what the emulator says of it.
+/// A point and the emulator's prediction for it.
 #[derive(Debug, Clone, Copy)]
 struct Rated {
     set: ParameterSet,
-    /// E |f - t| in tolerances, and what other observables add to it.
+    /// E |f - t| in tolerances, plus the contribution of other observables.
     misfit: f64,
     /// Probability that its verification is within the tolerance.
     passes: f64,
 }
 
-/// The points whose expected error is least, those of least error first. What else was measured counts beside the angle.
+/// The points with the least expected error, best first. Other measurements count in addition to
+/// the angle.
 fn region(knowledge: &Knowledge<'_>, target: &Flowability, settings: &Settings, pool: Vec<ParameterSet>) -> Vec<Rated> {
     let emulator = knowledge.emulator;
     let misfit = |set: &ParameterSet, error_deg: f64| {
@@ -178,7 +187,7 @@ fn region(knowledge: &Knowledge<'_>, target: &Flowability, settings: &Settings, 
         let passes = probability_within(verified, target.repose_deg, settings.tolerance_deg);
         Rated { set, misfit: misfit(&set, (mean - target.repose_deg).hypot(sd)), passes }
     };
-    // Only what the mean leaves in question is asked for its doubt.
+    // The uncertainty is computed only for points that the mean does not rule out.
     let mut near: Vec<(f64, ParameterSet)> = pool
         .into_par_iter()
         .map(|set| (misfit(&set, (emulator.mean_deg(&set) - target.repose_deg).abs()), set))
@@ -191,9 +200,10 @@ fn region(knowledge: &Knowledge<'_>, target: &Flowability, settings: &Settings, 
     rated
 }
 
-/// `count` of the points, one after the other the one farthest from those taken before; none that was verified.
+/// Selects `count` of the points, each the farthest from those taken before it; skips those already
+/// verified.
 ///
-/// Source of the maximin idea: Johnson, Moore and Ylvisaker (1990).
+/// The maximin idea is from Johnson, Moore and Ylvisaker (1990).
 fn spread(mut region: Vec<Rated>, mut taken: Vec<Point>, verified: &[Point], count: usize) -> Vec<Rated> {
     region.retain(|rated| !verified.contains(&rated.set.to_unit()));
     let mut chosen = Vec::new();
@@ -202,7 +212,8 @@ fn spread(mut region: Vec<Rated>, mut taken: Vec<Point>, verified: &[Point], cou
             let at = rated.set.to_unit();
             taken.iter().map(|other| distance(&at, other)).fold(f64::INFINITY, f64::min)
         };
-        // With nothing taken yet every gap is alike, and the first point, of least error, wins.
+        // With nothing taken yet, all gaps are equal, and the first point, with the least error,
+        // wins.
         let best = (0..region.len()).rev().max_by(|a, b| gap(&region[*a]).total_cmp(&gap(&region[*b])));
         let rated = region.remove(best.expect("the region is not empty"));
         taken.push(rated.set.to_unit());
@@ -211,7 +222,8 @@ fn spread(mut region: Vec<Rated>, mut taken: Vec<Point>, verified: &[Point], cou
     chosen
 }
 
-/// The set whose angle is nearest to a target that no set reaches within the tolerance, most likely; none for a target within reach.
+/// The set whose angle is probably nearest to a target that no set reaches within the tolerance;
+/// none for a target within reach.
 fn beyond_reach(
     emulator: &Emulator,
     target: &Flowability,
@@ -223,7 +235,8 @@ fn beyond_reach(
     if start.0 <= settings.tolerance_deg {
         return None;
     }
-    // Coordinate descent with steps that halve: the angle is smooth and mostly monotone in each parameter.
+    // Coordinate descent with halving steps: the angle is smooth and mostly monotone in each
+    // parameter.
     let (mut least, mut at) = (start.0, start.1.to_unit());
     let mut step = 0.5;
     for _ in 0..WALK {
@@ -251,8 +264,9 @@ fn beyond_reach(
     Some(space::parameters_at(&at))
 }
 
-/// The parameter at a bound of the box that would bring the angle of `set` nearest to the target if the bound were further away: that of the
-/// steepest slope into the bound, by a difference over a twentieth of its range.
+/// The parameter at a bound of the box that would bring the angle of `set` nearest to the target if
+/// the bound were relaxed: the one with the steepest slope into its bound, from a difference over a
+/// twentieth of its range.
 fn limiting(emulator: &Emulator, set: &ParameterSet, target: &Flowability) -> Option<&'static str> {
     let at = set.to_unit();
     let here = emulator.mean_deg(set);

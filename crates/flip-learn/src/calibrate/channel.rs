@@ -1,7 +1,9 @@
-//! Observables beside the angle of repose: an emulator of each, made when a measurement carries it.
+//! Observables other than the angle of repose: an emulator of each, built when a measurement
+//! includes it.
 //!
-//! [`RUNS`] simulations at points that the emulator of the angle finds between 20 and 52 deg, spread over the numbers the observable depends on.
-//! A Gaussian process of the reduced number (`sim/observe.rs`) learns from them; its noise is that of one simulation.
+//! [`RUNS`] simulations are run at points that the emulator of the angle places between 20 and 52
+//! deg, spread over the numbers the observable depends on. A Gaussian process of the reduced number
+//! (`sim/observe.rs`) is fitted to them; its noise is that of one simulation.
 
 use super::emulator::{ASKED, Emulator};
 use super::space;
@@ -22,30 +24,30 @@ use sha2::{Digest, Sha256};
 use std::fmt::Display;
 use std::ops::ControlFlow;
 
-/// How many numbers an observable depends on.
+/// Number of inputs an observable depends on.
 pub const NUMBERS: usize = 7;
 /// Simulations behind the emulator of an observable.
 pub const RUNS: usize = 128;
-/// Points from which those of the runs are chosen.
+/// Number of points from which those of the runs are chosen.
 const POOL: usize = 6000;
-/// Seeds of the pool and of the runs, which nothing else has.
+/// Seeds of the pool and of the runs; used for nothing else.
 const POINTS: u64 = u64::MAX - 3;
 
-/// What the simulator says of observables without simulating.
+/// Properties of the simulator's observables that need no simulation.
 #[derive(Debug, Clone, Copy)]
 pub struct Instrument {
-    /// From a parameter set to the numbers its observables depend on, each 0 to 1.
+    /// Maps a parameter set to the numbers its observables depend on, each 0 to 1.
     pub numbers: fn(&ParameterSet) -> [f64; NUMBERS],
-    /// What a reduced number of a set is in the observable's unit.
+    /// Converts a reduced number of a set to the observable's unit.
     pub value: fn(&Observable, &ParameterSet, f64) -> f64,
 }
 
 /// One simulation of an observable.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Probe {
-    /// Position among those of its purpose, from 0.
+    /// Index among the runs with its purpose, from 0.
     pub index: u32,
-    /// What was simulated.
+    /// The simulated parameters.
     pub parameters: ParameterSet,
     /// Seed of the simulation.
     pub seed: u64,
@@ -66,12 +68,12 @@ pub struct Channel {
     sha256: String,
 }
 
-/// What is known of simulated powders: the angle, and what else was measured.
+/// Knowledge of simulated powders: the angle and other measured observables.
 #[derive(Debug, Clone, Copy)]
 pub struct Knowledge<'a> {
-    /// Of the angle of repose.
+    /// Emulator of the angle of repose.
     pub emulator: &'a Emulator,
-    /// Of everything else that was measured.
+    /// Emulators of the other measured observables.
     pub channels: &'a [Channel],
 }
 
@@ -81,7 +83,7 @@ impl<'a> From<&'a Emulator> for Knowledge<'a> {
     }
 }
 
-/// What the runs of an observable's emulator are: points and seeds.
+/// Plans the runs of an observable's emulator: points and seeds.
 pub fn design(emulator: &Emulator, instrument: &Instrument) -> Vec<Probe> {
     let mut rng = Pcg64::seed_from_u64(derive(1, &[POINTS]));
     let pool = latin_hypercube(POOL, &mut rng);
@@ -90,7 +92,7 @@ pub fn design(emulator: &Emulator, instrument: &Instrument) -> Vec<Probe> {
     let mut left: Vec<_> =
         sets.par_iter().filter(asked).map(|set| (*set, (instrument.numbers)(set), f64::MAX)).collect();
     let mut chosen = Vec::new();
-    // Each point the farthest from those before it.
+    // Each point is the farthest from those before it.
     while chosen.len() < RUNS && !left.is_empty() {
         let farthest = (0..left.len()).max_by(|a, b| left[*a].2.total_cmp(&left[*b].2)).expect("not empty");
         let (set, numbers, _) = left.swap_remove(farthest);
@@ -100,7 +102,7 @@ pub fn design(emulator: &Emulator, instrument: &Instrument) -> Vec<Probe> {
     planned(&chosen, 1, 1)
 }
 
-/// Simulations of each of the sets `repeats` times, with seeds of their own.
+/// Plans `repeats` simulations of each set, each with its own seed.
 pub fn planned(sets: &[ParameterSet], repeats: u32, seed: u64) -> Vec<Probe> {
     let each = sets.iter().flat_map(|set| (0..repeats).map(move |_| *set));
     let probe = |(index, parameters): (u32, ParameterSet)| Probe {
@@ -113,12 +115,13 @@ pub fn planned(sets: &[ParameterSet], repeats: u32, seed: u64) -> Vec<Probe> {
     (0..).zip(each).map(probe).collect()
 }
 
-/// Carry out what is planned and not yet in `history`, which holds its beginning.
+/// Carries out the planned runs not yet in `history`, which holds the first of them.
 ///
-/// `simulate` is called from several threads and must be pure; `on_run` hears every new run in order, and `Break` stops.
+/// `simulate` is called from several threads and must be pure; `on_run` is called with every new
+/// run in order, and `Break` stops.
 ///
 /// # Errors
-/// [`Error::Stopped`]; [`Error::History`] for runs that are not those planned.
+/// [`Error::Stopped`]; [`Error::History`] if the history does not match the plan.
 pub fn carry_out<E: Display + Send>(
     plan: Vec<Probe>,
     history: &[Probe],
@@ -154,7 +157,8 @@ pub fn carry_out<E: Display + Send>(
 }
 
 impl Channel {
-    /// From what was measured and the runs of its emulator; none if they do not make one.
+    /// Builds a channel from a measurement and the runs of its emulator; none if the runs are
+    /// insufficient.
     pub fn of(observation: Observation, runs: &[Probe], instrument: Instrument) -> Option<Self> {
         let seen = runs.iter().filter_map(|run| Some(((instrument.numbers)(&run.parameters), run.reduced?)));
         let (inputs, outputs): (Vec<_>, Vec<_>) = seen.unzip();
@@ -164,17 +168,17 @@ impl Channel {
         Some(Self { observation, instrument, reduced, sha256 })
     }
 
-    /// SHA-256 of the runs it is made of.
+    /// SHA-256 of the runs it was built from.
     pub fn sha256(&self) -> &str {
         &self.sha256
     }
 
-    /// The reduced number to expect of a set.
+    /// The reduced number expected for a set.
     pub fn expect(&self, set: &ParameterSet) -> Prediction {
         self.reduced.predict(&(self.instrument.numbers)(set))
     }
 
-    /// What a reduced number of a set is in the observable's unit.
+    /// Converts a reduced number of a set to the observable's unit.
     pub fn value(&self, set: &ParameterSet, reduced: f64) -> f64 {
         (self.instrument.value)(&self.observation.observable, set, reduced)
     }
@@ -184,8 +188,9 @@ impl Channel {
         (self.instrument.numbers)(a) == (self.instrument.numbers)(b) && self.value(a, 1.0) == self.value(b, 1.0)
     }
 
-    /// How far a set is from what was measured, in twice its standard error, or in [`ALIKE`] of it where that is more. 20 at most, so that a
-    /// powder that no set explains still gets the nearest.
+    /// Distance of a set's expected value from the measurement, in units of twice the standard
+    /// error or of the share [`ALIKE`], whichever is larger. Capped at 20, so that a powder that no
+    /// set explains still gets the nearest one.
     pub(super) fn misfit(&self, set: &ParameterSet) -> f64 {
         let Observation { mean, sd, n, .. } = self.observation;
         let expected = self.value(set, self.reduced.mean(&(self.instrument.numbers)(set)));
@@ -194,5 +199,6 @@ impl Channel {
     }
 }
 
-/// Relative difference below which a set need not come nearer to an observation: seeds scatter by as much.
+/// Relative difference below which a set need not be closer to an observation: the scatter between
+/// seeds is of this size.
 const ALIKE: f64 = 0.05;

@@ -1,4 +1,5 @@
-//! Observables beside the angle, on formulas: what is learnt from them jointly, and that nothing is simulated twice.
+//! Observables other than the angle, on formulas: joint inference, and that nothing is simulated
+//! twice.
 
 use super::channel::{NUMBERS, RUNS, carry_out, design, planned};
 use super::emulator_tests::{clean_deg, emulator, formula, normal, settings};
@@ -11,13 +12,13 @@ use std::sync::atomic::{AtomicU32, Ordering};
 const DRAINED: Observable = Observable::DrainedAngle {};
 const INSTRUMENT: Instrument = Instrument { numbers, value };
 
-/// As the simulator has them: what a heap depends on, and the diameter and gravity.
+/// As in the simulator: the numbers a heap depends on, and the diameter and gravity.
 fn numbers(set: &ParameterSet) -> [f64; NUMBERS] {
     let unit = set.to_unit();
     [unit[4], unit[7], unit[1], unit[3], unit[6], unit[0], unit[5]]
 }
 
-/// The mass of a grain is a factor that is known.
+/// The mass of a grain is a known factor.
 fn value(observable: &Observable, set: &ParameterSet, reduced: f64) -> f64 {
     match observable {
         Observable::FlowTime { mass_g, .. } => mass_g * 10.0 / set.particle_mass_ug() / reduced.max(0.0),
@@ -25,7 +26,8 @@ fn value(observable: &Observable, set: &ParameterSet, reduced: f64) -> f64 {
     }
 }
 
-/// Falls with friction where the angle rises, so that the two together part friction from cohesion.
+/// Falls with friction where the angle rises, so that the two together separate friction from
+/// cohesion.
 fn reduced(set: &ParameterSet) -> f64 {
     let unit = set.to_unit();
     1.0 + unit[0] - 0.8 * unit[4] + 0.3 * unit[7]

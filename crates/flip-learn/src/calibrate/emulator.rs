@@ -1,20 +1,22 @@
-//! One emulator of the angle of repose for all powders: what every heap of a design says together.
+//! One emulator of the angle of repose for all powders, learned from all heaps of a design.
 //!
-//! A heap depends on [`DIRECTIONS`] numbers (`sim/directions.rs`), into which the nine parameters fold. Over these
+//! A heap depends on [`DIRECTIONS`] numbers (`sim/directions.rs`), into which the nine parameters
+//! fold. Over these
 //!
 //! ```text
 //! angle of one reading = f(x) + e,   f ~ GP,   e ~ N(0, v(x))      ln v ~ GP
 //! ```
 //!
-//! Each heap of the design is read several times. The readings of a heap are nearly as independent as those of several, so their variance
-//! s^2 tells v, and their mean has the variance v (1 / readings + [`COMMON`]): for k = readings - 1
-//!
+//! Each heap of the design is read several times. The readings of one heap are nearly as
+//! independent as those of separate heaps, so their variance s^2 estimates v, and their mean has
+//! the variance v (1 / readings + [`COMMON`]): for k = readings - 1
 //! ```text
 //! ln s^2 = ln v + ln(chi^2_k / k),     E ln(chi^2_k / k) = psi(k / 2) - ln(k / 2)
 //! ```
 //!
-//! The design begins space-filling in the box of the nine parameters and goes on, round after round, where f is least certain. It is a
-//! pure function of what came before, so an interrupted one goes on and ends with the same bytes.
+//! The design starts space-filling in the box of the nine parameters and continues, round by round,
+//! where f is least certain. It is a pure function of the earlier runs, so an interrupted build
+//! resumes and ends with the same bytes.
 
 use super::space::{self, Point};
 use super::trial::{Outcome, Planned, Pour, Trial};
@@ -34,36 +36,36 @@ use statrs::function::gamma::digamma;
 use std::fmt::Display;
 use std::ops::ControlFlow;
 
-/// How many numbers a heap depends on.
+/// Number of inputs a heap depends on.
 pub const DIRECTIONS: usize = 5;
-/// From a parameter set to these numbers, each 0 to 1.
+/// Maps a parameter set to these numbers, each 0 to 1.
 pub type Directions = fn(&ParameterSet) -> [f64; DIRECTIONS];
 
-/// Which heaps an emulator is made of.
+/// The heaps an emulator is built from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Design {
-    /// Heaps in all.
+    /// Total number of heaps.
     pub runs: u32,
-    /// Heaps of the space-filling beginning.
+    /// Heaps in the initial space-filling design.
     pub initial: u32,
-    /// Heaps of each further round.
+    /// Heaps in each further round.
     pub round: u32,
     /// Readings of each heap, at least 2.
     pub readings: u32,
     /// Grains in each heap.
     pub particles: u32,
-    /// Seed of every choice and heap.
+    /// Seed for every choice and heap.
     pub seed: u64,
 }
 
 impl Design {
-    /// The design of the product for heaps of so many grains.
+    /// The production design for heaps of this many grains.
     pub fn with_particles(particles: u32) -> Self {
         Self { runs: 240, initial: 64, round: 22, readings: 4, particles, seed: 1 }
     }
 
-    /// Content address of the design made with this version of a simulator.
+    /// Content address of the design for this version of a simulator.
     pub fn id(&self, simulator: &str) -> String {
         let text = serde_json::to_string(&(simulator, self)).expect("numbers and text");
         format!("em-{}", &sha256(text.as_bytes())[..16])
@@ -74,23 +76,25 @@ fn sha256(bytes: &[u8]) -> String {
     hex::encode(Sha256::digest(bytes))
 }
 
-/// Points among which those of least certainty are looked for.
+/// Number of candidate points for the least certain ones.
 const POOL: usize = 800;
-/// Angles that powders have and calibrations ask for, degrees. Half of the box is steeper; what lies far outside is not worth a heap.
+/// Angles that powders have and calibrations request, degrees. Half of the box is steeper; points
+/// far outside are not worth a heap.
 pub(super) const ASKED: [f64; 2] = [20.0, 52.0];
-/// How much the doubt about an angle outside counts.
+/// Weight of the uncertainty about an angle outside this range.
 const ELSEWHERE: f64 = 0.2;
-/// Share of the variance of a reading that the readings of one heap have in common: the variance of the mean of r is v (1/r + COMMON).
-/// Measured with ten sets of 29 deg, eight heaps of 16 readings each.
+/// Share of the variance of a reading that the readings of one heap have in common: the variance of
+/// the mean of r readings is v (1/r + COMMON). Measured with ten sets at 29 deg, eight heaps of 16
+/// readings each.
 const COMMON: f64 = 0.09;
 
-/// Make an emulator.
+/// Builds an emulator.
 ///
 /// | argument | meaning |
 /// |----------|---------|
 /// | `history` | heaps of an interrupted build of the same design, in order; replayed, never simulated again |
-/// | `simulate` | parameters, grains and readings, and seed to a heap, or why there is none; called from several threads, must be pure |
-/// | `on_run` | hears every new heap (not the replayed ones) in order of its index; `Break` stops |
+/// | `simulate` | from parameters, grains and readings, and seed to a heap, or to the reason for having none; called from several threads, must be pure |
+/// | `on_run` | called with every new heap (not the replayed ones) in order of its index; `Break` stops |
 ///
 /// # Errors
 /// [`Error`]
@@ -143,30 +147,30 @@ fn plan(design: &Design, directions: Directions, runs: &[Trial]) -> Vec<Planned>
         .collect()
 }
 
-/// What the angle of repose is over the whole box.
+/// The angle of repose over the whole box.
 #[derive(Debug, Clone)]
 pub struct Emulator {
     angle: GaussianProcess<DIRECTIONS>,
     /// ln of the variance of one reading.
     spread: GaussianProcess<DIRECTIONS>,
-    /// Variance of one reading that the noise of `angle` is counted in, degrees squared.
+    /// Variance of one reading in which the noise of `angle` is expressed, degrees squared.
     unit: f64,
     directions: Directions,
     hash: String,
     runs: u32,
 }
 
-/// An angle that the emulator expects.
+/// The emulator's prediction of an angle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expected {
-    /// Mean over seeds, degrees, and how uncertain it is.
+    /// Mean over seeds, degrees, with its uncertainty.
     pub mean: Prediction,
     /// Standard deviation of one reading around that mean, degrees.
     pub seed_sd_deg: f64,
 }
 
 impl Emulator {
-    /// From heaps that were simulated; none if none of them has an angle.
+    /// Builds the emulator from simulated heaps; none if none of them has an angle.
     pub fn of(runs: &[Trial], directions: Directions) -> Option<Self> {
         let heaps: Vec<([f64; DIRECTIONS], f64, f64, u32)> = runs
             .iter()
@@ -178,7 +182,7 @@ impl Emulator {
             })
             .collect();
         let inputs: Vec<_> = heaps.iter().map(|heap| heap.0).collect();
-        // A heap whose readings are all alike, to rounding, would have the logarithm of nothing.
+        // If all readings of a heap were equal to within rounding, the logarithm would diverge.
         let logs: Vec<f64> =
             heaps.iter().map(|(_, _, sd, readings)| 2.0 * sd.max(1e-3).ln() - log_bias(readings.max(&2) - 1)).collect();
         let smooth = Prior { lengthscale: (3.0, 0.5), signal_sd: (0.5, 0.5), noise_sd: (0.9, 0.3) };
@@ -192,28 +196,28 @@ impl Emulator {
         Some(Self { angle, spread, unit, directions, hash, runs: runs.len() as u32 })
     }
 
-    /// SHA-256 of the heaps it is made of.
+    /// SHA-256 of the heaps it was built from.
     pub fn hash(&self) -> &str {
         &self.hash
     }
 
-    /// Heaps it is made of.
+    /// Number of heaps it was built from.
     pub fn runs(&self) -> u32 {
         self.runs
     }
 
-    /// The numbers that a set folds into.
+    /// The numbers that a set reduces to.
     pub fn directions(&self, set: &ParameterSet) -> [f64; DIRECTIONS] {
         (self.directions)(set)
     }
 
-    /// What to expect of a set.
+    /// Predicts the angle of a set.
     pub fn expect(&self, set: &ParameterSet) -> Expected {
         let x = self.directions(set);
         Expected { mean: self.angle.predict(&x), seed_sd_deg: self.variance(&x).sqrt() }
     }
 
-    /// Its mean alone, which costs a hundredth.
+    /// Predicts only the mean, which costs a hundredth.
     pub fn mean_deg(&self, set: &ParameterSet) -> f64 {
         self.angle.mean(&self.directions(set))
     }
@@ -222,7 +226,7 @@ impl Emulator {
         self.spread.mean(x).exp()
     }
 
-    /// The same emulator after more heaps, which it takes into its angle alone.
+    /// Returns the emulator with more heaps, used for its angle only.
     pub fn with(&self, trials: &[Trial]) -> Self {
         let seen = trials.iter().filter_map(|trial| {
             let x = self.directions(&trial.parameters);
@@ -232,7 +236,8 @@ impl Emulator {
         if seen.is_empty() { self.clone() } else { Self { angle: self.angle.observe(&seen), ..self.clone() } }
     }
 
-    /// The points of `pool` at which the angle is least certain, one after the other, each as if those before it had been seen.
+    /// Selects the points of `pool` at which the angle is least certain, one after another, each as
+    /// if those before it had been observed.
     fn least_certain(&self, count: usize, pool: Vec<Point>) -> Vec<Point> {
         let numbers: Vec<_> = pool.iter().map(|point| self.directions(&space::parameters_at(point))).collect();
         let mut angle = self.angle.clone();
@@ -252,7 +257,7 @@ impl Emulator {
     }
 }
 
-/// Variance of the mean of the readings of a heap over that of one.
+/// Variance of the mean of a heap's readings over that of one reading.
 pub(super) fn share(readings: u32) -> f64 {
     1.0 / f64::from(readings) + COMMON
 }

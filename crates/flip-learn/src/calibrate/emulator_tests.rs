@@ -1,4 +1,5 @@
-//! The emulator, the sets read off it and the posterior, on a formula; the published method on the same.
+//! The emulator, the sets read off it and the posterior, on a formula; the published method on the
+//! same formula.
 
 use super::emulator::{DIRECTIONS, Design, Emulator, build};
 use super::posterior::{Posterior, Prior};
@@ -10,7 +11,8 @@ use flip_core::stats::normal::quantile;
 use flip_core::stats::summary;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Five numbers as the simulator has them: friction, an attraction over gravity, and three that do less.
+/// Five numbers as in the simulator: friction, an attraction over gravity, and three with less
+/// effect.
 fn numbers(set: &ParameterSet) -> [f64; DIRECTIONS] {
     let unit = set.to_unit();
     [unit[4], (0.3 * set.cohesion() / set.gravity_scale() / 1.2).sqrt(), unit[1], unit[3], unit[6]]
@@ -21,7 +23,8 @@ pub(super) fn clean_deg(set: &ParameterSet) -> f64 {
     22.0 + 18.0 * friction.powf(0.7) + 12.0 * attraction * (1.0 + 0.2 * reach) + 2.0 * wall * friction
 }
 
-/// By how much a heap of so many grains is flatter than one of 2000, degrees; a little more for steep ones.
+/// How much flatter a heap of this many grains is than one of 2000, degrees; slightly more for
+/// steep ones.
 fn flatter_deg(set: &ParameterSet, particles: u32) -> f64 {
     0.7 * (f64::from(particles) / 2000.0).log2() * (1.0 + 0.3 * numbers(set)[0])
 }
@@ -35,7 +38,7 @@ pub(super) fn normal(seed: u64, k: u64) -> f64 {
     quantile(((derive(seed, &[k]) >> 11) as f64 + 0.5) / (1u64 << 53) as f64)
 }
 
-/// A heap read so often, with what its readings have in common.
+/// A heap read this many times, including the variance its readings share.
 pub(super) fn formula(set: &ParameterSet, Pour { particles, readings }: Pour, seed: u64) -> Result<Heap, String> {
     let sd = noise_deg(set);
     let common = 0.3 * sd * normal(seed, 1000);
@@ -84,7 +87,7 @@ fn an_emulator_knows_the_angle_its_own_error_and_the_scatter() {
     }
     let rms = |values: &[f64]| summary::mean(values).unwrap().sqrt();
     assert!(rms(&errors) < 0.6, "{}", rms(&errors));
-    // One if its doubts are what its errors are.
+    // One if the predicted uncertainties match the errors.
     assert!((0.5..1.4).contains(&rms(&scores)), "{}", rms(&scores));
     let [bias, scatter] = [summary::mean(&spreads).unwrap(), summary::sd(&spreads).unwrap()];
     assert!(bias.abs() < 0.2 && scatter < 0.35, "{bias} {scatter}");
@@ -135,7 +138,7 @@ fn ten_different_verified_sets_are_read_off_the_emulator_for_every_powder() {
         let found = run(&emulator, deg, &settings(1));
         assert!(found.sets.len() == 10 && found.evaluations <= 10 && found.shortfall.is_none());
         assert!(found.sets.iter().all(|set| set.runs == 8 && set.verified_error_deg <= 0.5));
-        // The truth, which no verification knows.
+        // The true error, unknown to any verification.
         let truth: Vec<f64> = found.sets.iter().map(|set| (clean_deg(&set.parameters) - deg).abs()).collect();
         assert!(summary::mean(&truth).unwrap() < 0.45, "{truth:?}");
         let points: Vec<_> = found.sets.iter().map(|set| set.parameters.to_unit()).collect();
@@ -211,7 +214,8 @@ fn measurement(angle_deg: f64, sd_deg: f64, seed: u64) -> Flowability {
     Flowability { repose_deg: summary::mean(&repeats).unwrap(), sd_deg: summary::sd(&repeats).unwrap(), n: 5 }
 }
 
-/// Simulation-based calibration (Talts et al. 2018): where the truth comes from the prior, its rank among the draws is uniform.
+/// Simulation-based calibration (Talts et al. 2018): if the truth comes from the prior, its rank
+/// among the draws is uniform.
 #[test]
 fn posterior_ranks_are_uniform_and_intervals_cover_what_they_say() {
     const POWDERS: usize = 400;
@@ -222,7 +226,7 @@ fn posterior_ranks_are_uniform_and_intervals_cover_what_they_say() {
     let mut counts = [[0u32; BINS]; COUNT + 1];
     let mut covered = [0u32; COUNT + 1];
     for (k, truth) in sets_of_the_box(POWDERS, 11).iter().enumerate() {
-        // What the emulator believes of this powder, so that nothing but the inference is tested here.
+        // The emulator's prediction for this powder, so that only the inference is tested here.
         let at = emulator.expect(truth).mean;
         let angle = at.mean + at.sd * normal(derive(8, &[k as u64]), 99);
         let posterior = prior.given(&measurement(angle, 2.0, derive(9, &[k as u64])), DRAWS);
@@ -248,13 +252,14 @@ fn posterior_ranks_are_uniform_and_intervals_cover_what_they_say() {
             "{name}: 68 % interval covers {:.1} % of {POWDERS} powders, chi2 of ranks {chi2:.1} of 9",
             100.0 * share
         );
-        // 99.9 % of chi^2_9 is 27.9; ten are looked at.
+        // The 99.9 % quantile of chi^2_9 is 27.9; ten are checked.
         assert!(chi2 < 30.0, "{name}: {:?}", counts[j]);
         assert!((0.60..=0.76).contains(&share), "{name}: {share}");
     }
 }
 
-/// The same where the truth is the formula and not what the emulator believes: its errors have to be what it says they are.
+/// The same with the formula as the truth instead of the emulator's prediction: its errors must
+/// match its stated uncertainty.
 #[test]
 fn intervals_cover_powders_that_the_emulator_has_not_made() {
     const POWDERS: usize = 300;
@@ -287,16 +292,16 @@ fn a_posterior_says_what_was_learnt_and_what_only_together() {
     let pair = &posterior.together[0];
     assert_eq!(pair.keys, ["friction".to_owned(), "cohesion".to_owned()], "{:?}", posterior.together);
     assert!(pair.correlation < -0.3, "more of one asks for less of the other: {pair:?}");
-    // A wider measurement says less.
+    // A less precise measurement is less informative.
     let wide = Posterior::of((&emulator).into(), &measured(8.0), 400, 1);
     let width = |p: &Posterior| summary::sd(&p.repose_deg).unwrap();
     assert!(width(&wide) > 2.0 * width(&posterior) && wide.effective > posterior.effective);
-    // An exact one is met exactly.
+    // An exact measurement is matched exactly.
     let exact = Posterior::of((&emulator).into(), &Flowability { repose_deg: 33.0, sd_deg: 0.0, n: 1 }, 100, 1);
     assert!(exact.repose_deg.iter().all(|deg| *deg == 33.0));
 }
 
-/// Every trial of a calibration with the published method.
+/// All trials of a calibration with the published method.
 fn published(settings: &Settings, deg: f64) -> (Vec<Trial>, Calibration) {
     let target = Flowability { repose_deg: deg, sd_deg: 2.0, n: 5 };
     let mut trials = Vec::new();
@@ -318,7 +323,7 @@ fn the_published_method_ends_with_ten_solutions_below_one_degree_and_verifies_wh
     assert!(found.sets.len() == 10 && found.sets.iter().all(|set| set.error_deg <= 1.5 && set.runs == 8));
     assert_eq!(found.verification_runs, 80);
     assert!(trials[search.len()..].iter().all(|t| t.phase == Phase::Verification));
-    // One lucky heap chose each set; fresh heaps say what it is worth.
+    // One lucky heap chose each set; fresh heaps show its true error.
     assert!(found.verified_error_deg.unwrap() > found.mean_error_deg.unwrap());
     let (again, _) = published(&settings, 36.03);
     assert_eq!(again, trials);
@@ -367,14 +372,14 @@ fn sets_verified_in_larger_heaps_have_the_angle_there_and_the_shift_between_the_
     assert!((summary::mean(&angles).unwrap() - 33.0).abs() < 0.3, "{angles:?}");
     let shifts: Vec<f64> = whole.sets.iter().map(|set| -flatter_deg(&set.parameters, 8000)).collect();
     assert!((whole.size_shift_deg.unwrap() - summary::mean(&shifts).unwrap()).abs() < 0.3);
-    // The pilots miss by the shift; hardly a set after them does.
+    // The pilots miss by the shift; hardly any set after them does.
     let wasted = whole.verification_runs / settings.verify_repeats - 10;
     assert!((1..=4).contains(&wasted), "{wasted} sets verified for nothing");
     let resumed = calibrate(&target, &settings, Some((&emulator).into()), &trials[..25], formula, |_, _| {
         ControlFlow::Continue(())
     });
     assert_eq!(resumed.unwrap(), whole);
-    // Heaps of one size have no shift, and out of reach is out of reach.
+    // Heaps of one size have no shift, and out of reach stays out of reach.
     assert_eq!(run(&emulator, 33.0, &self::settings(4)).size_shift_deg, None);
     let steep = run(&emulator, 70.0, &settings);
     let nearest = steep.shortfall.unwrap().nearest_repose_deg;

@@ -1,6 +1,7 @@
 //! From a measured angle of repose to parameter sets whose simulated heap has it.
 //!
-//! Three methods ([`Method`]), one loop. Each round of simulations is a pure function of the trials before it:
+//! Three methods ([`Method`]), one loop. Each round of simulations is a pure function of the trials
+//! before it:
 //!
 //! | method | file | what a round is |
 //! |---|---|---|
@@ -8,14 +9,17 @@
 //! | `paper` | `paper.rs` | one point of Bayesian optimisation of the error, in bounds that shrink; at the end, verification |
 //! | `sequential` | `propose.rs` | a batch of points by expected improvement of an own Gaussian process; verification of likely ones |
 //!
-//! That makes the result independent of the number of threads, and resuming trivial: the history is replayed through the same
-//! rounds, and only what it lacks is simulated. Sets are verified by heaps with fresh seeds ([`Settings::verify_repeats`]) whose mean has to be
-//! within the tolerance (`verify.rs`).
+//! This makes the result independent of the number of threads, and resuming trivial: the history is
+//! replayed through the same rounds, and only the missing part is simulated. Sets are verified by
+//! heaps with fresh seeds ([`Settings::verify_repeats`]) whose mean must be within the tolerance
+//! (`verify.rs`).
 //!
-//! The `sequential` method in steps: the first round is a space-filling design ([`Settings::initial`] points); a Gaussian process of the angle is
-//! fitted to every trial so far; search trials that it finds likely to be within the tolerance are *candidates* and are verified; without
-//! candidates, a batch of further points is searched, chosen by the expected improvement of the distance to the target (`acquisition.rs`), the
-//! chance of a heap at all, and a reluctance to repeat a set.
+//! The `sequential` method in steps: the first round is a space-filling design
+//! ([`Settings::initial`] points); a Gaussian process of the angle is fitted to all trials so far;
+//! search trials that it considers likely to be within the tolerance are *candidates* and are
+//! verified; without candidates, a batch of further points is searched, chosen by the expected
+//! improvement of the distance to the target (`acquisition.rs`), the probability of getting a heap
+//! at all, and a penalty for repeating a set.
 
 mod acquisition;
 mod amortised;
@@ -58,9 +62,9 @@ use std::fmt::Display;
 use std::ops::ControlFlow;
 use trial::Planned;
 
-/// First index of the seeds of proposals, which no trial has.
+/// First index of the seeds of proposals; no trial uses it.
 const PROPOSALS: u64 = u64::MAX;
-/// Heaps of an emulator that are simulated before the first of them is heard.
+/// Number of an emulator's heaps simulated before the first of them is reported.
 const CHUNK: usize = 8;
 
 /// Why a calibration has no result.
@@ -77,13 +81,13 @@ pub enum Error {
         /// The first trial that differs.
         index: u32,
     },
-    /// `on_trial` asked to stop. With the history so far the calibration can be resumed.
+    /// `on_trial` requested a stop. The calibration can be resumed from the history so far.
     #[error("stopped on request")]
     Stopped,
-    /// The budget is spent.
+    /// The budget is used up.
     #[error(transparent)]
     TooFew(Box<TooFew>),
-    /// The method needs an emulator and none was given.
+    /// The method needs an emulator, but none was given.
     #[error("the method `emulator` needs an emulator")]
     NoEmulator,
     /// No heap of an emulator's design has an angle.
@@ -91,7 +95,7 @@ pub enum Error {
     NoHeap,
 }
 
-/// What was found when the budget was spent before enough sets were.
+/// The partial result when the budget ran out before enough sets were found.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
     "found {} of {wanted} sets within {tolerance_deg} deg of {:.2} deg in {} simulations ({refused} refused); {}: \
@@ -99,9 +103,9 @@ pub enum Error {
     .partial.sets.len(), .partial.target.repose_deg, .partial.evaluations + .partial.verification_runs, nearest_text(*.nearest_deg)
 )]
 pub struct TooFew {
-    /// What there is.
+    /// The result so far.
     pub partial: Calibration,
-    /// Sets that were asked for.
+    /// Number of sets requested.
     pub wanted: u32,
     /// The tolerance, degrees.
     pub tolerance_deg: f64,
@@ -118,18 +122,19 @@ fn nearest_text(tip_deg: Option<f64>) -> String {
     }
 }
 
-/// Parameter sets whose simulated angle of repose is `target`'s.
+/// Finds parameter sets whose simulated angle of repose matches `target`.
 ///
 /// | argument | meaning |
 /// |----------|---------|
 /// | `target` | the measurement; its mean is aimed at |
 /// | `settings` | method, tolerance, budget, seed |
-/// | `knowledge` | the emulator, for the method of that name, and what else was measured; its heaps count once, not in every calibration |
+/// | `knowledge` | the emulator, for the method of that name, and other measurements; its heaps count once, not in every calibration |
 /// | `history` | trials of an interrupted run with the same target and settings, in order; replayed, never simulated again |
-/// | `simulate` | parameters, grains and readings, and seed to a heap, or why there is none; called from several threads, must be pure |
-/// | `on_trial` | hears every new trial (not the replayed ones) in order of its index; `Break` stops |
+/// | `simulate` | from parameters, grains and readings, and seed to a heap, or to the reason for having none; called from several threads, must be pure |
+/// | `on_trial` | called with every new trial (not the replayed ones) in order of its index; `Break` stops |
 ///
-/// The same target, settings and `simulate` give the same bytes at any number of threads, interrupted or not.
+/// The same target, settings and `simulate` give the same bytes at any number of threads,
+/// interrupted or not.
 ///
 /// # Errors
 /// [`Error`]
@@ -175,7 +180,8 @@ pub fn calibrate<E: Display + Send>(
     }
 }
 
-/// Append to `trials` what the history holds of `batch`, after checking that it is just this; how many that were.
+/// Appends to `trials` the part of `batch` found in the history, after checking that they match;
+/// returns how many.
 fn replay(
     batch: &[Planned],
     trials: &mut Vec<Trial>,
@@ -193,7 +199,7 @@ fn replay(
     Ok(batch.len().min(known.len()))
 }
 
-/// What the sequential method simulates next; nothing when the calibration is over.
+/// Plans the sequential method's next simulations; empty when the calibration is over.
 fn plan(trials: &[Trial], target: &Flowability, settings: &Settings) -> Vec<Planned> {
     let left = (settings.trials_max as usize).saturating_sub(trials.len());
     let sets = verify::verified(trials, target, settings);
@@ -282,7 +288,7 @@ fn summarised(trials: &[Trial], target: &Flowability, settings: &Settings) -> Ca
     }
 }
 
-/// Done is what is nearer: the sets or the end of the budget.
+/// Progress is the larger of two shares: of the sets wanted and of the budget.
 fn progress(trials: &[Trial], target: &Flowability, settings: &Settings) -> Progress {
     let sets = verify::verified(trials, target, settings).len();
     let found = sets as f64 / f64::from(settings.sets);

@@ -1,18 +1,22 @@
 //! The published method, Algorithm 1 of arXiv:2506.03896.
 //!
-//! Bayesian optimisation of the error E = |AoR_real - AoR_sim| over the nine parameters, one simulation an iteration, within bounds that shrink:
+//! Bayesian optimisation of the error E = |AoR_real - AoR_sim| over the nine parameters, one
+//! simulation per iteration, within shrinking bounds:
 //!
 //! ```text
 //! E < accept            the set joins the solutions; over when there are as many as wanted
 //! else k >= stagnation  the bounds become the range of the best tenth of the history, and k = 0
 //! ```
 //!
-//! with k the iterations since the bounds last changed. Over, too, when every side of the bounds is below [`EXHAUSTED`] of its first width, or
-//! when the budget is spent. Of all sets those within the tolerance are retained, and of these the best as many as are wanted. The publication
-//! does not say how it verifies; here every retained set is verified with fresh seeds, which changes nothing in what is retained.
+//! with k the iterations since the bounds last changed. It also ends when every side of the bounds
+//! is below [`EXHAUSTED`] of its initial width, or when the budget is used up. Of all sets those
+//! within the tolerance are retained, and of these the best, as many as wanted. The publication
+//! does not describe its verification; here every retained set is verified with fresh seeds, which
+//! does not change the selection.
 //!
-//! The publication names neither kernel nor acquisition. Here: a Gaussian process of E with the Matern-5/2 kernel and one lengthscale a
-//! parameter, a Latin hypercube to begin with, and the expected improvement on the least error, over a pool within the bounds.
+//! The publication names neither kernel nor acquisition. Here: a Gaussian process of E with the
+//! Matern-5/2 kernel and one lengthscale per parameter, an initial Latin hypercube, and the
+//! expected improvement on the least error, over a pool within the bounds.
 
 use super::settings::Settings;
 use super::space::{self, Point};
@@ -28,14 +32,15 @@ use flip_core::stats::normal::{cdf, pdf};
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
-/// The search space is exhausted when every side is below this share of its first width. Our choice; the publication gives no number.
+/// The search space is exhausted when every side is below this share of its initial width. Our
+/// choice; the publication gives no number.
 const EXHAUSTED: f64 = 0.05;
-/// Share of the history whose range the bounds become.
+/// Share of the history whose range becomes the new bounds.
 const BEST: f64 = 0.1;
-/// Points at which the expected improvement is compared.
+/// Number of points at which the expected improvement is compared.
 const POOL: usize = 2000;
 
-/// What to simulate next; nothing when the calibration is over.
+/// Plans the next simulations; empty when the calibration is over.
 pub(super) fn plan(trials: &[Trial], settings: &Settings) -> Vec<Planned> {
     if trials.iter().any(|trial| trial.phase == Phase::Verification) {
         return Vec::new();
@@ -49,7 +54,7 @@ pub(super) fn plan(trials: &[Trial], settings: &Settings) -> Vec<Planned> {
     runs.collect()
 }
 
-/// The retained sets, best first, each with what its verification says.
+/// The retained sets, best first, each with its verification result.
 pub(super) fn sets(trials: &[Trial], target: &Flowability, settings: &Settings) -> Vec<CalibratedSet> {
     let verified = |trial: &Trial| {
         let set = verdict(trial.index, trials, target, settings)?;
@@ -58,7 +63,7 @@ pub(super) fn sets(trials: &[Trial], target: &Flowability, settings: &Settings) 
     kept(trials, settings).into_iter().filter_map(verified).collect()
 }
 
-/// The best search trials within the tolerance, as many as are wanted, best first.
+/// The best search trials within the tolerance, as many as wanted, best first.
 fn kept<'a>(trials: &'a [Trial], settings: &Settings) -> Vec<&'a Trial> {
     let mut kept: Vec<&Trial> = ranked(trials);
     kept.retain(|trial| trial.error_deg.is_some_and(|error| error <= settings.tolerance_deg));
@@ -66,7 +71,7 @@ fn kept<'a>(trials: &'a [Trial], settings: &Settings) -> Vec<&'a Trial> {
     kept
 }
 
-/// Search trials that gave a heap, least error first.
+/// Search trials that produced a heap, least error first.
 fn ranked(trials: &[Trial]) -> Vec<&Trial> {
     let mut ranked: Vec<&Trial> =
         trials.iter().filter(|trial| trial.phase == Phase::Search && trial.error_deg.is_some()).collect();
@@ -74,14 +79,14 @@ fn ranked(trials: &[Trial]) -> Vec<&Trial> {
     ranked
 }
 
-/// Where the algorithm stands.
+/// The state of the algorithm.
 struct State {
     /// Lower and upper bound of each parameter in the unit cube.
     bounds: [[f64; 2]; COUNT],
 }
 
 impl State {
-    /// After these trials; none when the search is over.
+    /// The state after these trials; none when the search is over.
     fn after(trials: &[Trial], settings: &Settings) -> Option<Self> {
         let mut bounds = [[0.0, 1.0]; COUNT];
         let (mut k, mut solutions) = (0, 0);
@@ -113,7 +118,7 @@ impl State {
         Some(Planned::search(index, space::parameters_at(&point), settings.seed))
     }
 
-    /// The point of largest expected improvement within the bounds.
+    /// The point with the largest expected improvement within the bounds.
     fn most_promising(&self, trials: &[Trial], settings: &Settings) -> Point {
         let mut rng = Pcg64::seed_from_u64(derive(settings.seed, &[super::PROPOSALS, trials.len() as u64]));
         let within = |point: Point| {

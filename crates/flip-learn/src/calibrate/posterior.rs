@@ -1,20 +1,24 @@
-//! What a measured angle says about the nine parameters, and what it leaves open.
+//! What a measured angle reveals about the nine parameters, and what it leaves open.
 //!
-//! Prior: uniform over the published box. With m, s, n the measured mean, SD and number of repeats, and f(theta) the mean angle of a
-//! simulated heap, which the emulator knows as N(mu(theta), sd(theta)^2):
+//! Prior: uniform over the published box. With m, s, n the measured mean, SD and number of repeats,
+//! and f(theta) the mean angle of a simulated heap, which the emulator predicts as N(mu(theta),
+//! sd(theta)^2):
 //!
 //! ```text
 //! (m - f(theta)) / (s / sqrt(n)) ~ t_{n-1}          m = f(theta) exactly, for s = 0 or n = 1
 //! p(theta, f | m, s, n)  ~  p(m | f, s, n) N(f; mu(theta), sd(theta)^2)
 //! ```
 //!
-//! s is estimated from the repeats themselves, hence Student's t. Points of a space-filling pool, each with an f drawn for it, are weighted with
-//! the likelihood and drawn again (sampling importance resampling, Rubin 1988). For an exact measurement f is integrated out: the weight is
-//! N(m; mu, sd^2).
+//! s is estimated from the repeats themselves, hence Student's t. Points of a space-filling pool,
+//! each with its own draw of f, are weighted by the likelihood and resampled (sampling importance
+//! resampling, Rubin 1988). For an exact measurement f is integrated out: the weight is N(m; mu,
+//! sd^2).
 //!
-//! Other observables ([`Channel`]) multiply their likelihoods, each with a value drawn for each point as the angle is.
+//! Other observables ([`Channel`]) multiply their likelihoods, with a value drawn for each point in
+//! the same way as the angle.
 //!
-//! A parameter whose posterior is its prior was not learnt; pairs that stay correlated are known only together.
+//! A parameter whose posterior equals its prior was not learned; pairs that stay correlated are
+//! known only jointly.
 
 use super::channel::{Channel, Knowledge};
 use super::space::{self, Point};
@@ -30,29 +34,30 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// Points of the pool.
+/// Number of points in the pool.
 const POOL: usize = 20_000;
-/// Seeds of the pool, which no trial has.
+/// Seeds of the pool; no trial uses them.
 const POINTS: u64 = u64::MAX - 2;
 /// Pairs whose correlation is at least this are reported.
 const TOGETHER: f64 = 0.2;
 
-/// Draws from the posterior, and what they say.
+/// Draws from the posterior, with summaries.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Posterior {
-    /// Draws, each the nine values in the order of the parameters.
+    /// Draws, each the nine values in parameter order.
     pub draws: Vec<[f64; COUNT]>,
     /// The angle of each draw, degrees.
     pub repose_deg: Vec<f64>,
-    /// What is known of each parameter.
+    /// Marginal posterior of each parameter.
     pub parameters: Vec<Marginal>,
-    /// Pairs that are known only together.
+    /// Pairs that are known only jointly.
     pub together: Vec<Pair>,
-    /// Effective number of points of the pool behind the draws: (sum w)^2 / sum w^2. Few say that the draws repeat each other.
+    /// Effective number of pool points behind the draws: (sum w)^2 / sum w^2. A small number means
+    /// that draws repeat each other.
     pub effective: f64,
 }
 
-/// What is known of one parameter.
+/// Marginal posterior of one parameter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Marginal {
     /// Its key.
@@ -61,13 +66,14 @@ pub struct Marginal {
     pub mean: f64,
     /// 16 % and 84 % quantile.
     pub interval: [f64; 2],
-    /// 1 - posterior variance / prior variance: 0 where nothing was learnt. Negative where the posterior sits at both ends.
+    /// 1 - posterior variance / prior variance: 0 if nothing was learned. Negative if the posterior
+    /// concentrates at both ends.
     pub learnt: f64,
-    /// Whether nothing that was measured depends on it.
+    /// Whether none of the measurements depends on it.
     pub inert: bool,
 }
 
-/// Two parameters that are known only together.
+/// Two parameters that are known only jointly.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Pair {
     /// Their keys.
@@ -77,13 +83,14 @@ pub struct Pair {
 }
 
 impl Posterior {
-    /// `count` draws given a measured angle and what else was measured.
+    /// Draws `count` points given a measured angle and the other measurements.
     pub fn of(knowledge: Knowledge<'_>, measured: &Flowability, count: usize, seed: u64) -> Self {
         Prior::of(knowledge, seed).given(measured, count)
     }
 }
 
-/// The prior: points of the box and what the emulator says of each. Asking it about many measured angles costs the emulator once.
+/// The prior: points of the box with the emulator's predictions. Reused for many measured angles,
+/// so the emulator is evaluated once.
 #[derive(Debug)]
 pub struct Prior<'a> {
     knowledge: Knowledge<'a>,
@@ -97,14 +104,14 @@ struct Known {
     set: ParameterSet,
     mean: f64,
     sd: f64,
-    /// A standard normal number, with which its angle is drawn.
+    /// Standard normal number used to draw its angle.
     z: f64,
-    /// Logarithm of the likelihood of what was measured beside the angle.
+    /// Log likelihood of the measurements other than the angle.
     others: f64,
 }
 
 impl<'a> Prior<'a> {
-    /// The pool of this seed.
+    /// Builds the pool for this seed.
     pub fn of(knowledge: Knowledge<'a>, seed: u64) -> Self {
         let mut rng = Pcg64::seed_from_u64(derive(seed, &[POINTS]));
         let points: Vec<Point> = latin_hypercube(POOL, &mut rng);
@@ -121,7 +128,7 @@ impl<'a> Prior<'a> {
         Self { knowledge, points: pool.into_par_iter().map(know).collect(), rng }
     }
 
-    /// `count` draws given a measurement.
+    /// Draws `count` points given a measurement.
     pub fn given(&self, measured: &Flowability, count: usize) -> Posterior {
         let weighed: Vec<(f64, f64)> = self.points.iter().map(|point| point.weigh(measured)).collect();
         let largest = weighed.iter().map(|point| point.1).fold(f64::NEG_INFINITY, f64::max);
@@ -139,20 +146,21 @@ impl<'a> Prior<'a> {
     }
 }
 
-/// A standard normal number from a uniform one, kept finite.
+/// Converts a uniform number to a standard normal one, kept finite.
 fn normal(uniform: f64) -> f64 {
     quantile(uniform.clamp(1e-12, 1.0 - 1e-12))
 }
 
-/// Logarithm of the likelihood of an observation at a set whose value is `z` standard deviations off what is expected.
+/// Log likelihood of an observation at a set whose value is `z` standard deviations from its
+/// prediction.
 fn likelihood(channel: &Channel, set: &ParameterSet, z: f64) -> f64 {
     let Observation { mean, sd, n, .. } = channel.observation;
     let at = channel.expect(set);
     student(mean - channel.value(set, at.mean + z * at.sd), sd, n)
 }
 
-/// Logarithm of the density of a mean of n, of sample deviation sd, that is `off` its expectation, up to a constant. An impossible value has a
-/// likelihood next to nothing.
+/// Log density of a mean of n with sample deviation sd that is `off` its expectation, up to a
+/// constant. An impossible value has a likelihood close to zero.
 fn student(off: f64, sd: f64, n: u32) -> f64 {
     let t = (off / (sd / f64::from(n).sqrt())).clamp(-1e6, 1e6);
     let freedom = f64::from(n - 1);
@@ -160,7 +168,7 @@ fn student(off: f64, sd: f64, n: u32) -> f64 {
 }
 
 impl Known {
-    /// An angle for the point, and the logarithm of its weight.
+    /// Returns an angle for the point, and its log weight.
     fn weigh(&self, measured: &Flowability) -> (f64, f64) {
         let Flowability { repose_deg, sd_deg, n } = *measured;
         if sd_deg > 0.0 && n > 1 {
@@ -172,7 +180,8 @@ impl Known {
     }
 }
 
-/// Systematic resampling: one uniform number, `count` equidistant places in the sum of weights (Kitagawa 1996).
+/// Systematic resampling: one uniform number, `count` equidistant positions in the cumulative
+/// weights (Kitagawa 1996).
 fn resample(weights: &[f64], sum: f64, count: usize, uniform: f64) -> Vec<usize> {
     let mut drawn = Vec::with_capacity(count);
     let (mut k, mut passed) = (0, weights[0]);
@@ -206,7 +215,8 @@ fn marginal(k: usize, draws: &[[f64; COUNT]], knowledge: &Knowledge<'_>) -> Marg
     }
 }
 
-/// Whether moving the parameter from bound to bound changes nothing that was measured depends on, at any of the draws.
+/// Whether moving the parameter from bound to bound leaves the inputs of every measured quantity
+/// unchanged, at all draws.
 fn is_inert(k: usize, draws: &[[f64; COUNT]], knowledge: &Knowledge<'_>) -> bool {
     let at = |draw: &[f64; COUNT], value: f64| {
         let mut values = *draw;
@@ -234,7 +244,7 @@ fn together(draws: &[[f64; COUNT]]) -> Vec<Pair> {
     found
 }
 
-/// Pearson's; 0 where one of the two does not vary.
+/// Pearson correlation; 0 if one of the two does not vary.
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let (Some(ma), Some(mb), Some(sa), Some(sb)) = (summary::mean(a), summary::mean(b), summary::sd(a), summary::sd(b))
     else {

@@ -11,25 +11,26 @@ use flip_core::stats::latin_hypercube::{distance, latin_hypercube};
 use flip_core::stats::normal::cdf;
 use rand::{Rng, RngExt};
 
-/// Points at which the acquisition is compared, space-filling.
+/// Number of space-filling points at which the acquisition is compared.
 const POOL: usize = 1000;
-/// Further points around the best of them, at each of the [`REACHES`].
+/// Number of further points around the best of them, for each of the [`REACHES`].
 const AROUND: usize = 100;
 /// Half-widths of the boxes around the best point so far, in sides of the cube.
 const REACHES: [f64; 3] = [0.2, 0.05, 0.01];
-/// Distance in the unit cube within which two sets count as alike; two random points of it are about 1.2 apart.
+/// Distance in the unit cube within which two sets count as similar; two random points are about
+/// 1.2 apart.
 const ALIKE: f64 = 0.5;
 
-/// What the trials so far say about the whole box: the angle everywhere, and where a simulation is refused.
+/// Beliefs from the trials so far: the angle over the whole box, and where a simulation is refused.
 pub(super) struct Belief {
     angle: GaussianProcess<COUNT>,
-    /// Regression on 1 (heap) and 0 (refused); none while nothing was refused.
+    /// Regression on 1 (heap) and 0 (refused); none as long as nothing was refused.
     heaps: Option<GaussianProcess<COUNT>>,
     target_deg: f64,
 }
 
 impl Belief {
-    /// Fitted to every trial of both phases. None while no trial has an angle.
+    /// Fits the beliefs to all trials of both phases. None as long as no trial has an angle.
     pub fn of(trials: &[Trial], target_deg: f64) -> Option<Self> {
         let points: Vec<Point> = trials.iter().map(|t| t.parameters.to_unit()).collect();
         let tips: Vec<Option<f64>> = trials.iter().map(|t| t.outcome.tip_deg()).collect();
@@ -42,7 +43,8 @@ impl Belief {
         Some(Self { angle, heaps, target_deg })
     }
 
-    /// Probability that the mean of `runs` fresh simulations of `point` is within `tolerance_deg` of the target.
+    /// Probability that the mean of `runs` fresh simulations of `point` is within `tolerance_deg`
+    /// of the target.
     pub fn probability_within(&self, point: &Point, tolerance_deg: f64, runs: u32) -> f64 {
         let Prediction { mean, sd } = self.angle.predict(point);
         let noise_sd = self.angle.hyperparameters().noise_sd / f64::from(runs).sqrt();
@@ -54,21 +56,21 @@ impl Belief {
         (self.angle.predict(point).mean - self.target_deg).abs()
     }
 
-    /// Probability that `point` gives a heap: least-squares classification squashed by the normal distribution
-    /// (Rasmussen and Williams 2006, section 6.5).
+    /// Probability that `point` yields a heap: least-squares classification squashed by the normal
+    /// distribution (Rasmussen and Williams 2006, section 6.5).
     fn probability_of_heap(&self, point: &Point) -> f64 {
         let Some(heaps) = &self.heaps else { return 1.0 };
         let at = heaps.predict(point);
         cdf((at.mean - 0.5) / at.sd.hypot(heaps.hyperparameters().noise_sd).max(1e-9))
     }
 
-    /// Worth of simulating `point` when `taken` are accepted or about to be simulated:
+    /// Value of simulating `point` when `taken` are accepted or about to be simulated:
     ///
     /// ```text
     /// EI(point) * P(heap) * min over taken of (1 - exp(-(distance / ALIKE)^2))
     /// ```
     ///
-    /// The last factor keeps the sets apart; a copy of an accepted set is worth nothing.
+    /// The last factor keeps the sets apart; a copy of an accepted set has no value.
     fn worth(&self, point: &Point, incumbent_deg: f64, taken: &[Point]) -> f64 {
         let gain = expected_improvement(self.angle.predict(point), self.target_deg, incumbent_deg);
         let nearest = taken.iter().map(|other| distance(point, other)).fold(f64::INFINITY, f64::min);
@@ -76,11 +78,11 @@ impl Belief {
     }
 }
 
-/// The next `count` points to search, chosen one after the other, each as if those before it had come out as expected
-/// (kriging believer). `taken` are the points of the sets verified so far.
+/// Proposes the next `count` points to search, one after another, each as if those before it had
+/// come out as expected (kriging believer). `taken` are the points of the sets verified so far.
 ///
-/// The incumbent of the expected improvement is the least error so far, but never below the tolerance: once a set
-/// within it is known, another one elsewhere is worth as much as the first.
+/// The incumbent of the expected improvement is the least error so far, but never below the
+/// tolerance: once a set within it is known, another one elsewhere is worth as much as the first.
 pub(super) fn propose(
     mut belief: Belief,
     trials: &[Trial],
@@ -101,8 +103,9 @@ pub(super) fn propose(
         .collect()
 }
 
-/// The point of most worth in a random pool, then in smaller and smaller boxes around the best so far. Where nothing has
-/// any worth to rounding (a target far out of reach) the point expected nearest to the target.
+/// The most valuable point in a random pool, then in shrinking boxes around the best so far. If all
+/// values are zero to within rounding (a target far out of reach), the point expected nearest to
+/// the target.
 fn most_worth(belief: &Belief, incumbent_deg: f64, taken: &[Point], rng: &mut impl Rng) -> Point {
     let rated = |point: Point| {
         let worth = belief.worth(&point, incumbent_deg, taken);

@@ -1,13 +1,15 @@
-//! The box that is searched: the unit cube of nine coordinates and the parameter sets behind it.
+//! The searched box: the unit cube of nine coordinates and the corresponding parameter sets.
 
 use flip_core::domain::parameters::{COUNT, PARAMETERS, ParameterSet};
 
 /// A point of the unit cube, in the order of [`PARAMETERS`].
 pub type Point = [f64; COUNT];
 
-/// The parameter set at `point`, each value rounded to at least five significant digits of its range.
+/// The parameter set at `point`, each value rounded to at least five significant digits of its
+/// range.
 ///
-/// Short decimals are readable and survive a trip through JSON unchanged, on which a resumed calibration depends.
+/// Short decimals are readable and round-trip through JSON unchanged, which a resumed calibration
+/// depends on.
 pub fn parameters_at(point: &Point) -> ParameterSet {
     let values = ParameterSet::from_unit(*point).values();
     let rounded = std::array::from_fn(|k| {

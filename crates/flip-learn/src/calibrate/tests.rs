@@ -4,11 +4,11 @@ use flip_core::stats::latin_hypercube::{distance, latin_hypercube};
 use flip_core::stats::normal::quantile;
 use std::sync::Mutex;
 
-/// How the heaps are poured that ask the formula by themselves; it does not matter.
+/// Pour settings for tests that call the formula directly; the values do not matter.
 const POUR: Pour = Pour { particles: 2000, readings: 1 };
 
-/// A formula shaped like the real simulator: friction raises the angle with falling slope, cohesion over gravity
-/// raises it, six parameters do nothing, each seed adds noise of SD 1 deg.
+/// A formula shaped like the real simulator: friction raises the angle with decreasing slope,
+/// cohesion over gravity raises it, six parameters do nothing, each seed adds noise of SD 1 deg.
 fn formula(set: &ParameterSet, _: Pour, seed: u64) -> Result<Heap, String> {
     let uniform = ((derive(seed, &[1]) >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
     heap(clean_deg(set) + quantile(uniform))
@@ -35,7 +35,7 @@ fn run(deg: f64, settings: &Settings) -> Result<Calibration, Error> {
     calibrate(&target(deg), settings, None, &[], formula, |_, _| ControlFlow::Continue(()))
 }
 
-/// The result and every trial that was heard.
+/// The result and every trial reported.
 fn recorded(
     settings: &Settings,
     simulate: impl Fn(&ParameterSet, Pour, u64) -> Result<Heap, String> + Sync,
@@ -113,7 +113,7 @@ fn a_run_cut_after_any_trial_and_resumed_ends_with_the_same_bytes_at_any_number_
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         for cut in 0..=whole.len() {
-            // What a store would give back.
+            // What a store would return.
             let text = serde_json::to_string(&whole[..cut]).unwrap();
             let history: Vec<Trial> = serde_json::from_str(&text).unwrap();
             let asked = Mutex::new(Vec::new());
@@ -178,7 +178,8 @@ fn of_good_candidates_those_far_apart_are_verified_first() {
         let [friction, damping, mass] = coordinates;
         space::parameters_at(&[0.5, 0.5, 0.5, 0.5, friction, 0.5, damping, 0.5, mass])
     };
-    // All at the target but the last, which is within the tolerance: three neighbours, one at the other end, one between.
+    // All at the target except the last, which is within the tolerance: three neighbours, one at
+    // the other end, one in between.
     let points = [
         [0.5, 0.1, 0.1],
         [0.5, 0.12, 0.1],
@@ -218,7 +219,7 @@ fn progress_never_goes_back_and_ends_at_one() {
 
 #[test]
 fn refused_simulations_are_recorded_and_then_avoided() {
-    // Gravity below 0.7 of the published range never gives a heap: half of the box.
+    // Gravity below 0.7 of the published range never yields a heap: half of the box.
     let picky = |set: &ParameterSet, _: Pour, seed| match set.gravity_scale() < 0.7 {
         true => Err("the base is not covered".to_owned()),
         false => formula(set, POUR, seed),
@@ -271,7 +272,7 @@ fn a_simulator_that_always_refuses_or_answers_nonsense_ends_in_an_explanation() 
         assert!(short.to_string().contains("no simulation gave an angle"));
         assert!(!serde_json::to_string(&trials).unwrap().contains("null,"), "a number was lost");
     }
-    // Angles that do not depend on anything, and an emulator with nothing to learn.
+    // Constant angles, and an emulator with nothing to learn.
     let (_, flat) = recorded(&few(), |_, _, _| heap(36.0));
     assert_eq!(flat.unwrap().sets.len(), 4);
 }
@@ -294,7 +295,7 @@ fn a_history_of_another_calibration_is_refused_by_its_first_foreign_trial() {
         calibrate(&target(deg), settings, None, history, formula, |_, _| ControlFlow::Continue(()))
     };
     assert_eq!(resume(36.03, &Settings { seed: 4, ..few() }, &trials), Err(Error::History { index: 0 }));
-    // The first design is the same for every target, what follows is not.
+    // The first design is the same for every target, later rounds are not.
     assert!(matches!(resume(28.0, &few(), &trials), Err(Error::History { index }) if index >= 6));
     let mut gap = trials.clone();
     gap.remove(2);

@@ -1,4 +1,4 @@
-//! One simulation of a calibration, and what the calibration ends with.
+//! One simulation of a calibration, and the calibration's result.
 
 use super::settings::Settings;
 use flip_core::domain::parameters::ParameterSet;
@@ -10,27 +10,28 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
-    /// To learn where the target angle is reached.
+    /// Finds where the target angle is reached.
     Search,
-    /// To measure a candidate again with a seed that the search has not seen.
+    /// Measures a candidate again with a seed not used in the search.
     Verification,
 }
 
 /// How a heap is poured and read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Pour {
-    /// Its grains.
+    /// Number of grains.
     pub particles: u32,
-    /// Its readings, over which its angle is the mean.
+    /// Number of readings, over which its angle is averaged.
     pub readings: u32,
 }
 
 /// One simulated heap.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Heap {
-    /// Angle of repose from the apex, atan(2 h / d_base), degrees; the one that calibration compares.
+    /// Angle of repose from the apex, atan(2 h / d_base), degrees; the one used in calibration.
     pub tip_deg: f64,
-    /// Standard deviation of that angle over the readings of the heap, degrees; none for one reading.
+    /// Standard deviation of that angle over the readings of the heap, degrees; none for a single
+    /// reading.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tip_sd_deg: Option<f64>,
     /// Slope of a cone fitted between 20 % and 80 % of the height, degrees.
@@ -45,15 +46,15 @@ pub struct Heap {
 pub enum Outcome {
     /// A heap with an angle.
     Heap(Heap),
-    /// No angle, and why.
+    /// No angle, with the reason.
     Refused(String),
 }
 
 impl Outcome {
-    /// From what a simulation answered. An answer that is not a number is a refusal.
+    /// Converts a simulation's result. A result that is not a number counts as refused.
     ///
-    /// Rounded to a millionth of a degree: far below any noise, and the same number after a trip through JSON, which
-    /// a resumed calibration depends on.
+    /// Rounded to a millionth of a degree: far below any noise, and unchanged by a round trip
+    /// through JSON, which a resumed calibration depends on.
     pub(super) fn of(answer: Result<Heap, String>) -> Self {
         match answer {
             Ok(h) if [h.tip_deg, h.cone_deg, h.creep_deg_per_s].iter().all(|v| v.is_finite()) => Self::Heap(Heap {
@@ -80,34 +81,34 @@ fn one() -> u32 {
     1
 }
 
-/// Rounded to six decimals.
+/// Rounds to six decimals.
 pub(super) fn micro(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }
 
-/// One simulation: what was asked, and what came.
+/// One simulation: its inputs and its outcome.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Trial {
-    /// Position in the history, from 0, both phases counted together.
+    /// Index in the history, from 0, counting both phases.
     pub index: u32,
     /// Search or verification.
     pub phase: Phase,
     /// Index of the search trial whose parameters these are; its own for a search trial.
     pub candidate: u32,
-    /// What was simulated.
+    /// The simulated parameters.
     pub parameters: ParameterSet,
     /// Seed of the simulation: derived from the calibration's seed, the candidate and the repeat.
     pub seed: u64,
-    /// Readings of the heap, over which its angle is the mean.
+    /// Number of readings of the heap, over which its angle is averaged.
     #[serde(default = "one")]
     pub readings: u32,
-    /// What came.
+    /// Its outcome.
     pub outcome: Outcome,
-    /// |tip angle - target|, degrees, rounded as the angle is; none if refused.
+    /// |tip angle - target|, degrees, rounded like the angle; none if refused.
     pub error_deg: Option<f64>,
 }
 
-/// A simulation that is to be run: a [`Trial`] without its outcome.
+/// A simulation to be run: a [`Trial`] without its outcome.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Planned {
     pub phase: Phase,
@@ -118,13 +119,13 @@ pub(super) struct Planned {
 }
 
 impl Planned {
-    /// A search trial; `index` will be its own.
+    /// A search trial, which will get the index `index`.
     pub fn search(index: u32, parameters: ParameterSet, seed: u64) -> Self {
         let seed = derive(seed, &[u64::from(index), 0]);
         Self { phase: Phase::Search, candidate: index, parameters, seed, readings: 1 }
     }
 
-    /// The same, its heap read so often.
+    /// Sets the number of readings of its heap.
     pub fn read(self, readings: u32) -> Self {
         Self { readings, ..self }
     }
@@ -134,7 +135,8 @@ impl Planned {
         Self::fresh(of.index, of.parameters, repeat, settings)
     }
 
-    /// The `repeat`-th verification, from 1, of candidate `index`, which need not have been simulated before.
+    /// The `repeat`-th verification, from 1, of candidate `index`, which need not have been
+    /// simulated before.
     pub fn fresh(candidate: u32, parameters: ParameterSet, repeat: u32, settings: &Settings) -> Self {
         let seed = derive(settings.seed, &[u64::from(candidate), u64::from(repeat)]);
         Self { phase: Phase::Verification, candidate, parameters, seed, readings: settings.readings }
@@ -160,14 +162,15 @@ impl Planned {
 pub struct CalibratedSet {
     /// The nine values.
     pub parameters: ParameterSet,
-    /// Mean tip angle over its verification runs, degrees. The search run, which chose the set, is left out: it is
-    /// biased towards the target.
+    /// Mean tip angle over its verification runs, degrees. The search run, which chose the set, is
+    /// excluded because it is biased towards the target.
     pub repose_deg: f64,
     /// SD of the tip angle over its verification runs, degrees; none for a single run.
     pub repose_sd_deg: Option<f64>,
     /// Verification runs.
     pub runs: u32,
-    /// The error by which the method chose the set, degrees: |repose_deg - target|, with the published method that of the search run.
+    /// The error by which the method chose the set, degrees: |repose_deg - target|; with the
+    /// published method, that of the search run.
     pub error_deg: f64,
     /// |repose_deg - target|, degrees.
     pub verified_error_deg: f64,
@@ -176,9 +179,10 @@ pub struct CalibratedSet {
 /// A finished calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Calibration {
-    /// What was to be met.
+    /// The target.
     pub target: Flowability,
-    /// Search simulations of this calibration; those of a shared emulator are counted with the emulator.
+    /// Search simulations of this calibration; those of a shared emulator are counted with the
+    /// emulator.
     pub evaluations: u32,
     /// Verification simulations.
     pub verification_runs: u32,
@@ -190,18 +194,20 @@ pub struct Calibration {
     pub sd_error_deg: Option<f64>,
     /// Mean of the sets' verified errors, degrees; none without sets.
     pub verified_error_deg: Option<f64>,
-    /// Angle of the heaps that verify less that of heaps of the emulator's size, degrees; none where they are of one size.
+    /// Angle of the verification heaps minus that of heaps of the emulator's size, degrees; none if
+    /// the sizes are equal.
     pub size_shift_deg: Option<f64>,
     /// Why there are fewer sets than wanted, if there are.
     pub shortfall: Option<Shortfall>,
 }
 
-/// What stands between a target and a simulated powder.
+/// Why a target could not be reached.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Shortfall {
-    /// The simulated angle nearest to the target, degrees: the mean of verification runs where there are some.
+    /// The simulated angle nearest to the target, degrees: the mean of the verification runs if
+    /// there are any.
     pub nearest_repose_deg: f64,
-    /// The parameter at one of its bounds whose further change would bring the angle nearest to the target; none when the target is within reach
-    /// and only the budget was too small.
+    /// The parameter at one of its bounds whose further change would bring the angle nearest to the
+    /// target; none if the target is within reach and only the budget was too small.
     pub limiting_parameter: Option<String>,
 }

@@ -1,4 +1,4 @@
-//! From search trials that look right to sets that are.
+//! From promising search trials to verified sets.
 
 use super::propose::Belief;
 use super::settings::Settings;
@@ -8,12 +8,12 @@ use flip_core::domain::powder::Flowability;
 use flip_core::stats::latin_hypercube::distance;
 use flip_core::stats::summary;
 
-/// A search trial becomes a candidate when the belief, which knows all trials, gives it at least this probability of
-/// passing its verification. Its own angle alone would not do: one lucky seed is not worth the runs, and one unlucky seed
-/// no reason to search again.
+/// A search trial becomes a candidate when the belief, fitted to all trials, gives it at least this
+/// probability of passing its verification. Its own angle alone is not enough: one lucky seed does
+/// not justify the runs, and one unlucky seed does not justify searching again.
 const LIKELY: f64 = 0.6;
 
-/// Search trials that are likely to pass their verification and had none yet, oldest first.
+/// Search trials that are likely to pass their verification and have had none yet, oldest first.
 pub(super) fn candidates<'a>(trials: &'a [Trial], belief: &Belief, settings: &Settings) -> Vec<&'a Trial> {
     let verified = |c: &Trial| trials.iter().any(|t| t.phase == Phase::Verification && t.candidate == c.index);
     let likely = |c: &Trial| {
@@ -24,14 +24,15 @@ pub(super) fn candidates<'a>(trials: &'a [Trial], belief: &Belief, settings: &Se
     search.filter(|t| !verified(t) && likely(t)).collect()
 }
 
-/// Up to `wanted` candidates to verify next, spread over the box, near to the target rather than at the tolerance:
-/// one after the other that with the largest
+/// Chooses up to `wanted` candidates to verify next, spread over the box, near the target rather
+/// than at the tolerance: one after another, the one with the largest
 ///
 /// ```text
 /// distance to the nearest set taken * (1 - expected error / (2 tolerance))
 /// ```
 ///
-/// `taken` are the points of the sets verified before. The maximin idea is that of Johnson, Moore and Ylvisaker (1990).
+/// `taken` are the points of the sets verified before. The maximin idea is from Johnson, Moore and
+/// Ylvisaker (1990).
 pub(super) fn choose<'a>(
     mut candidates: Vec<&'a Trial>,
     mut taken: Vec<Point>,
@@ -43,7 +44,7 @@ pub(super) fn choose<'a>(
     while chosen.len() < wanted && !candidates.is_empty() {
         let merit = |c: &&Trial| {
             let point = c.parameters.to_unit();
-            // With nothing taken yet every distance is alike.
+            // With nothing taken yet, all distances are equal.
             let nearest = taken.iter().map(|other| distance(&point, other)).fold(3.0, f64::min);
             nearest * (1.0 - belief.expected_error_deg(&point) / (2.0 * settings.tolerance_deg))
         };
@@ -62,7 +63,7 @@ pub(super) fn verified(trials: &[Trial], target: &Flowability, settings: &Settin
     sets.filter(|set| set.verified_error_deg <= settings.tolerance_deg).collect()
 }
 
-/// Candidates that were verified, by the index they have in their verification runs, in order.
+/// Verified candidates, by the index they have in their verification runs, in order.
 pub(super) fn candidates_of(trials: &[Trial]) -> Vec<u32> {
     let mut indices: Vec<u32> = Vec::new();
     for trial in trials.iter().filter(|t| t.phase == Phase::Verification) {
@@ -74,7 +75,7 @@ pub(super) fn candidates_of(trials: &[Trial]) -> Vec<u32> {
     indices
 }
 
-/// What its verification says of a candidate, once it is complete.
+/// The verification result of a candidate, once complete.
 pub(super) fn verdict(
     candidate: u32,
     trials: &[Trial],

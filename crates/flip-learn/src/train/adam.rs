@@ -7,36 +7,38 @@
 /// theta -= lr * (m / (1 - b1^t)) / (sqrt(v / (1 - b2^t)) + eps)
 /// ```
 ///
-/// with b1 = 0.9, b2 = 0.999 and eps = 1e-8, libtorch's defaults. One loop over flat memory: libtorch's optimiser keeps its
-/// moments where no checkpoint can reach them, and for small networks its dispatch costs more than the arithmetic.
+/// with b1 = 0.9, b2 = 0.999 and eps = 1e-8, libtorch's defaults. One loop over flat memory:
+/// libtorch's optimiser keeps its moments out of a checkpoint's reach, and for small networks its
+/// dispatch costs more than the arithmetic.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adam {
     /// Running mean of the gradient.
     pub m: Vec<f32>,
-    /// Running mean of its square.
+    /// Running mean of the squared gradient.
     pub v: Vec<f32>,
-    /// Steps so far.
+    /// Number of steps so far.
     pub t: u64,
 }
 
 const B1: f32 = 0.9;
 const B2: f32 = 0.999;
 const EPS: f32 = 1e-8;
-/// Moments below this are zero. A unit that is never active has no gradient, and its moments shrink until they are no normal
-/// numbers (below 1.2e-38), where they stay for ever and each operation takes a hundred cycles. A root of 1e-35 is lost beside
-/// `EPS` in single precision, and a mean of 1e-35 moves a parameter by less than 1e-27 learning rates.
+/// Moments below this are flushed to zero. A unit that is never active has no gradient, and its
+/// moments decay into denormals (below 1.2e-38), where they stay and each operation takes a hundred
+/// cycles. A root of 1e-35 is lost next to `EPS` in single precision, and a mean of 1e-35 moves a
+/// parameter by less than 1e-27 learning rates.
 const TINY: f32 = 1e-35;
 
 impl Adam {
-    /// For `parameters` parameters, before the first step.
+    /// State for `parameters` parameters, before the first step.
     pub fn new(parameters: usize) -> Self {
         Self { m: vec![0.0; parameters], v: vec![0.0; parameters], t: 0 }
     }
 
-    /// One step of size `learning_rate` down `gradient`.
+    /// Takes one step of size `learning_rate` down `gradient`.
     ///
     /// # Panics
-    /// When the lengths differ.
+    /// If the lengths differ.
     pub fn step(&mut self, theta: &mut [f32], gradient: &[f32], learning_rate: f64) {
         assert!(theta.len() == self.m.len() && gradient.len() == self.m.len());
         self.t += 1;
@@ -52,7 +54,7 @@ impl Adam {
     }
 }
 
-/// Zero for what is too small to move a parameter.
+/// Flushes a moment to zero if it is too small to move a parameter.
 fn flushed(moment: f32) -> f32 {
     if moment.abs() < TINY { 0.0 } else { moment }
 }
@@ -84,7 +86,7 @@ mod tests {
     fn moments_of_a_silent_parameter_end_at_zero_and_are_never_subnormal() {
         let (mut theta, mut adam) = ([1.0f32], Adam::new(1));
         adam.step(&mut theta, &[1e-3], 0.01);
-        // 0.999^k takes 1e-9 below 1e-35 after sixty thousand steps.
+        // 0.999^k brings 1e-9 below 1e-35 after sixty thousand steps.
         for _ in 0..70_000 {
             adam.step(&mut theta, &[0.0], 0.01);
             assert!(!adam.m[0].is_subnormal() && !adam.v[0].is_subnormal());

@@ -1,7 +1,8 @@
-//! A training as bytes, and back.
+//! Serialisation of a training to bytes and back.
 //!
-//! One safetensors file: flat weights, optimiser moments and remembered steps as tensors, everything else as JSON in its metadata.
-//! There is no generator state to save: every random number comes from a stream that a counter names.
+//! One safetensors file: flat weights, optimiser moments and replay steps as tensors, everything
+//! else as JSON in its metadata. There is no generator state to save: every random number comes
+//! from a stream identified by a counter.
 
 use super::adam::Adam;
 use super::curriculum::Curriculum;
@@ -17,23 +18,23 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 
-/// The only metadata key: the format keeps no order among several.
+/// The only metadata key: the format does not preserve the order of several.
 const KEY: &str = "flip.training";
-/// Raised when the layout changes: an older checkpoint is then refused, not misread.
+/// Incremented when the layout changes, so that an older checkpoint is rejected, not misread.
 const VERSION: u32 = 5;
 
 #[derive(Serialize, Deserialize)]
 struct Header {
     version: u32,
-    /// SHA-256 of settings and levels: a checkpoint resumes the training it came from and no other.
+    /// SHA-256 of settings and levels: a checkpoint resumes only the training it came from.
     training: String,
     curriculum: Curriculum,
     progress: Progress,
-    /// Steps of the three optimisers.
+    /// Step counts of the three optimisers.
     adam_steps: [u64; 3],
-    /// Position of the oldest remembered step or episode.
+    /// Position of the oldest stored step or episode.
     oldest: usize,
-    /// Steps of each remembered episode; empty where single steps are remembered.
+    /// Steps of each stored episode; empty if single steps are stored.
     lengths: Vec<u32>,
 }
 
@@ -42,7 +43,7 @@ fn fingerprint(levels: &[Level], settings: &Settings) -> String {
     hex::encode(Sha256::digest(text))
 }
 
-/// Names of the learner's blocks, and the blocks.
+/// The learner's blocks with their names.
 fn blocks(learner: &Learner) -> [(&'static str, &[f32]); 11] {
     let l = learner;
     [
@@ -60,7 +61,7 @@ fn blocks(learner: &Learner) -> [(&'static str, &[f32]); 11] {
     ]
 }
 
-/// A checkpoint of this state.
+/// Serialises this state.
 pub(super) fn encode(state: &State, levels: &[Level], settings: &Settings) -> Vec<u8> {
     let Remembered { rows, lengths, states, oldest } = state.replay.to_plain();
     let learner = &state.learner;
@@ -86,10 +87,10 @@ pub(super) fn encode(state: &State, levels: &[Level], settings: &Settings) -> Ve
         .expect("names differ, the header is small")
 }
 
-/// The state in a checkpoint of this training.
+/// Restores the state from a checkpoint of this training.
 ///
 /// # Errors
-/// What is wrong with it, for people.
+/// The problem, as readable text.
 pub(super) fn decode(bytes: &[u8], levels: &[Level], settings: &Settings) -> Result<State, String> {
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| e.to_string())?;
     let text = metadata.metadata().as_ref().and_then(|m| m.get(KEY)).ok_or("it holds no training")?;

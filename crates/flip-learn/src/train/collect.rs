@@ -1,4 +1,4 @@
-//! A round of episodes, played in parallel with one snapshot of the policy.
+//! One round of episodes, played in parallel with one snapshot of the policy.
 
 use super::environment::{Filling, Played, Spoon, play};
 use super::episodes::Episode;
@@ -15,7 +15,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 
-/// Names of the random streams: the first index after the training's seed.
+/// Identifiers of the random streams: the first index after the training's seed.
 pub(super) mod stream {
     pub const INITIALISE: u64 = 1;
     pub const EPISODE: u64 = 2;
@@ -23,17 +23,17 @@ pub(super) mod stream {
     pub const SPOONS: u64 = 4;
 }
 
-/// An episode before it is played: everything is drawn from its own seed.
+/// A planned episode: everything is drawn from its own seed.
 pub struct Planned {
-    /// Index over the whole training.
+    /// Index within the whole training.
     pub index: u32,
     /// Level it belongs to.
     pub level: u32,
-    /// Its powder is drawn from the whole box, and does not count towards the level.
+    /// Whether its powder is drawn from the whole box; it then does not count towards the level.
     pub randomised: bool,
-    /// Powder, as its conditions leave it.
+    /// Powder parameters, with its conditions applied.
     pub set: ParameterSet,
-    /// What else its conditions change.
+    /// The other changes made by its conditions.
     patch: Patch,
     heap: u32,
     /// Angle of repose of its level, degrees.
@@ -43,12 +43,12 @@ pub struct Planned {
     seed: u64,
 }
 
-/// Seed index of the spoonful within an episode that is played on the surrogate.
+/// Seed index of the spoonful in an episode played on the surrogate.
 const SPOONFUL: u64 = 2;
 /// Seed index of an episode's conditions.
 const CONDITIONS: u64 = 3;
 
-/// Draw episode `index` of a training that now stands at `level`.
+/// Plans episode `index` of a training currently at `level`.
 pub fn plan(index: u32, level: u32, levels: &[Level], settings: &Settings) -> Planned {
     let seed = derive(settings.seed, &[stream::EPISODE, index.into()]);
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
@@ -77,8 +77,8 @@ pub fn plan(index: u32, level: u32, levels: &[Level], settings: &Settings) -> Pl
     Planned { index, level, randomised, set, patch, heap, repose_deg, target_mg, rng, seed }
 }
 
-/// Play these episodes, one per task; results are in order. Without an actor the actions are random. None when `flow` said to stop before all were
-/// played.
+/// Plays these episodes, one per task; results are in order. Without an actor the actions are
+/// random. None if `flow` requested a stop before all were played.
 pub fn play_round<F: Filling>(
     planned: Vec<Planned>,
     actor: Option<&Actor>,
@@ -86,7 +86,7 @@ pub fn play_round<F: Filling>(
     settings: &Settings,
     flow: &Flow<'_>,
 ) -> Option<Vec<(Planned, Played)>> {
-    // A day that comes once is not worth the room that its spoons take.
+    // If days do not recur, keeping their spoons is not worth the memory.
     let recur = settings.extended.as_ref().is_none_or(Extended::is_held);
     planned
         .into_par_iter()
@@ -127,7 +127,7 @@ fn random_action(tilt: f32, rng: &mut Pcg64Mcg) -> [f32; OUTPUTS] {
     [(uniform() + tilt).clamp(-1.0, 1.0), uniform()]
 }
 
-/// What the learner remembers of an episode; `actor` is the present one, whether or not it played.
+/// Converts an episode for the replay memory; `actor` is the current one, whether or not it played.
 pub fn remembered(plan: &Planned, played: &Played, actor: &Actor, settings: &Settings) -> Episode {
     let parameters = plan.set.to_unit().map(|x| x as f32);
     let (target_mg, repose_deg) = (played.target_mg as f32, plan.repose_deg.unwrap_or(0.0) as f32);

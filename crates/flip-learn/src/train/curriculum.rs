@@ -4,18 +4,18 @@ use flip_policy::{Switch, SwitchReason};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// The published rule for moving on.
+/// The published rule for advancing to the next level.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[schema(as = CurriculumRule)]
 #[serde(deny_unknown_fields)]
 pub struct Rule {
-    /// Errors in the queue, K. Default 20.
+    /// Length of the error queue, K. Default 20.
     pub queue: u32,
-    /// Move on when the mean of a full queue is below this, mg. Default 0.8.
+    /// Advance when the mean of a full queue is below this, mg. Default 0.8.
     pub mean_mg: f64,
-    /// Move on when the maximum of a full queue is below this, mg. Default 1.
+    /// Advance when the maximum of a full queue is below this, mg. Default 1.
     pub max_mg: f64,
-    /// Otherwise move on after this many episodes on a level. Default 1330.
+    /// Otherwise advance after this many episodes on a level. Default 1330.
     pub episodes_max: u32,
 }
 
@@ -25,7 +25,7 @@ impl Default for Rule {
     }
 }
 
-/// Where a training stands between its levels. Plain data: part of a checkpoint.
+/// State of a training within its curriculum. Plain data: part of a checkpoint.
 ///
 /// After each episode its error joins the queue (the oldest leaves when K are queued) and
 ///
@@ -34,10 +34,11 @@ impl Default for Rule {
 /// otherwise, 1330 episodes on this level              -> next level
 /// ```
 ///
-/// On a move the queue and the counter are cleared; the last level is kept to the end.
+/// On a move the queue and the counter are cleared; the last level never ends.
 ///
-/// Source: the paper's prose. In its Algorithm 2 as printed the episode limit is tested only while the queue is not full,
-/// so that with K = 20 it could never fire after 1330 episodes; here it is tested after every episode.
+/// Source: the paper's prose. In its Algorithm 2 as printed the episode limit is tested only while
+/// the queue is not full, so with K = 20 it could never trigger after 1330 episodes; here it is
+/// tested after every episode.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Curriculum {
     rule: Rule,
@@ -50,10 +51,11 @@ pub struct Curriculum {
 }
 
 impl Curriculum {
-    /// The first of `levels` levels, at most `level_episodes_max` episodes on each but the last.
+    /// Starts at the first of `levels` levels, with at most `level_episodes_max` episodes on each
+    /// but the last.
     ///
     /// # Panics
-    /// Without levels.
+    /// If there are no levels.
     pub fn new(levels: u32, rule: &Rule, level_episodes_max: u32) -> Self {
         assert!(levels > 0, "a curriculum needs a level");
         Self {
@@ -67,7 +69,8 @@ impl Curriculum {
         }
     }
 
-    /// Begin again, at most `level_episodes_max` episodes on each level but the last: the training has left the surrogate.
+    /// Restarts at the first level, with at most `level_episodes_max` episodes on each but the
+    /// last: the training has left the surrogate.
     pub fn begin_again(&mut self, level_episodes_max: u32) {
         if self.level > 0 {
             let reason = SwitchReason::Simulator;
@@ -89,15 +92,16 @@ impl Curriculum {
         &self.switches
     }
 
-    /// Count an episode that belongs to no level.
+    /// Counts an episode that belongs to no level.
     pub fn pass(&mut self) {
         self.episodes += 1;
     }
 
-    /// Count an episode that ran on `level` with this absolute error, mg; returns the move it caused.
+    /// Counts an episode that ran on `level` with this absolute error, mg; returns the move it
+    /// caused.
     ///
-    /// Episodes are collected in rounds: one that began on an earlier level counts as an episode and no more. An error
-    /// that is not a number is queued as the largest number.
+    /// Episodes are collected in rounds: one that began on an earlier level only counts as an
+    /// episode. An error that is not a number is queued as the largest number.
     pub fn record(&mut self, level: u32, error_mg: f64) -> Option<&Switch> {
         self.episodes += 1;
         if level != self.level {
@@ -150,7 +154,7 @@ mod tests {
         assert_eq!(moves(&mut curriculum, 9), [time_out(4, 0), time_out(8, 1), back, time_out(12, 0), time_out(14, 1)]);
     }
 
-    /// The episodes at which a curriculum of three levels moves when errors follow `error`.
+    /// The episodes at which a curriculum of three levels moves if the errors follow `error`.
     fn switches(episodes: u32, error: impl Fn(u32) -> f64) -> Vec<(u32, u32, SwitchReason)> {
         let mut curriculum = Curriculum::new(3, &Rule::default(), 1330);
         for k in 0..episodes {
@@ -163,17 +167,17 @@ mod tests {
     #[test]
     fn scripted_errors_move_the_level_when_the_paper_says() {
         use SwitchReason::{Maximum, Mean, TimeOut};
-        // Good from the start: each level needs a full queue of its own, and the last is kept.
+        // Good from the start: each level needs a full queue of its own, and the last never ends.
         assert_eq!(switches(100, |_| 0.5), [(20, 1, Mean), (40, 2, Mean)]);
-        // Exactly 0.8 mg is not below it, but all 20 are below 1 mg.
+        // Exactly 0.8 mg is not below the limit, but all 20 are below 1 mg.
         assert_eq!(switches(25, |_| 0.8), [(20, 1, Maximum)]);
-        // A single 1 mg among 0.9 mg: neither rule until it has left the queue.
+        // A single 1 mg among 0.9 mg: neither rule applies until it has left the queue.
         assert_eq!(switches(25, |k| if k == 3 { 1.0 } else { 0.9 }), [(24, 1, Maximum)]);
-        // One large error among small ones: the mean forgives it.
+        // One large error among small ones: the mean tolerates it.
         assert_eq!(switches(20, |k| if k == 3 { 9.0 } else { 0.3 }), [(20, 1, Mean)]);
         // Never good: the time-out, on the first two levels only.
         assert_eq!(switches(4000, |_| 5.0), [(1330, 1, TimeOut), (2660, 2, TimeOut)]);
-        // Good only late: moves once two large errors are left among 20, not at the time-out.
+        // Good only late: moves once two large errors are left among 20, before the time-out.
         assert_eq!(switches(1200, |k| if k < 1000 { 5.0 } else { 0.1 }), [(1018, 1, Mean), (1038, 2, Mean)]);
     }
 

@@ -1,4 +1,4 @@
-//! One simulated dose after another: what a learner practises on.
+//! Simulated doses, one after another: the learner's training environment.
 
 use super::settings::Settings;
 use flip_core::domain::bench::Action;
@@ -9,13 +9,14 @@ use flip_policy::{Episode, ON_TARGET_MG, Observation, Rules};
 use flip_sim::balance;
 use flip_sim::dispense::{self, Dispenser};
 
-/// A spoon that can be filled. The simulator's is [`Simulated`]; tests use a formula.
+/// A source of filled spoons. The simulator's is [`Simulated`]; tests use a formula.
 pub trait Filling: Sync {
-    /// What a filled spoon is.
+    /// The type of a filled spoon.
     type Spoon: Spoon;
-    /// A spoon filled with this powder; costly, so the result is kept and cloned.
+    /// Fills a spoon with this powder; expensive, so the result is kept and cloned.
     fn fill(&self, set: &ParameterSet, seed: u64) -> Self::Spoon;
-    /// The same under conditions whose part in the powder's parameters is in `set` already; a spoon without mechanisms feels nothing else.
+    /// Like [`Self::fill`], under conditions whose effect on the powder's parameters is already in
+    /// `set`; a spoon without mechanisms ignores the rest.
     fn fill_under(&self, set: &ParameterSet, _patch: &Patch, seed: u64) -> Self::Spoon {
         self.fill(set, seed)
     }
@@ -23,13 +24,14 @@ pub trait Filling: Sync {
 
 /// A filled spoon over a vial.
 pub trait Spoon: Clone + Send + Sync {
-    /// Carry out one action until the powder rests.
+    /// Carries out one action and waits until the powder rests.
     fn step(&mut self, action: Action);
-    /// Pitch now, degrees.
+    /// Current pitch, degrees.
     fn pitch_deg(&self) -> f64;
     /// True mass in the vial, mg.
     fn vial_mg(&self) -> f64;
-    /// The simulation left the range where its numbers mean anything; the last step is not to be used.
+    /// Whether the simulation has left the range where its numbers are meaningful; the last step
+    /// must then not be used.
     fn has_failed(&self) -> bool {
         false
     }
@@ -68,7 +70,7 @@ impl Spoon for Dispenser {
     }
 }
 
-/// The published reward for a true error, mg.
+/// The published reward for the true mass in the vial, mg.
 ///
 /// ```text
 /// D = -|target - true|          r = D + 1 if D > -1 mg, else D
@@ -78,10 +80,12 @@ pub fn reward(target_mg: f64, true_mg: f64) -> f64 {
     if d > -ON_TARGET_MG { d + 1.0 } else { d }
 }
 
-/// One step as it is remembered: nothing in it depends on the target, so any target can be asked of it afterwards.
+/// One step as stored: nothing in it depends on the target, so it can be evaluated for any target
+/// afterwards.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
-    /// What the step before let fall by the balance's account, mg; at the first one, what the tared balance shows.
+    /// Mass that fell in the previous step according to the balance, mg; for the first step, the
+    /// reading of the tared balance.
     pub fell_mg: f32,
     /// Reading before the step, mg.
     pub reading_mg: f32,
@@ -108,18 +112,20 @@ pub struct Played {
     pub dispensed_mg: f64,
     /// Last reading, mg.
     pub reading_mg: f64,
-    /// Sum of the published rewards.
+    /// Sum of the published rewards over the episode.
     pub reward: f64,
-    /// How it ended.
+    /// Final state of the episode.
     pub ending: Episode,
 }
 
-/// Seed indices of what happens within one episode.
+/// Seed indices of the random events within one episode.
 const BALANCE: u64 = 1;
 
-/// Play one episode: `propose` is asked before each step and answers in -1..=1. The vial is tared first.
+/// Plays one episode: `propose` is called before each step and returns values in -1..=1. The vial
+/// is tared first.
 ///
-/// A simulation that fails ends the episode before the failed step, as a time-out: nothing is learned from it.
+/// If the simulation fails, the episode ends before the failed step, as a time-out, so that nothing
+/// is learned from it.
 pub fn play(
     spoon: &mut impl Spoon,
     rules: &Rules,
@@ -165,7 +171,7 @@ pub fn play(
     Played { steps, target_mg, dispensed_mg: true_mg, reading_mg: seen.reading_mg, reward: sum, ending }
 }
 
-/// The simulator's spoon as these settings ask for it.
+/// The simulator's spoon for these settings.
 pub fn simulated(settings: &Settings) -> Simulated {
     Simulated { settings: dispense::Settings { pitch: settings.rules.pitch, ..settings.spoon } }
 }

@@ -5,20 +5,22 @@ use super::settings::Settings;
 use flip_policy::{Actor, OUTPUTS};
 use rand::Rng;
 
-/// A remembered episode.
+/// A stored episode.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Episode {
     /// Its steps.
     pub steps: Vec<Memory>,
-    /// The state `[2 * hidden]` that the actor had after the first step, with its weights of that time; empty where it is not kept.
+    /// The actor's state `[2 * hidden]` after the first step, with its weights at that time; empty
+    /// if not stored.
     pub state: Vec<f32>,
 }
 
 impl Episode {
-    /// Remember these steps of an episode that `actor` played; or could have played, where the actions were random.
+    /// Stores these steps of an episode that `actor` played, or could have played if the actions
+    /// were random.
     ///
-    /// The published code stores the state before the first step, which is zero, and this one. It depends on the first observation alone,
-    /// so it is computed here.
+    /// The published code stores the state before the first step, which is zero, and this one. It
+    /// depends on the first observation alone, so it is computed here.
     pub fn new(steps: Vec<Memory>, actor: &Actor, settings: &Settings) -> Self {
         let state = match steps.first() {
             Some(first) if settings.stores_states() => {
@@ -33,11 +35,13 @@ impl Episode {
     }
 }
 
-/// Draw `batch` episodes with replacement. One that is asked about another target ends where it would have ended for that.
+/// Draws `batch` episodes with replacement. One relabelled with another target ends where it would
+/// have ended for that target.
 pub(super) fn draw(ring: &Ring<Episode>, settings: &Settings, rng: &mut impl Rng) -> Batch {
     let mut batch = Batch::default();
     let mut stored = Vec::new();
-    // By episode: what is seen before each step and after the last, and what was done before.
+    // Per episode: the observations before each step and after the last, each with the preceding
+    // action.
     let mut courses: Vec<Vec<f32>> = Vec::new();
     for _ in 0..settings.batch {
         let episode = ring.pick(rng);
@@ -61,7 +65,7 @@ pub(super) fn draw(ring: &Ring<Episode>, settings: &Settings, rng: &mut impl Rng
     batch
 }
 
-/// Courses of rows of `width` numbers, of any length, side by side.
+/// Interleaves courses of any length, with rows of `width` numbers.
 pub(super) fn interleave(courses: &[Vec<f32>], width: usize, stored: Vec<f32>) -> Courses {
     let (episodes, longest) = (courses.len(), courses.iter().map(Vec::len).max().unwrap_or(0));
     let mut inputs = vec![0.0; longest * episodes];
@@ -72,7 +76,7 @@ pub(super) fn interleave(courses: &[Vec<f32>], width: usize, stored: Vec<f32>) -
             inputs[place * width..(place + 1) * width].copy_from_slice(row);
             at.push(place as i64);
         }
-        // Nothing follows what is seen last.
+        // Nothing follows the last observation.
         at.pop();
     }
     Courses { episodes, inputs, at, stored: (!stored.is_empty()).then_some(stored) }

@@ -1,4 +1,4 @@
-//! Drawn episodes against what was played.
+//! Drawn episodes compared with the ones played.
 
 use super::*;
 use crate::train::environment::Step;
@@ -9,7 +9,7 @@ use flip_policy::{Encoding, Observation};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
-/// An episode for 12 mg whose readings go through these, in mg.
+/// An episode with a target of 12 mg and these readings, in mg.
 fn episode(readings: &[f32]) -> Vec<Memory> {
     let step = |(k, w): (usize, &[f32])| Memory {
         step: Step {
@@ -45,7 +45,7 @@ fn episodes_are_given_back_whole_and_side_by_side() {
     let batch = replay.draw(&settings, &mut Pcg64Mcg::seed_from_u64(1));
     let courses = batch.courses.unwrap();
     assert_eq!((courses.episodes, courses.inputs.len()), (300, 3 * 300 * 5));
-    // By episode the rows follow one another: two steps for one of the longer kind.
+    // The rows of an episode are consecutive: two steps for one of the longer kind.
     let mut rows = courses.at.iter().zip(batch.now.chunks_exact(3 + COUNT + 2)).zip(batch.next.chunks_exact(3 + COUNT));
     let stored = courses.stored.unwrap();
     for (e, state) in stored.chunks_exact(8).enumerate() {
@@ -62,7 +62,7 @@ fn episodes_are_given_back_whole_and_side_by_side() {
         }
     }
     assert!(rows.next().is_none());
-    // 150 of each kind; 4 sd are 35.
+    // 150 of each kind; 4 SD are 35.
     assert!((115..=185).contains(&stored.chunks_exact(8).filter(|state| state[0] == 1.0).count()));
 }
 
@@ -78,7 +78,7 @@ fn an_episode_asked_about_another_target_ends_where_it_would_have_ended() {
     let mut row = 0;
     for e in 0..300 {
         let first = row;
-        // The first input is what is missing over 10 mg: it tells the target that was asked for.
+        // The first input is the missing mass over 10 mg, which reveals the target used.
         let target_mg = batch.now[first * (settings.encoding.width() + COUNT + 2)] * 10.0;
         assert!((2.0..15.0).contains(&target_mg));
         let expected = if target_mg < 5.0 {
@@ -96,7 +96,7 @@ fn an_episode_asked_about_another_target_ends_where_it_would_have_ended() {
         assert_eq!(row - first, expected, "{target_mg} mg");
         lengths[expected - 1] += 1;
     }
-    // Targets are uniform over 2 to 15 mg: 3/13, 4/13 and 6/13 of 300; 4 sd are 35.
+    // Targets are uniform over 2 to 15 mg: 3/13, 4/13 and 6/13 of 300; 4 SD are 35.
     assert!(
         lengths.iter().zip([69, 92, 138]).all(|(n, expected): (&i32, i32)| (n - expected).abs() <= 35),
         "{lengths:?}"
@@ -122,7 +122,7 @@ fn the_stored_state_is_the_actors_after_the_first_step() {
 
 #[test]
 fn the_oldest_episode_is_forgotten_first_and_plain_numbers_bring_everything_back() {
-    // Room for 30 steps are three episodes of at most ten.
+    // A capacity of 30 steps is three episodes of at most ten.
     let settings = settings(Replayed::StoredState, Preset::Paper, 0.0);
     let mut replay = Replay::new(&settings);
     for k in 1..=4 {

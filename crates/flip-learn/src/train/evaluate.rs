@@ -1,4 +1,4 @@
-//! How well controllers weigh: powders x targets x repeats, the same doses for each.
+//! Accuracy of controllers: powders x targets x repeats, with the same doses for each controller.
 
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::{derive, index_of};
@@ -7,16 +7,16 @@ use flip_policy::{Controller, ON_TARGET_MG};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// A controller and the name it goes by in tables.
+/// A controller and its name in tables.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contender {
     /// Name.
     pub name: String,
-    /// What it does.
+    /// The controller.
     pub controller: Controller,
 }
 
-/// A powder to weigh and its simulated twins; repeats go through them in turn.
+/// A powder to weigh and its simulated twins; repeats cycle through them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Subject {
     /// Powder id.
@@ -25,29 +25,30 @@ pub struct Subject {
     pub sets: Vec<ParameterSet>,
 }
 
-/// How many doses, of what.
+/// Plan of an evaluation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
-    /// Who weighs.
+    /// Controllers to compare.
     pub contenders: Vec<Contender>,
-    /// What is weighed.
+    /// Powders to weigh.
     pub subjects: Vec<Subject>,
     /// Targets, mg.
     pub targets_mg: Vec<f64>,
     /// Doses per contender, powder and target.
     pub repeats: u32,
-    /// Every dose draws from it by powder, target and repeat, so contenders meet the same spoons.
+    /// Seed of every dose, together with powder, target and repeat, so that all contenders get the
+    /// same spoons.
     pub seed: u64,
 }
 
-/// What one weighing came to.
+/// Result of one weighing.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Dose {
     /// True mass in the vial, mg.
     pub dispensed_mg: f64,
     /// Last reading, mg.
     pub reading_mg: f64,
-    /// Steps with a shake.
+    /// Number of steps with a shake.
     pub shakes: u32,
     /// Bench time, s.
     pub seconds: f64,
@@ -67,12 +68,12 @@ pub struct Trial {
     pub repeat: u32,
     /// Id of the parameter set.
     pub parameter_set: String,
-    /// What it came to.
+    /// Its result.
     #[serde(flatten)]
     pub dose: Dose,
 }
 
-/// One controller, powder and target.
+/// Results of one controller for one powder and target.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[schema(as = EvaluationRow)]
 pub struct Row {
@@ -82,7 +83,7 @@ pub struct Row {
     pub powder: String,
     /// Target, mg.
     pub target_mg: f64,
-    /// Doses.
+    /// Number of doses.
     pub n: u32,
     /// Mean absolute error of the true mass, mg.
     pub mae_mg: f64,
@@ -92,7 +93,7 @@ pub struct Row {
     pub bias_mg: f64,
     /// Share of doses more than 1 mg above the target.
     pub over_share: f64,
-    /// Share of doses below 0.5 mg: nothing to speak of was dispensed.
+    /// Share of doses below 0.5 mg: practically nothing was dispensed.
     pub zero_share: f64,
     /// Mean number of shakes.
     pub shakes_mean: f64,
@@ -100,7 +101,7 @@ pub struct Row {
     pub seconds_mean: f64,
 }
 
-/// One controller over all its doses.
+/// Results of one controller over all its doses.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[schema(as = EvaluationSummary)]
 pub struct Summary {
@@ -108,18 +109,19 @@ pub struct Summary {
     pub controller: String,
     /// Mean absolute error, mg.
     pub mae_mg: f64,
-    /// 95 % interval of the mean absolute error: percentiles of 2000 bootstrap samples over the doses, mg.
+    /// 95 % interval of the mean absolute error: percentiles of 2000 bootstrap samples over the
+    /// doses, mg.
     pub ci95: [f64; 2],
     /// Standard deviation of the absolute error over all doses, mg.
     pub sd_trials_mg: f64,
-    /// Mean over powders and targets of the standard deviation within each, mg. The two differ; published tables often
-    /// print this one without saying so.
+    /// Mean over powders and targets of the standard deviation within each, mg. It differs from the
+    /// one above; published tables often print this one without saying so.
     pub sd_within_cells_mg: f64,
     /// Mean signed error, mg; positive is too much.
     pub bias_mg: f64,
     /// Share of doses more than 1 mg above the target.
     pub over_share: f64,
-    /// Share of doses below 0.5 mg: nothing to speak of was dispensed.
+    /// Share of doses below 0.5 mg: practically nothing was dispensed.
     pub zero_share: f64,
     /// Mean number of shakes.
     pub shakes_mean: f64,
@@ -127,24 +129,24 @@ pub struct Summary {
     pub seconds_mean: f64,
 }
 
-/// Everything an evaluation found.
+/// The results of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Evaluation {
-    /// By controller, powder and target, in the plan's order.
+    /// Results by controller, powder and target, in the plan's order.
     pub rows: Vec<Row>,
-    /// By controller.
+    /// Results by controller.
     pub summary: Vec<Summary>,
     /// Every dose.
     pub trials: Vec<Trial>,
 }
 
-/// Weigh every dose of the plan, in parallel; the result does not depend on the number of threads.
+/// Weighs every dose of the plan in parallel; the result does not depend on the number of threads.
 ///
-/// `weigh_once` gets controller, powder, one of its parameter sets, target in mg and seed; it should be the loop that real weighings use. Its first
-/// error ends the evaluation.
+/// `weigh_once` is called with controller, powder, one of its parameter sets, target in mg and
+/// seed; it should be the loop used for real weighings. Its first error ends the evaluation.
 ///
 /// # Errors
-/// Whatever `weigh_once` reports.
+/// Any error of `weigh_once`.
 pub fn evaluate<E: Send>(
     plan: &Plan,
     weigh_once: impl Fn(&Controller, &Subject, &ParameterSet, f64, u64) -> Result<Dose, E> + Sync,
@@ -154,7 +156,8 @@ pub fn evaluate<E: Send>(
         for subject in &plan.subjects {
             for &target_mg in &plan.targets_mg {
                 for repeat in 0..plan.repeats {
-                    // By what the dose is, not by its place in the plan: a longer list changes no dose of a shorter one.
+                    // Seeded by the dose's content, not by its place in the plan: extending the
+                    // plan changes none of the existing doses.
                     let seed = derive(plan.seed, &[index_of(&subject.powder), target_mg.to_bits(), repeat.into()]);
                     doses.push((contender, subject, target_mg, repeat, seed));
                 }
@@ -189,7 +192,7 @@ fn summarise(plan: &Plan, trials: Vec<Trial>) -> Evaluation {
         .zip(rows.chunks(cells))
         .map(|(trials, rows)| {
             let errors: Vec<f64> = trials.iter().map(|t| error_mg(t).abs()).collect();
-            // The doses of one controller are a row over everything.
+            // The doses of one controller form a row over everything.
             let all = row(trials);
             Summary {
                 controller: all.controller,
@@ -208,10 +211,10 @@ fn summarise(plan: &Plan, trials: Vec<Trial>) -> Evaluation {
     Evaluation { rows, summary, trials }
 }
 
-/// Below this nothing to speak of was dispensed, mg.
+/// Below this, practically nothing was dispensed, mg.
 const NOTHING_MG: f64 = 0.5;
 
-/// Bootstrap samples behind an interval.
+/// Number of bootstrap samples for an interval.
 const RESAMPLES: usize = 2000;
 
 fn row(trials: &[Trial]) -> Row {
@@ -257,7 +260,7 @@ mod tests {
         }
     }
 
-    /// Errors of -1, 0, 1 and 2 mg by repeat; friction tells the two sets apart.
+    /// Errors of -1, 0, 1 and 2 mg by repeat; friction distinguishes the two sets.
     fn weigh(set: &ParameterSet, target_mg: f64, counter: f64) -> Dose {
         let dispensed_mg = target_mg + counter + if set.friction() > 0.6 { 1.0 } else { -1.0 };
         Dose { dispensed_mg, reading_mg: dispensed_mg.round(), shakes: 5, seconds: 9.0 }

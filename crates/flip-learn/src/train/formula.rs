@@ -1,4 +1,5 @@
-//! A spoon that follows a formula: the task in microseconds, for tests and benchmarks of the learner.
+//! A spoon that follows a formula: simulates the task in microseconds, for tests and benchmarks of
+//! the learner.
 
 use super::environment::{Filling, Spoon};
 use flip_core::domain::bench::{Action, PitchLimits};
@@ -14,14 +15,15 @@ pub struct Formula {
     pub pitch: PitchLimits,
 }
 
-/// A shake pours a random share of a dose that grows exponentially with the pitch and shrinks with friction.
+/// A shake pours a random share of a dose that grows exponentially with the pitch and shrinks with
+/// friction.
 ///
 /// ```text
 /// m = 0.08 mg/mm * amplitude * exp(0.09 (pitch - 12 friction)) * u,   u ~ U(0.7, 1.3)
 /// ```
 ///
-/// No powder, but the same difficulties: nothing comes at first, much comes late, and no two shakes are alike. The
-/// log-linear rise with tilt is what salt taps on real spoons show.
+/// Not a real powder, but with the same difficulties: nothing comes at first, much comes late, and
+/// no two shakes are alike. The log-linear rise with tilt matches salt taps on real spoons.
 #[derive(Debug, Clone)]
 pub struct FormulaSpoon {
     pitch: PitchLimits,

@@ -1,4 +1,4 @@
-//! The learner on a task whose answer is known in closed form: a linear system with a quadratic cost.
+//! The learner on a task with a closed-form solution: a linear system with a quadratic cost.
 //!
 //! ```text
 //! x' = A x + b a,   A = [[0.95, 0.2], [-0.2, 0.95]],   r = -(|x|^2 + c |a|^2),   discount g
@@ -6,16 +6,18 @@
 //! a* = -g b p / M A x,   M = c + g b^2 p               best action; best return from x is -p |x|^2
 //! ```
 //!
-//! With the entropy bonus the best policy is a Gaussian around the same a* with covariance alpha / (2 M) I: it is proportional to
-//! exp(Q / alpha) (Haarnoja 2018, eq. 4), and Q is quadratic. Its entropy is what the temperature steers to, so the temperature is
-//! known too, and what its noise costs:
+//! With the entropy bonus the best policy is a Gaussian around the same a* with covariance alpha /
+//! (2 M) I: it is proportional to exp(Q / alpha) (Haarnoja 2018, eq. 4), and Q is quadratic. The
+//! temperature is steered to a target entropy, so the temperature and the cost of its noise are
+//! known too:
 //!
 //! ```text
 //! alpha* = 2 M exp(H) / (2 pi e)                       H: target entropy of the two actions, nats
 //! M * 2 * alpha* / (2 M) = alpha* a step               alpha* / (1 - g) in all
 //! ```
 //!
-//! The squash changes this little: from the starts |a*| < 0.5, and the noise, 0.09, is small beside the bend of tanh.
+//! The squash has little effect: from the starts |a*| < 0.5, and the noise, 0.09, is small compared
+//! with the bend of tanh.
 
 use super::*;
 use crate::train::settings::{Order, Preset};
@@ -34,11 +36,12 @@ const RADIUS: f64 = 0.7;
 /// `p` of the best policy.
 fn riccati() -> f64 {
     let s = square(A[0]);
-    // The iteration contracts: a hundred rounds reach the last bit.
+    // The iteration contracts: a hundred rounds converge to the last bit.
     (0..100).fold(1.0, |p, _| 1.0 + GAMMA * s * p * C / (C + GAMMA * B * B * p))
 }
 
-/// Temperature at which the best policy has the target entropy when what comes after a step costs `p |x|^2`.
+/// Temperature at which the best policy has the target entropy if the steps after this one cost
+/// `p |x|^2`.
 fn temperature(p: f64) -> f64 {
     2.0 * (C + GAMMA * B * B * p) * ENTROPY.exp() / (2.0 * std::f64::consts::PI * std::f64::consts::E)
 }
@@ -53,14 +56,15 @@ fn step(x: [f64; 2], a: [f64; 2]) -> ([f64; 2], f64) {
     (next, -(square(x) + C * square(a)))
 }
 
-/// The state as the learner sees it: in the first two inputs, all others and the nine parameters zero.
+/// The state as presented to the learner: in the first two inputs, with all others and the nine
+/// parameters zero.
 fn row(x: [f64; 2], inputs: usize) -> Vec<f32> {
     let mut row = vec![0.0; inputs + COUNT];
     row[..2].copy_from_slice(&x.map(|x| x as f32));
     row
 }
 
-/// Discounted return of a policy from `x`; what comes after 200 steps weighs 1e-31.
+/// Discounted return of a policy from `x`; anything after 200 steps has a weight of 1e-31.
 fn discounted(mut x: [f64; 2], policy: impl Fn([f64; 2]) -> [f64; 2]) -> f64 {
     let mut sum = 0.0;
     for t in 0..200 {
@@ -80,7 +84,8 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// A learner after its updates on random states within 1 and random actions. Its rate falls to zero, so that it comes to rest.
+/// A learner after its updates on random states within 1 and random actions. Its learning rate
+/// falls to zero, so that it converges.
 fn learned(settings: &Settings) -> Learner {
     const UPDATES: u32 = 1500;
     let mut rng = Pcg64Mcg::seed_from_u64(settings.seed);
@@ -120,12 +125,14 @@ fn the_riccati_gain_is_the_best_of_its_neighbours() {
 #[test]
 fn a_linear_system_with_quadratic_cost_is_controlled_as_the_riccati_equation_says() {
     let p = riccati();
-    // What the noise of the wanted entropy costs the best policy: the learner trades returns below this for entropy.
+    // Cost of the target entropy's noise for the best policy: the learner trades returns below this
+    // for entropy.
     let margin = temperature(p) / (1.0 - GAMMA);
     let best = -p * RADIUS * RADIUS;
     let idle = mean(starts().map(|x| discounted(x, |_| [0.0, 0.0])));
     assert!(best - idle > 10.0 * margin, "the task is too easy: {idle} without any action, {best} with the best");
-    // Of one that sees no future, and of one that expects to do nothing after this step.
+    // Temperatures of a policy that ignores the future, and of one that expects to do nothing after
+    // this step.
     let temperatures = temperature(0.0)..temperature(-idle / (RADIUS * RADIUS));
     for seed in 1..=5 {
         let settings = Settings {

@@ -1,16 +1,18 @@
-//! Learning to weigh: parameter sets in, a policy out.
+//! Learning to weigh: from parameter sets to a policy.
 //!
-//! [`train`] plays episodes on simulated spoons ([`environment`]), remembers their steps ([`replay`]) or, for a recurrent network,
-//! whole [`episodes`], improves a policy by Soft Actor-Critic ([`sac`]) and moves from powder to powder as a [`curriculum`] says.
-//! [`evaluate`] measures any controller on doses it never practised; [`schedule`] tunes the open-loop rival that a policy has to beat,
-//! and [`rivals`] those of other robots.
+//! [`train`] plays episodes on simulated spoons ([`environment`]), stores their steps ([`replay`])
+//! or, for a recurrent network, whole [`episodes`], improves a policy by Soft Actor-Critic
+//! ([`sac`]) and moves from powder to powder according to a [`curriculum`]. [`evaluate`] measures
+//! any controller on doses it was not trained on; [`schedule`] tunes the open-loop rival that a
+//! policy has to beat, and [`rivals`] those of other robots.
 //!
-//! *Reproducible*: the same levels, settings and seed give the same bytes at any number of threads and across any
-//! interruption. Episodes are played in rounds of a fixed number, each with a seed of its own; every random number comes
-//! from a stream named by a counter, so a checkpoint needs no generator's state; libtorch runs on one thread.
+//! *Reproducible*: the same levels, settings and seed give the same bytes at any number of threads
+//! and across any interruption. Episodes are played in rounds of a fixed size, each with its own
+//! seed; every random number comes from a stream identified by a counter, so a checkpoint needs no
+//! generator state; libtorch runs on one thread.
 //!
-//! libtorch stays in this folder, behind the feature `libtorch`: a policy is run by [`flip_policy`], in plain Rust. Without the
-//! feature there is everything but [`train`] and [`train_on`].
+//! libtorch is confined to this folder, behind the feature `libtorch`: [`flip_policy`] runs a policy in
+//! plain Rust. Without the feature everything but [`train`] and [`train_on`] remains.
 
 #[cfg(feature = "libtorch")]
 mod adam;

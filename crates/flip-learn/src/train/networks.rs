@@ -1,7 +1,8 @@
 //! The networks' forward passes on flat blocks of parameters.
 //!
-//! A small network's time goes into dispatching tensor operations, not into arithmetic. So a network is one flat f32 block
-//! (cut into views by a single operation, with a single backward), and both critics are computed by one batched product.
+//! A small network spends its time on dispatching tensor operations, not on arithmetic. Each
+//! network is therefore one flat f32 block (split into views by a single operation, with a single
+//! backward pass), and both critics are computed by one batched product.
 
 use super::recurrent::{self, Course};
 use super::settings::{Network, Settings};
@@ -10,38 +11,38 @@ use flip_policy::{Actor, Encoding, OUTPUTS};
 use rand::{Rng, RngExt};
 use tch::Tensor;
 
-/// Which networks learn, by the sizes of their layers.
+/// The networks to train, by their layer sizes.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Networks {
     /// Perceptrons; widths from the inputs to the outputs.
     FeedForward {
-        /// Of the actor.
+        /// Widths of the actor.
         actor: Vec<usize>,
-        /// Of each critic.
+        /// Widths of each critic.
         critic: Vec<usize>,
     },
-    /// The prior work's.
+    /// The prior work's recurrent networks.
     Recurrent {
-        /// Of the actor.
+        /// Sizes of the actor.
         actor: recurrent::Sizes,
-        /// Of each critic.
+        /// Sizes of each critic.
         critic: recurrent::Sizes,
     },
 }
 
-/// What the networks are asked about.
+/// Inputs of the networks.
 pub struct Seen {
     /// `[rows, inputs + 9]`: encoded observations and the powder's parameters.
     pub rows: Tensor,
-    /// What came before each row; recurrent networks need it.
+    /// The steps that led to each row; required by recurrent networks.
     pub course: Option<Course>,
 }
 
-/// Bound of the actor's last layer at the start, so that first actions are near the middle.
+/// Initial bound of the actor's last layer, so that first actions are near the middle.
 const LAST_BOUND: f32 = 3e-3;
 
 impl Networks {
-    /// The networks that these settings ask for.
+    /// The networks for these settings.
     pub fn new(settings: &Settings) -> Self {
         let (inputs, hidden) = (settings.encoding.width(), settings.hidden as usize);
         let with_action = inputs + COUNT + OUTPUTS;
@@ -60,10 +61,11 @@ impl Networks {
         }
     }
 
-    /// Parameters of a fresh actor, and of two critics one after the other.
+    /// Draws the parameters of a new actor, and of two critics one after the other.
     ///
-    /// Uniform in +-1 / sqrt(inputs), libtorch's own initialisation of linear layers (+-1 / sqrt(hidden) in an LSTM), but for the
-    /// last layer: +-3e-3, except in the prior work's critics.
+    /// Uniform in +-1 / sqrt(inputs), libtorch's own initialisation of linear layers (+-1 /
+    /// sqrt(hidden) in an LSTM), except for the last layer: +-3e-3, but not in the prior work's
+    /// critics.
     pub fn initialise(&self, rng: &mut impl Rng) -> (Vec<f32>, Vec<f32>) {
         match self {
             Self::FeedForward { actor, critic } => {
@@ -79,7 +81,7 @@ impl Networks {
     /// The actor's outputs `[rows, 4]` for its parameters `[parameters]`.
     ///
     /// # Panics
-    /// When a recurrent network is not told what came before.
+    /// If a recurrent network is not given the preceding steps.
     pub fn head(&self, actor: &Tensor, seen: &Seen) -> Tensor {
         match self {
             Self::FeedForward { actor: widths, .. } => {
@@ -92,10 +94,11 @@ impl Networks {
         }
     }
 
-    /// What two critics with parameters `[2, parameters]` say of these actions `[rows, 2]`: `[2, rows]`.
+    /// Values of these actions `[rows, 2]` from two critics with parameters `[2, parameters]`:
+    /// `[2, rows]`.
     ///
     /// # Panics
-    /// When a recurrent network is not told what came before.
+    /// If a recurrent network is not given the preceding steps.
     pub fn values(&self, critics: &Tensor, seen: &Seen, action: &Tensor) -> Tensor {
         let rows = Tensor::cat(&[&seen.rows, action], 1);
         match self {
@@ -104,7 +107,7 @@ impl Networks {
         }
     }
 
-    /// The actor with these parameters in plain Rust; `None` when one of them is not finite.
+    /// Builds the actor with these parameters in plain Rust; `None` if one of them is not finite.
     pub fn snapshot(&self, encoding: Encoding, actor: &[f32]) -> Option<Actor> {
         match self {
             Self::FeedForward { actor: widths, .. } => Actor::from_flat(encoding, widths, actor).ok(),
@@ -117,7 +120,7 @@ fn course(seen: &Seen) -> &Course {
     seen.course.as_ref().expect("a recurrent network is given courses")
 }
 
-/// How many parameters each layer has, and the bound within which they are drawn.
+/// The number of parameters of each layer, and the bound within which they are drawn.
 pub(super) fn bounds(widths: &[usize], last_bound: f32) -> Vec<(usize, f32)> {
     let of = |(depth, w): (usize, &[usize])| {
         let last = depth + 2 == widths.len();
@@ -126,7 +129,7 @@ pub(super) fn bounds(widths: &[usize], last_bound: f32) -> Vec<(usize, f32)> {
     widths.windows(2).enumerate().map(of).collect()
 }
 
-/// Parameters of `copies` networks, one after another.
+/// Draws the parameters of `copies` networks, one after another.
 fn draw(bounds: &[(usize, f32)], copies: usize, rng: &mut impl Rng) -> Vec<f32> {
     let mut flat = Vec::new();
     for _ in 0..copies {
@@ -156,13 +159,15 @@ pub fn forward(flat: &Tensor, widths: &[usize], x: &Tensor) -> Tensor {
     y
 }
 
-/// Two networks of the same shape at once: `flat` `[2, parameters]`, `x` `[batch, widths[0]]` -> `[2, batch]`.
+/// Two networks of the same shape at once: `flat` `[2, parameters]`, `x` `[batch, widths[0]]` ->
+/// `[2, batch]`.
 pub fn forward_twins(flat: &Tensor, widths: &[usize], x: &Tensor) -> Tensor {
     let parts = flat.split_with_sizes(blocks(widths), 1);
     perceptrons(&parts, widths, x.unsqueeze(0).expand([2, -1, -1], false)).squeeze_dim(2)
 }
 
-/// `n` perceptrons at once: weights and biases `[n, ...]`, `x` `[n, batch, widths[0]]` -> `[n, batch, widths[last]]`.
+/// `n` perceptrons at once: weights and biases `[n, ...]`, `x` `[n, batch, widths[0]]` ->
+/// `[n, batch, widths[last]]`.
 pub(super) fn perceptrons(parts: &[Tensor], widths: &[usize], x: Tensor) -> Tensor {
     let mut y = x;
     for (depth, w) in widths.windows(2).enumerate() {

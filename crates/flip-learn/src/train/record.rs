@@ -1,4 +1,4 @@
-//! What a training is given, what it reports, and what it gives: all that others need to know of one, without libtorch.
+//! The inputs, reports and results of a training: everything that needs no libtorch.
 
 use flip_core::domain::FieldError;
 use flip_core::domain::parameters::ParameterSet;
@@ -18,23 +18,23 @@ pub struct Level {
     pub sets: Vec<ParameterSet>,
 }
 
-/// The powder of an episode whose parameter set is drawn from the whole box.
+/// Name of the powder in an episode with a parameter set from the whole box.
 pub const RANDOMISED: &str = "randomised";
 
-/// What a training reports while it runs.
+/// Events reported by a running training.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Event {
     /// An episode was played and learned from.
     Episode(Box<EpisodeRecord>),
-    /// Everything needed to go on from here. After a crash the episodes since the last checkpoint come again, the same
-    /// in every bit: they can be told by their index.
+    /// Everything needed to resume from here. After a crash the episodes since the last checkpoint
+    /// are repeated, bit for bit; their index identifies them.
     Checkpoint(Vec<u8>),
 }
 
 /// One episode, for curves and tables.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct EpisodeRecord {
-    /// From 0.
+    /// Index, from 0.
     pub index: u32,
     /// Level, from 0.
     pub level: u32,
@@ -52,7 +52,7 @@ pub struct EpisodeRecord {
     pub reward: f64,
     /// Steps.
     pub steps: u32,
-    /// How it ended.
+    /// Final state of the episode.
     pub ending: Episode,
     /// Mean over the updates that followed its round; absent before the first update.
     pub losses: Option<Losses>,
@@ -69,17 +69,17 @@ pub struct Trained {
     pub episodes: u32,
     /// Mean absolute error of the last 20 episodes, mg: still exploring.
     pub final_error_mg: f64,
-    /// What it trained on, in the order it was met.
+    /// The levels it was trained on, in that order.
     pub levels: Vec<LevelManifest>,
 }
 
-/// Says whether a training goes on; asked before every episode, from any thread.
+/// Whether a training continues; called before every episode, from any thread.
 pub type Flow<'a> = dyn Fn() -> ControlFlow<()> + Sync + 'a;
 
-/// Why there is no policy.
+/// Why a training has no result.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TrainError {
-    /// Settings or levels that no training can run with.
+    /// Invalid settings or levels.
     #[error(transparent)]
     Invalid(#[from] FieldError),
     /// A checkpoint that cannot be resumed.
@@ -98,31 +98,31 @@ pub enum TrainError {
         "this build of FLIP does not train: it was built without the feature `learn`; train with one that has it, and carry the policy over"
     )]
     Unavailable,
-    /// The caller asked for it.
+    /// The caller requested a stop.
     #[error("the training was stopped")]
     Stopped {
-        /// To go on from here.
+        /// Checkpoint to resume from.
         checkpoint: Vec<u8>,
     },
 }
 
-/// Where a training begins.
+/// The starting point of a training.
 #[derive(Debug, Clone, Copy)]
 pub enum Start<'a> {
-    /// With a policy that cannot do anything.
+    /// An untrained policy.
     Nothing,
-    /// With this one; the settings' [`FineTuning`](super::FineTuning) says how.
+    /// This policy, as configured by the settings' [`FineTuning`](super::FineTuning).
     Policy(&'a Actor),
-    /// Where it was interrupted.
+    /// A checkpoint of an interrupted training.
     Checkpoint(&'a [u8]),
 }
 
-/// What one update saw.
+/// Losses and statistics of one update.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Losses {
-    /// Of both critics.
+    /// Loss of both critics.
     pub critic: f64,
-    /// Of the actor.
+    /// Loss of the actor.
     pub actor: f64,
     /// Entropy of the policy, nats.
     pub entropy: f64,

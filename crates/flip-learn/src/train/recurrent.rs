@@ -1,14 +1,16 @@
-//! The prior work's recurrent network on flat blocks: the same as [`flip_policy`] runs, with gradients.
+//! The prior work's recurrent network on flat blocks: the same as in [`flip_policy`], with
+//! gradients.
 //!
-//! Actor and critics have the same two branches, of which one sees the present and the other remembers, and differ in what they
-//! see and in what follows where the branches meet:
+//! Actor and critics have the same two branches, one for the present and one with memory, and
+//! differ in their inputs and in the layers after the branches merge:
 //!
 //! | network | first branch sees                   | second branch sees       | widths after the branches |
 //! |---------|-------------------------------------|--------------------------|---------------------------|
 //! | actor   | observation                         | observation, last action | `2 h, h, h, 4`            |
 //! | critic  | observation, nine parameters, action | observation, last action | `2 h, h, 1`               |
 //!
-//! Source: the public code of Kadokawa et al., IROS 2023 (github.com/omron-sinicx/robotic-powder-weighing), `SAC/`.
+//! Source: the public code of Kadokawa et al., IROS 2023
+//! (github.com/omron-sinicx/robotic-powder-weighing), `SAC/`.
 
 use super::networks::{blocks, bounds, perceptrons};
 use super::replay::Courses;
@@ -23,7 +25,7 @@ pub struct Sizes {
     pub recalled: usize,
     /// Units of each branch.
     pub hidden: usize,
-    /// Widths from where the branches meet to the outputs.
+    /// Widths from where the branches merge to the outputs.
     pub trunk: Vec<usize>,
 }
 
@@ -35,7 +37,7 @@ impl Sizes {
         [&branches[..], &[gates * h, gates * h, gates, gates], &blocks(&self.trunk)].concat()
     }
 
-    /// How many parameters are drawn within which bound at the start.
+    /// Counts of parameters with the bounds within which they are initially drawn.
     pub fn bounds(&self, last_bound: f32) -> Vec<(usize, f32)> {
         let h = self.hidden;
         let lstm = (2 * (h + 1) * 4 * h, 1.0 / (h as f32).sqrt());
@@ -46,22 +48,25 @@ impl Sizes {
     }
 }
 
-/// Episodes to remember along, and the steps at which to ask.
+/// The episodes leading to a batch, and the steps to evaluate.
 #[derive(Debug)]
 pub struct Course {
-    /// What the second branch sees: `[steps, episodes, recalled]`.
+    /// Inputs of the second branch: `[steps, episodes, recalled]`.
     inputs: Tensor,
-    /// State before the first of these steps, hidden and cell, `[1, episodes, hidden]`; zero where absent.
+    /// State before the first of these steps, hidden and cell, `[1, episodes, hidden]`; zero if
+    /// absent.
     start: Option<[Tensor; 2]>,
-    /// Which of the `steps * episodes` each row is: `[rows]`.
+    /// Index of each row within `steps * episodes`: `[rows]`.
     at: Tensor,
 }
 
 impl Course {
-    /// The courses that lead to a batch's rows, and those that lead to what follows them.
+    /// Returns the courses that lead to a batch's rows, and those that lead to the following
+    /// observations.
     ///
-    /// The first begin at the episodes' beginnings with a zero state. So do the second, which go one step further; or, where
-    /// states were stored, they begin with these after the first step.
+    /// The first start at the beginnings of the episodes with a zero state. So do the second, which
+    /// go one step further; if states were stored, they start from these after the first step
+    /// instead.
     pub fn pair(courses: &Courses, sizes: &Sizes) -> [Self; 2] {
         let (episodes, hidden) = (courses.episodes as i64, sizes.hidden as i64);
         let all = Tensor::from_slice(&courses.inputs).view([-1, episodes, sizes.recalled as i64]);
@@ -78,7 +83,7 @@ impl Course {
         [Self { inputs: all.narrow(0, 0, steps), start: None, at }, next]
     }
 
-    /// The same in another precision.
+    /// Converts to another precision.
     #[cfg(test)]
     pub(super) fn to_kind(&self, kind: tch::Kind) -> Self {
         let start = self.start.as_ref().map(|start| start.each_ref().map(|part| part.to_kind(kind)));
@@ -86,7 +91,8 @@ impl Course {
     }
 }
 
-/// `n` networks at once: `flat` `[n, parameters]`, `rows` `[rows, seen]` -> `[n, rows, outputs]`.
+/// Evaluates `n` networks at once: `flat` `[n, parameters]`, `rows` `[rows, seen]` ->
+/// `[n, rows, outputs]`.
 pub fn forward(flat: &Tensor, sizes: &Sizes, rows: &Tensor, course: &Course) -> Tensor {
     let parts = flat.split_with_sizes(sizes.blocks(), 1);
     let n = flat.size()[0];
@@ -101,10 +107,11 @@ pub fn forward(flat: &Tensor, sizes: &Sizes, rows: &Tensor, course: &Course) -> 
     perceptrons(&parts[8..], &sizes.trunk, Tensor::cat(&[seen, Tensor::stack(&remembered, 0)], 2))
 }
 
-/// The `k`-th network's LSTM along the courses: its inputs `[steps * episodes, hidden]` -> its outputs at the rows, `[rows, hidden]`.
+/// Runs the `k`-th network's LSTM along the courses: its inputs `[steps * episodes, hidden]` -> its
+/// outputs at the rows, `[rows, hidden]`.
 ///
-/// libtorch's own LSTM with its gates i, f, g, o: with gradients it takes half the time of the same written as batched products
-/// over both critics.
+/// Uses libtorch's own LSTM with its gates i, f, g, o: with gradients it takes half the time of the
+/// same computation written as batched products over both critics.
 fn remember(x: &Tensor, lstm: &[Tensor], k: i64, hidden: i64, course: &Course) -> Tensor {
     let [w, u] = [0, 1].map(|part: usize| lstm[part].get(k).view([4 * hidden, hidden]));
     let [b, d] = [2, 3].map(|part: usize| lstm[part].get(k));

@@ -1,4 +1,4 @@
-//! The recurrent network against the one that runs in plain Rust.
+//! The recurrent network compared with the plain-Rust one.
 
 use super::*;
 use crate::train::episodes::interleave;
@@ -19,7 +19,8 @@ fn the_pure_forward_pass_equals_libtorchs_along_whole_episodes() {
         let actor = Actor::recurrent(encoding, hidden, &flat).unwrap();
         assert_eq!(actor.to_flat(), flat);
 
-        // Episodes of 30 and 10 steps; what is done does not matter here, only that it is passed on.
+        // Episodes of 30 and 10 steps; the actions do not matter here, only that they are passed
+        // on.
         let mut rows = Vec::new();
         let mut pure = Vec::new();
         let mut courses = Vec::new();

@@ -1,4 +1,4 @@
-//! What a learner remembers, and the batches it draws from it: steps, or whole episodes ([`super::episodes`]).
+//! The replay memory and the batches drawn from it: steps, or whole episodes ([`super::episodes`]).
 
 use super::environment::{Step, reward};
 use super::episodes::{self, Episode};
@@ -7,41 +7,41 @@ use flip_core::domain::parameters::COUNT;
 use flip_policy::{Encoding, Ending, Known, ON_TARGET_MG, Observation, is_on_target, on_target_mg};
 use rand::{Rng, RngExt};
 
-/// A remembered step: the target it was played for, and the powder's parameters for the critic.
+/// A stored step, with the target it was played for and the powder's parameters for the critic.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Memory {
-    /// What happened.
+    /// The step.
     pub step: Step,
     /// Target of the episode, mg.
     pub target_mg: f32,
-    /// The powder's angle of repose, degrees; 0 where none is known.
+    /// The powder's angle of repose, degrees; 0 if unknown.
     pub repose_deg: f32,
     /// The nine parameters as fractions of their ranges.
     pub parameters: [f32; COUNT],
 }
 
-/// Numbers in one [`Memory`], for the checkpoint.
+/// Numbers per [`Memory`] in a checkpoint.
 const WIDTH: usize = 10 + COUNT;
 
 impl Memory {
-    /// What was seen before the step, had the target been `target_mg`.
+    /// The observation before the step, had the target been `target_mg`.
     pub(super) fn before(&self, target_mg: f64) -> Observation {
         let s = &self.step;
         Observation { reading_mg: s.reading_mg.into(), target_mg, pitch_deg: s.pitch_deg.into() }
     }
 
-    /// What was seen after it.
+    /// The observation after it.
     pub(super) fn after(&self, target_mg: f64) -> Observation {
         let s = &self.step;
         Observation { reading_mg: s.next_reading_mg.into(), target_mg, pitch_deg: s.next_pitch_deg.into() }
     }
 
-    /// What was known before it.
+    /// The additional knowledge before it.
     pub(super) fn known_before(&self) -> Known {
         self.known(self.step.fell_mg.into())
     }
 
-    /// What was known after it.
+    /// The additional knowledge after it.
     pub(super) fn known_after(&self) -> Known {
         self.known(f64::from(self.step.next_reading_mg) - f64::from(self.step.reading_mg))
     }
@@ -87,7 +87,7 @@ impl Memory {
     }
 }
 
-/// A ring: when it is full, the oldest item is forgotten.
+/// A ring buffer: when full, the oldest item is overwritten.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ring<T> {
     items: Vec<T>,
@@ -109,16 +109,16 @@ impl<T> Ring<T> {
         }
     }
 
-    /// Any item, each as likely as another.
+    /// Picks an item uniformly at random.
     ///
     /// # Panics
-    /// When there is none.
+    /// If there are no items.
     pub(super) fn pick(&self, rng: &mut impl Rng) -> &T {
         &self.items[rng.random_range(0..self.items.len())]
     }
 }
 
-/// What a learner remembers: what its network can learn from.
+/// The replay memory, in the form its network can learn from.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Replay {
     /// Single steps, for feed-forward networks.
@@ -132,7 +132,7 @@ pub enum Replay {
 pub struct Remembered {
     /// Steps, one row each.
     pub rows: Vec<f32>,
-    /// Steps of each episode; empty where single steps are remembered.
+    /// Steps of each episode; empty if single steps are stored.
     pub lengths: Vec<u32>,
     /// The episodes' stored states, one after another.
     pub states: Vec<f32>,
@@ -140,7 +140,7 @@ pub struct Remembered {
     pub oldest: usize,
 }
 
-/// A drawn batch, flat and by rows, ready to become tensors.
+/// A drawn batch, flat and by rows, ready for conversion to tensors.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Batch {
     /// `[batch, inputs + 9 + 2]`: encoded observation, parameters, action.
@@ -149,28 +149,31 @@ pub struct Batch {
     pub next: Vec<f32>,
     /// `[batch]`: scaled training reward.
     pub reward: Vec<f32>,
-    /// `[batch]`: 1 where the episode went on or was cut off by its step limit, 0 where it terminated.
+    /// `[batch]`: 1 where the episode continued or was cut off by its step limit, 0 where it
+    /// terminated.
     pub goes_on: Vec<f32>,
-    /// The way to each row, for a recurrent network.
+    /// The steps leading to each row, for a recurrent network.
     pub courses: Option<Courses>,
 }
 
-/// The episodes that a batch's rows belong to: `steps` is the longest one's, the others are padded with zeros.
+/// The episodes that a batch's rows belong to: `steps` is the length of the longest one, the others
+/// are padded with zeros.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Courses {
-    /// Episodes.
+    /// Number of episodes.
     pub episodes: usize,
-    /// `[steps + 1, episodes, inputs + 2]`: encoded observation and the action of the step before; one row more than steps, since
-    /// something is seen after the last.
+    /// `[steps + 1, episodes, inputs + 2]`: encoded observation and previous action; one row more
+    /// than steps, because there is an observation after the last.
     pub inputs: Vec<f32>,
-    /// `[rows]`: where in `[steps, episodes]` each of the batch's rows is.
+    /// `[rows]`: index of each of the batch's rows in `[steps, episodes]`.
     pub at: Vec<i64>,
-    /// `[episodes, 2 * hidden]`: the actor's state after the first step as it was played; absent where it was not stored.
+    /// `[episodes, 2 * hidden]`: the actor's state after the first step as played; absent if not
+    /// stored.
     pub stored: Option<Vec<f32>>,
 }
 
 impl Replay {
-    /// Remembers nothing yet, and at most what these settings give room for.
+    /// Creates an empty memory with the capacity from these settings.
     pub fn new(settings: &Settings) -> Self {
         let capacity = settings.replay_capacity as usize;
         match settings.network {
@@ -179,7 +182,7 @@ impl Replay {
         }
     }
 
-    /// Remember an episode. One without steps, whose simulation failed at once, is nothing to learn from.
+    /// Stores an episode. One without steps, whose simulation failed at once, is ignored.
     pub fn push(&mut self, episode: Episode) {
         match self {
             Self::Steps(ring) => episode.steps.into_iter().for_each(|step| ring.push(step)),
@@ -188,15 +191,16 @@ impl Replay {
         }
     }
 
-    /// Draw a batch with replacement.
+    /// Draws a batch with replacement.
     ///
-    /// A share of the steps, or of the episodes, is asked about another target in hindsight: what the powder did does not depend on
-    /// what was asked for, so observation, reward and ending are computed anew (Andrychowicz et al., NeurIPS 2017; here with exact
-    /// rewards for any target, not only for one that was reached). New targets are uniform over those for which the
-    /// episode would still have been running before the step, or its first step.
+    /// A share of the steps, or of the episodes, is relabelled with another target in hindsight:
+    /// the powder's behaviour does not depend on the target, so observation, reward and ending are
+    /// recomputed (Andrychowicz et al., NeurIPS 2017; here with exact rewards for any target, not
+    /// only for one that was reached). New targets are uniform over those for which the episode
+    /// would still have been running before the step, or its first step.
     ///
     /// # Panics
-    /// On an empty memory.
+    /// If the memory is empty.
     pub fn draw(&self, settings: &Settings, rng: &mut impl Rng) -> Batch {
         match self {
             Self::Steps(ring) => {
@@ -212,7 +216,7 @@ impl Replay {
         }
     }
 
-    /// Everything as plain numbers.
+    /// Converts the memory to plain numbers.
     pub fn to_plain(&self) -> Remembered {
         let rows = |steps: &mut dyn Iterator<Item = &Memory>| steps.flat_map(|m| m.to_row()).collect();
         match self {
@@ -228,7 +232,7 @@ impl Replay {
         }
     }
 
-    /// The inverse of [`Replay::to_plain`]; `None` when the numbers cannot be such a memory.
+    /// The inverse of [`Replay::to_plain`]; `None` if the numbers cannot be such a memory.
     pub fn from_plain(plain: &Remembered, settings: &Settings) -> Option<Self> {
         let mut steps: Vec<Memory> = plain.rows.chunks_exact(WIDTH).map(Memory::from_row).collect();
         let whole = plain.rows.len().is_multiple_of(WIDTH);
@@ -255,7 +259,7 @@ impl Replay {
     }
 }
 
-/// The target that a step, or the episode it begins, is asked about: its own, or one in hindsight.
+/// Draws the target for a step, or for the episode it begins: its own, or one in hindsight.
 pub(super) fn drawn_target(memory: &Memory, settings: &Settings, rng: &mut impl Rng) -> f64 {
     let own_mg = f64::from(memory.target_mg);
     if rng.random::<f64>() < settings.relabel_share {
@@ -264,7 +268,7 @@ pub(super) fn drawn_target(memory: &Memory, settings: &Settings, rng: &mut impl 
     own_mg
 }
 
-/// A target for which this step would have been taken too; `None` when there is none in range.
+/// A target for which this step would have been taken too; `None` if there is none in range.
 fn hindsight_target(memory: &Memory, settings: &Settings, rng: &mut impl Rng) -> Option<f64> {
     let lower = match settings.rules.ending {
         Ending::Never => settings.relabel_mg_min,
@@ -276,8 +280,8 @@ fn hindsight_target(memory: &Memory, settings: &Settings, rng: &mut impl Rng) ->
     (lower < settings.target_mg_max).then(|| rng.random_range(lower..settings.target_mg_max))
 }
 
-/// What one step is worth to the learner, unscaled: the published reward, heavier where the dose is too high for good,
-/// and paid for ever where the episode ends.
+/// The unscaled reward of one step for the learner: the published reward, with a factor for an
+/// irreversible overdose, and paid for ever if the episode ends.
 ///
 /// ```text
 /// r' = f D  if true - target > 1 mg, else r          f = overdose factor
@@ -292,7 +296,7 @@ pub fn training_reward(settings: &Settings, target_mg: f64, true_mg: f64, termin
 }
 
 impl Batch {
-    /// Add a step as if the target had been `target_mg`; true when it ends the episode.
+    /// Adds a step as if the target had been `target_mg`; returns whether it ends the episode.
     pub(super) fn push(&mut self, memory: &Memory, target_mg: f64, settings: &Settings) -> bool {
         let s = &memory.step;
         let encoding: Encoding = settings.encoding;
@@ -340,7 +344,7 @@ mod tests {
         Settings { batch: 400, relabel_share: 1.0, network, ..Settings::of(preset, Order::Random, 1) }
     }
 
-    /// A memory of these steps.
+    /// A replay memory with these steps.
     fn replay(settings: &Settings, steps: Vec<Memory>) -> Replay {
         let mut replay = Replay::new(settings);
         replay.push(Episode { steps, state: vec![] });
@@ -364,7 +368,7 @@ mod tests {
         let width = settings.encoding.width();
         let (mut ended, mut overdosed) = (0, 0);
         for (k, now) in batch.now.chunks_exact(width + COUNT + 2).enumerate() {
-            // The first input is what is missing over 10 mg: it tells the target that was asked for.
+            // The first input is the missing mass over 10 mg, which reveals the target used.
             let target = f64::from(now[0]) * 10.0 + 3.0;
             assert!((4.0..15.0).contains(&target), "the step would not have been taken for {target} mg");
             assert_eq!((now[2], now[width + COUNT..].to_vec()), (8.0 / 25.0 - 1.0, vec![0.25, -0.5]));
@@ -375,7 +379,8 @@ mod tests {
             ended += u32::from(terminated);
             overdosed += u32::from(9.25 - target > 1.0);
         }
-        // Targets are uniform over 4 to 15 mg: 6/11 of 400 end the episode, 4.25/11 are overdosed; 4 sd are 40.
+        // Targets are uniform over 4 to 15 mg: 6/11 of 400 end the episode, 4.25/11 are overdosed;
+        // 4 SD are 40.
         assert!((178..=258).contains(&ended) && (115..=195).contains(&overdosed), "{ended} {overdosed}");
     }
 

@@ -1,4 +1,5 @@
-//! Tuning what is set by a few numbers: the rivals of other robots, and the rules that ship, on the powders and targets of the schedule.
+//! Tuning of controllers with a few parameters: the rivals from other robots, and the shipped
+//! rules, on the powders and targets of the schedule.
 
 use super::environment::Filling;
 use super::record::Level;
@@ -11,26 +12,26 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::Serialize;
 
-/// What is searched.
+/// The controller to search for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rival {
     /// [`Pid`]: six gains.
     Pid,
     /// [`Fuzzy`]: five factors.
     Fuzzy,
-    /// [`Paced`], which is ours: fifteen.
+    /// [`Paced`], FLIP's own: fifteen.
     Paced,
 }
 
-/// A rival and how it did in the search.
+/// A tuned rival and its search result.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TunedRival {
-    /// Its numbers.
+    /// Its parameters.
     pub kind: Kind,
-    /// Mean absolute error over powders, spoons and targets of its last round, mg, overdoses as the search counts them. It was chosen for
-    /// being small: expect more on other spoons.
+    /// Mean absolute error over powders, spoons and targets of its last round, mg, with overdoses
+    /// weighted as in the search. It was selected for a small value: expect more on other spoons.
     pub loss_mg: f64,
-    /// Pours in the search.
+    /// Number of pours in the search.
     pub pours: u32,
     /// The controller.
     #[serde(skip)]
@@ -40,11 +41,12 @@ pub struct TunedRival {
 impl Rival {
     /// Ranges of its factors.
     ///
-    /// Of the PID rule: P, I and D of the incline, then of the shake, 1/mg; the largest alone would answer 10 mg with the whole action.
-    /// Of the fuzzy rules: medium missing mass in mg, some fall in mg, tilt of *far* in degrees, gentle and strong shake in mm.
-    /// Of the paced rules: medium missing mass in mg and how much larger a large one is; some fall in mg and how much larger much is; back and
-    /// on in degrees and how much larger far is; gentle shake in mm, and where usual and strong ones are between it and 16 mm; then the rules'
-    /// own numbers.
+    /// PID rule: P, I and D of the incline, then of the shake, 1/mg; the largest alone would
+    /// respond to 10 mg with the full action. Fuzzy rules: medium missing mass in mg, some fall in
+    /// mg, tilt of *far* in degrees, gentle and strong shake in mm. Paced rules: medium missing
+    /// mass in mg and ratio of large to it; some fall in mg and ratio of much to it; back and on in
+    /// degrees and ratio of far to on; gentle shake in mm, and positions of usual and strong
+    /// between it and 16 mm; then the rules' own numbers.
     fn ranges(self) -> &'static [[f64; 2]] {
         match self {
             Self::Pid => &[[0.0, 0.1], [-0.02, 0.02], [-0.1, 0.1], [0.0, 0.1], [-0.02, 0.02], [-0.1, 0.1]],
@@ -69,7 +71,7 @@ impl Rival {
         }
     }
 
-    /// The point of the unit cube where this rival is; of one that is not in it, the nearest. None for another kind.
+    /// This rival's point in the unit cube, clamped to it; none for another kind of controller.
     fn point(self, controller: &Controller) -> Option<Vec<f64>> {
         let x = match (self, controller) {
             (Self::Pid, Controller::Pid(pid)) => {
@@ -151,11 +153,12 @@ impl Rival {
 
 /// Spoons of each powder for each candidate in the first round of a slow search.
 const SLOW_SPOONS: u32 = 2;
-/// Candidates of a slow search that lie around what was known before.
+/// Candidates of a slow search near previously known ones.
 const AROUND_KNOWN: usize = 31;
 
-/// Search the rival with the smallest mean absolute error on these powders, as [`super::schedule::tune`] does the schedule: random
-/// points and successive halving, then the same once more around the best. A pour serves one target, for these look at it.
+/// Searches for the rival with the smallest mean absolute error on these powders, as
+/// [`super::schedule::tune`] does for the schedule: random points and successive halving, then once
+/// more around the best. Each pour serves one target, because these controllers depend on it.
 ///
 /// # Panics
 /// Without powders, parameter sets, targets or candidates.
@@ -166,8 +169,8 @@ pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning, rival: R
     found(kind, controller, *loss_mg, spoons, levels, tuning)
 }
 
-/// [`tune`] on a fast spoon, and the best of it once more by successive halving on a slow one, together with those `known` before and with
-/// others around these, a third of whose numbers are moved.
+/// Runs [`tune`] on a fast spoon, then successive halving on a slow one among its best, the
+/// previously `known` ones, and variants of those with a third of their numbers changed.
 ///
 /// # Panics
 /// Without powders, parameter sets, targets or candidates.
@@ -195,7 +198,8 @@ pub fn tune_twice<F: Filling, G: Filling>(
     found(kind, controller, loss_mg, poured, levels, tuning)
 }
 
-/// The `kept` best points of a search on these spoons, the best first, and the spoons of each powder that were poured.
+/// Returns the `kept` best points of a search on these spoons, best first, and the number of spoons
+/// of each powder that were poured.
 fn search<F: Filling>(
     filling: &F,
     levels: &[Level],
@@ -232,7 +236,8 @@ fn found(
     TunedRival { kind, loss_mg, pours, controller }
 }
 
-/// Mean absolute error of a controller on `doses` spoons of each powder, filled with another seed than the search, mg.
+/// Mean absolute error of a controller on `doses` spoons of each powder, filled with a seed not
+/// used in the search, mg.
 pub fn assess<F: Filling>(
     filling: &F,
     levels: &[Level],
@@ -325,7 +330,7 @@ mod tests {
             assert_eq!(tune(&formula, &levels(), &tuning, rival), tuned);
             let twice = tune_twice(&formula, &formula, &levels(), &tuning, rival, &[]);
             assert!(on_others(&twice.controller) < theirs, "{rival:?}: searched twice {twice:?}, drawn {theirs}");
-            // A search that is hopeless by itself keeps what was good before.
+            // A hopeless search still keeps a previously good controller.
             let (hopeless, known) = (Tuning { candidates: 1, ..tuning.clone() }, [tuned.controller]);
             let kept = tune_twice(&formula, &formula, &levels(), &hopeless, rival, &known);
             assert!(on_others(&kept.controller) < theirs, "{rival:?}: kept {kept:?}, drawn {theirs}");

@@ -1,10 +1,11 @@
 //! Soft Actor-Critic: losses and one update, in reading order.
 //!
-//! Haarnoja et al., "Soft Actor-Critic Algorithms and Applications", arXiv:1812.05905 (2018). Twin critics with target
-//! networks, a squashed Gaussian actor, a temperature that is learned. The critics alone also see the nine parameters of
-//! the simulated powder, since only training needs them (asymmetric actor and critic: Pinto et al., RSS 2018).
+//! Haarnoja et al., "Soft Actor-Critic Algorithms and Applications", arXiv:1812.05905 (2018). Twin
+//! critics with target networks, a squashed Gaussian actor, a learned temperature. Only the critics
+//! see the nine parameters of the simulated powder, since only training needs them (asymmetric
+//! actor and critic: Pinto et al., RSS 2018).
 //!
-//! | call            | arguments                                    | gives             |
+//! | call            | arguments                                    | returns           |
 //! |-----------------|----------------------------------------------|-------------------|
 //! | `squash`        | head `[batch, 4]`, noise `[batch, 2]`        | action, log-prob  |
 //! | `td_target`     | reward, goes on, next Q and log-prob         | y `[batch]`       |
@@ -22,15 +23,16 @@ use flip_policy::{Actor, LOG_STD_MAX, LOG_STD_MIN, OUTPUTS};
 use rand::Rng;
 use tch::Tensor;
 
-/// Actions and their log-probabilities from a network's outputs.
+/// Converts a network's outputs to actions and their log-probabilities.
 ///
 /// ```text
 /// u = mean + exp(log_std) * noise,   a = tanh(u)
 /// log pi = sum_k [ -noise^2 / 2 - log_std - ln(2 pi) / 2 - 2 (ln 2 - u - softplus(-2 u)) ]
 /// ```
 ///
-/// The last term is ln(1 - tanh(u)^2) of eq. 26, written so that it stays finite where tanh rounds to one.
-/// Shapes: head `[batch, 4]`, noise `[batch, 2]` -> action `[batch, 2]`, log-probability `[batch]`.
+/// The last term is ln(1 - tanh(u)^2) of eq. 26, rewritten so that it stays finite where tanh
+/// rounds to one. Shapes: head `[batch, 4]`, noise `[batch, 2]` -> action `[batch, 2]`,
+/// log-probability `[batch]`.
 pub fn squash(head: &Tensor, noise: &Tensor) -> (Tensor, Tensor) {
     let parts = head.split_with_sizes([OUTPUTS as i64, OUTPUTS as i64], 1);
     let log_std = parts[1].clamp(f64::from(LOG_STD_MIN), f64::from(LOG_STD_MAX));
@@ -41,10 +43,11 @@ pub fn squash(head: &Tensor, noise: &Tensor) -> (Tensor, Tensor) {
     (u.tanh(), log_prob)
 }
 
-/// What the critics should say (eq. 3 and 5): `y = r + gamma * goes_on * (min Q' - alpha log pi')`, all `[batch]`.
+/// The critics' target (eq. 3 and 5): `y = r + gamma * goes_on * (min Q' - alpha log pi')`, all
+/// `[batch]`.
 ///
-/// `goes_on` is 0 only where the episode terminated. Where it was cut off by its step limit the future is still worth
-/// something, so the target bootstraps through a time-out (Pardo et al., ICML 2018).
+/// `goes_on` is 0 only where the episode terminated. Where it was cut off by its step limit the
+/// future still has value, so the target bootstraps through a time-out (Pardo et al., ICML 2018).
 pub fn td_target(
     reward: &Tensor,
     goes_on: &Tensor,
@@ -57,10 +60,10 @@ pub fn td_target(
     reward + goes_on * value * gamma
 }
 
-/// Eq. 5 for both critics: the sum over the twins of `mean d^2 / 2` with `d = Q - y`, or of Huber's `mean |d| - 1/2` where
-/// `|d| > 1`. Q `[2, batch]`, y `[batch]`.
+/// Eq. 5 for both critics: the sum over the twins of `mean d^2 / 2` with `d = Q - y`, or of Huber's
+/// `mean |d| - 1/2` where `|d| > 1`. Q `[2, batch]`, y `[batch]`.
 pub fn critic_loss(q: &Tensor, y: &Tensor, which: CriticLoss) -> Tensor {
-    // The mean over 2 * batch entries is half of the sum of the two means.
+    // The mean over 2 * batch entries is half the sum of the two means.
     match which {
         CriticLoss::Squared => (q - y).square().mean(None),
         CriticLoss::Huber => q.smooth_l1_loss(&y.expand_as(q), tch::Reduction::Mean, 1.0) * 2.0,
@@ -77,14 +80,16 @@ pub fn temperature_gradient(alpha: f64, mean_log_prob: f64, target_entropy: f64)
     -alpha * (mean_log_prob + target_entropy)
 }
 
-/// Networks, targets, temperature and the optimisers of each: everything that learns.
+/// All learnable state: networks, targets, temperature and their optimisers.
 ///
-/// Parameters live in flat vectors; libtorch is asked for gradients only. A snapshot or a checkpoint is a copy.
+/// Parameters live in flat vectors; libtorch only computes gradients. A snapshot or a checkpoint is
+/// a copy.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Learner {
     /// Actor's parameters.
     pub actor: Vec<f32>,
-    /// Their mean over the last updates, where the settings ask for one; what they are, where not.
+    /// Their mean over the last updates if the settings request averaging; otherwise equal to
+    /// `actor`.
     pub averaged: Vec<f32>,
     /// Both critics' parameters, one after the other.
     pub critics: Vec<f32>,
@@ -102,7 +107,7 @@ pub struct Learner {
 }
 
 impl Learner {
-    /// Freshly initialised networks.
+    /// Creates newly initialised networks.
     pub fn new(settings: &Settings, rng: &mut impl Rng) -> Self {
         let networks = Networks::new(settings);
         let (actor, critics) = networks.initialise(rng);
@@ -124,28 +129,30 @@ impl Learner {
         f64::from(self.log_alpha[0]).exp()
     }
 
-    /// The actor as it is now, in plain Rust; `None` when its weights are no longer finite.
+    /// The current actor in plain Rust; `None` if its weights are no longer finite.
     pub fn snapshot(&self, settings: &Settings) -> Option<Actor> {
         self.networks.snapshot(settings.encoding, &self.actor)
     }
 
-    /// The same of the actor that a training ends with.
+    /// The final actor of a training, likewise.
     pub fn outcome(&self, settings: &Settings) -> Option<Actor> {
         self.networks.snapshot(settings.encoding, &self.averaged)
     }
 
-    /// Go on with this actor.
+    /// Continues with this actor.
     pub fn take(&mut self, actor: Vec<f32>) {
         self.averaged.clone_from(&actor);
         self.actor = actor;
     }
 
-    /// One update of critics, actor, temperature and targets from one batch; of critics and targets alone while the settings hold
-    /// the actor.
+    /// Makes one update of critics, actor, temperature and targets from one batch; of critics and
+    /// targets only while the settings hold the actor fixed.
     ///
-    /// `noise` holds `[2, rows, 2]` standard normal numbers: for the next actions, then for the present ones.
+    /// `noise` holds `[2, rows, 2]` standard normal numbers: for the next actions, then for the
+    /// present ones.
     pub fn update(&mut self, batch: &Batch, noise: &[f32], settings: &Settings) -> Losses {
-        // Of every thread that ever updates: libtorch keeps the number per thread, and one is the reproducible one.
+        // Set on every thread that ever updates: libtorch stores the number per thread, and one is
+        // reproducible.
         tch::set_num_threads(1);
         let ((now, action), next) = self.seen(batch);
         let noise = Tensor::from_slice(noise).view([2, -1, OUTPUTS as i64]);
@@ -183,7 +190,8 @@ impl Learner {
         }
     }
 
-    /// Count the actor as it is now: `mean <- mean + (now - mean) / n` over n updates, or nothing but the present one.
+    /// Adds the current actor to the average: `mean <- mean + (now - mean) / n` over n updates;
+    /// without averaging, takes the current one.
     fn average(&mut self, settings: &Settings) {
         match settings.from.as_ref().map_or(0, |from| from.averaged_updates) {
             0 | 1 => self.averaged.clone_from(&self.actor),
@@ -195,7 +203,7 @@ impl Learner {
         }
     }
 
-    /// A batch as tensors: what was seen and done, and what was seen next.
+    /// Converts a batch to tensors: observations and actions, and next observations.
     fn seen(&self, batch: &Batch) -> ((Seen, Tensor), Seen) {
         let n = batch.reward.len() as i64;
         let now = Tensor::from_slice(&batch.now).view([n, -1]);
@@ -209,7 +217,7 @@ impl Learner {
         ((Seen { rows: now.narrow(1, 0, state), course: before }, action), Seen { rows: next, course: after })
     }
 
-    /// What the critics should say of a batch, from the target networks: `[rows]`.
+    /// The critics' targets for a batch, from the target networks: `[rows]`.
     fn target(&self, next: &Seen, noise: &Tensor, batch: &Batch, alpha: f64, gamma: f64) -> Tensor {
         let actor = Tensor::from_slice(&self.actor);
         let (action, log_prob) = squash(&self.networks.head(&actor, next), noise);

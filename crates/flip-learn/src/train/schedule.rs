@@ -1,4 +1,4 @@
-//! Tuning the open-loop rival: the best schedule of pitches and shakes for the training powders.
+//! Tuning of the open-loop rival: the best schedule of pitches and shakes for the training powders.
 
 use super::environment::{Filling, Spoon};
 use super::record::Level;
@@ -13,18 +13,18 @@ use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// How a schedule is searched; stored with the result.
+/// How a schedule is searched for; stored with the result.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[schema(as = TuningSettings)]
 #[serde(deny_unknown_fields)]
 pub struct Tuning {
     /// Seed of the search.
     pub seed: u64,
-    /// Schedules drawn at first; half as many are drawn around the best of them. Default 64.
+    /// Schedules drawn initially; half as many are then drawn around the best of them. Default 64.
     pub candidates: u32,
     /// Spoons per powder in the first round. Default 1.
     pub spoons: u32,
-    /// Factor on errors of more than 1 mg too much in the search. Default 1.
+    /// Weight in the search of errors of more than 1 mg above the target. Default 1.
     pub overdose_factor: f64,
     /// Targets a schedule has to serve, mg. Default 5 to 15 in steps of 2.5.
     pub targets_mg: Vec<f64>,
@@ -48,28 +48,28 @@ impl Tuning {
         }
     }
 
-    /// The same with every error counted once.
+    /// The same with every error weighted once.
     pub(super) fn plain(&self) -> Self {
         Self { overdose_factor: 1.0, ..self.clone() }
     }
 }
 
-/// A schedule and how it did in the search.
+/// A schedule and its search result.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Tuned {
     /// The schedule.
     pub schedule: Schedule,
-    /// Mean absolute error over powders, spoons and targets of its last round, mg. It was chosen for being small: expect more on
-    /// other spoons.
+    /// Mean absolute error over powders, spoons and targets of its last round, mg. It was selected
+    /// for a small value: expect more on other spoons.
     pub mae_mg: f64,
-    /// Schedules poured, counting a schedule again in each round.
+    /// Schedules poured, counted once per round.
     pub pours: u32,
 }
 
-/// Steps of a tuned schedule.
+/// Number of steps of a tuned schedule.
 const STEPS: usize = 10;
 
-/// Pitch and shake that go linearly from a first to a last value.
+/// A schedule whose pitch and shake go linearly from a first to a last value.
 fn ramp(first: ScheduledStep, last: ScheduledStep) -> Schedule {
     let steps = (0..STEPS).map(|k| {
         let w = k as f64 / (STEPS - 1) as f64;
@@ -82,10 +82,11 @@ fn ramp(first: ScheduledStep, last: ScheduledStep) -> Schedule {
     Schedule { steps: steps.collect() }
 }
 
-/// Search the schedule with the smallest mean absolute error on these powders.
+/// Searches for the schedule with the smallest mean absolute error on these powders.
 ///
-/// Random ramps and successive halving (Jamieson and Talwalkar 2016), then the same once more around the best of them. What an
-/// open-loop schedule pours does not depend on the target, so one pour serves all targets.
+/// Random ramps and successive halving (Jamieson and Talwalkar 2016), then once more around the
+/// best of them. The pours of an open-loop schedule do not depend on the target, so one pour serves
+/// all targets.
 ///
 /// # Panics
 /// Without powders, parameter sets, targets or candidates.
@@ -103,7 +104,7 @@ pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning) -> Tuned
     });
     let score = |[first, last]: &Ends, doses| score(&ramp(*first, *last), levels, tuning, &spoons, doses);
     let (best, first_spoons) = halve(field.collect(), tuning.spoons, KEPT, score);
-    // The second field: the best of the first, and steps aside from them.
+    // The second field: the best of the first, and variants of them.
     let mut aside = |from: ScheduledStep| ScheduledStep {
         pitch_deg: (from.pitch_deg + rng.random_range(-6.0..6.0)).clamp(0.0, pitch_max_deg),
         shake_mm: (from.shake_mm + rng.random_range(-2.5..2.5)).clamp(1.0, SHAKE_MM_MAX),
@@ -117,11 +118,12 @@ pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning) -> Tuned
 
 /// The two ends of a ramp.
 type Ends = [ScheduledStep; 2];
-/// Candidates that a search hands over.
+/// Number of candidates returned by a search.
 pub(super) const KEPT: usize = 4;
 
-/// Successive halving: each round scores every remaining candidate on twice as many spoons of each powder and keeps the better quarter,
-/// until `kept` are left. Those with their scores, the best first, and the spoons of each powder that were poured.
+/// Successive halving: each round scores every remaining candidate on twice as many spoons of each
+/// powder and keeps the better quarter, until `kept` are left. Returns those with their scores,
+/// best first, and the number of spoons of each powder that were poured.
 pub(super) fn halve<C: Send + Sync>(
     mut field: Vec<C>,
     mut spoons: u32,
@@ -132,7 +134,7 @@ pub(super) fn halve<C: Send + Sync>(
     loop {
         let mut scored: Vec<(f64, C)> = field.into_par_iter().map(|c| (score(&c, spoons), c)).collect();
         poured += scored.len() as u32 * spoons;
-        // A stable sort: of equals the first drawn wins.
+        // A stable sort: among equals, the first drawn wins.
         scored.sort_by(|a, b| a.0.total_cmp(&b.0));
         if scored.len() <= kept {
             return (scored, poured);
@@ -143,7 +145,8 @@ pub(super) fn halve<C: Send + Sync>(
     }
 }
 
-/// Mean absolute error of a schedule on `doses` spoons of each powder, filled with another seed than the search, mg.
+/// Mean absolute error of a schedule on `doses` spoons of each powder, filled with a seed not used
+/// in the search, mg.
 pub fn assess<F: Filling>(
     filling: &F,
     levels: &[Level],
@@ -163,7 +166,7 @@ fn score<F: Filling>(schedule: &Schedule, levels: &[Level], tuning: &Tuning, spo
     })
 }
 
-/// Mean over `doses` spoons of each powder of the errors that `pour` makes with a spoon and a seed, mg.
+/// Mean of the errors `pour` makes with a spoon and a seed, over `doses` spoons of each powder, mg.
 pub(super) fn mean_error_mg<F: Filling>(
     levels: &[Level],
     seed: u64,
@@ -184,7 +187,8 @@ pub(super) fn mean_error_mg<F: Filling>(
     errors.iter().sum::<f64>() / errors.len() as f64
 }
 
-/// What the true error at each target costs when one spoon is poured by this controller, which is told `shown_mg`.
+/// Weighted true errors at each target when this controller, given the target `shown_mg`, pours one
+/// spoon.
 pub(super) fn errors_mg(
     controller: &Controller,
     mut spoon: impl Spoon,

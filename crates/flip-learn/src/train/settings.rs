@@ -1,4 +1,4 @@
-//! Every hyper-parameter of a training, in one block.
+//! All hyperparameters of a training.
 
 use super::curriculum;
 use flip_core::domain::conditions::{Patch, Under};
@@ -11,10 +11,10 @@ use std::collections::BTreeMap;
 /// Angles of repose of the published curriculum's three levels, degrees.
 pub const PAPER_LEVELS_DEG: [f64; 3] = [28.0, 33.0, 37.0];
 
-/// Episodes on the surrogate that take as long as one in the simulator, or so.
+/// Approximate number of surrogate episodes that take as long as one in the simulator.
 pub(super) const SURROGATE_EPISODES: u32 = 50;
 
-/// Which settings a training starts from.
+/// The defaults a training starts from.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
@@ -25,69 +25,73 @@ pub enum Preset {
     Paper,
 }
 
-/// Which powder an episode gets.
+/// How the powder of an episode is chosen.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Order {
-    /// From the lowest angle of repose to the highest, moving on when good enough.
+    /// From the lowest angle of repose to the highest, advancing when good enough.
     #[default]
     Curriculum,
     /// From the highest angle of repose to the lowest, by the same rule.
     Reverse,
-    /// A level drawn for each episode.
+    /// A random level for each episode.
     Random,
-    /// A parameter set drawn from the whole published box for each episode; the levels are not used.
+    /// A random parameter set from the whole published box for each episode; levels are not used.
     DomainRandomisation,
 }
 
-/// Which network learns.
+/// The network architecture.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Network {
-    /// Two hidden layers; an action follows from what is seen now. It learns from single transitions.
+    /// Two hidden layers, no memory. Learns from single transitions.
     #[default]
     FeedForward,
-    /// The prior work's, which remembers the weighing in an LSTM. It learns from whole episodes.
+    /// The prior work's network with an LSTM memory. Learns from whole episodes.
     Recurrent {
-        /// With which state the LSTMs meet the next observations.
+        /// Initial LSTM state for the next observations.
         replayed: Replayed,
     },
 }
 
-/// With which state a replayed episode's LSTMs meet its next observations, whose values the critics learn.
+/// Initial LSTM state of a replayed episode for its next observations, as seen by the critics.
 ///
-/// What the networks remember before each step begins with zeros at the episode's first step either way, as does a weighing.
+/// The memory before each step starts from zero at the episode's first step either way, as in a
+/// weighing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Replayed {
-    /// The published code's: the state that the actor of that time had after the first step was stored with the episode. It is given to
-    /// today's actor, and to the target critics as well, whose own states mean something else.
+    /// The published code's: the actor's state after the first step was stored with the episode. It
+    /// is passed to today's actor and also to the target critics, whose own states mean something
+    /// else.
     StoredState,
-    /// Ours: each network goes through the episode from its beginning. At 10 to 30 steps there is nothing to burn in or to cut off.
+    /// Ours: each network runs through the episode from its start. With 10 to 30 steps no burn-in
+    /// or truncation is needed.
     Episodes,
 }
 
-/// How far off a critic is.
+/// Loss function of the critics.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CriticLoss {
     /// Half of the squared difference.
     #[default]
     Squared,
-    /// The same up to a difference of 1, and from there on linear (Huber 1964).
+    /// Quadratic up to a difference of 1, linear beyond (Huber 1964).
     Huber,
 }
 
-/// The days of a training under an extended simulator: each episode has one of them. The surrogate feels what they do to a powder's parameters only.
+/// The days of a training under an extended simulator; each episode has one. On the surrogate, only
+/// their effect on a powder's parameters applies.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[schema(as = ExtendedTraining)]
 #[serde(deny_unknown_fields)]
 pub struct Extended {
-    /// The version, and the conditions that are held.
+    /// The version, and the conditions held fixed.
     pub under: Under,
-    /// What each day changes about a powder that has no list of its own, at least one day.
+    /// Changes of each day to a powder without its own list; at least one day.
     pub days: Vec<Patch>,
-    /// What each day changes about these powders.
+    /// Changes of each day to these powders.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub powders: BTreeMap<String, Vec<Patch>>,
 }
@@ -100,7 +104,7 @@ impl Extended {
         &days[(seed % days.len() as u64) as usize]
     }
 
-    /// Whether each powder's days are all alike: every condition is held.
+    /// Whether all days of each powder are equal, i.e. every condition is held.
     pub(super) fn is_held(&self) -> bool {
         self.powders.values().chain([&self.days]).all(|days| days.windows(2).all(|pair| pair[0] == pair[1]))
     }
@@ -114,52 +118,58 @@ impl Extended {
     }
 }
 
-/// A training that goes on from a policy, for conditions that this one has not met.
-// Unknown fields are left alone: specifications that are stored may have `spoons`, which an earlier version looked at.
+/// A training that continues from a policy, for conditions new to it.
+// Unknown fields are accepted: stored specifications may have `spoons`, used by an earlier version.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct FineTuning {
     /// Id of the policy.
     pub policy: String,
-    /// Updates of the critics alone. They begin with nothing, and a policy that followed them at once would forget what it can.
+    /// Updates of the critics alone. They start untrained; a policy that followed them would
+    /// unlearn.
     pub held_updates: u32,
-    /// Updates over which the policy that comes out is a mean of what the actor was, an exponential one (Polyak and Juditsky 1992): after so short a
-    /// training the last one is where chance left it. Default 2000; 0, the last one, is what trainings of earlier versions had.
+    /// Updates over which the final policy is an exponential mean of the actor (Polyak and Juditsky
+    /// 1992): after so short a training the last actor is left to chance. Default 2000; 0 takes the
+    /// last actor, as in earlier versions.
     #[serde(default, skip_serializing_if = "is_default")]
     pub averaged_updates: u32,
 }
 
-/// Every setting of a training; stored with its job, its checkpoints and its policy.
+/// Settings of a training; stored with its job, its checkpoints and its policy.
 ///
-/// Sources: "Haarnoja 2018" is arXiv:1812.05905; "prior work" is the public code of the published robot and of the
-/// method it builds on (github.com/omron-sinicx/robotic-powder-weighing); "ours" was measured, see `docs/decisions.md`.
+/// Sources: "Haarnoja 2018" is arXiv:1812.05905; "prior work" is the public code of the published
+/// robot and of the method it builds on (github.com/omron-sinicx/robotic-powder-weighing); "ours"
+/// was measured, see `docs/decisions.md`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[schema(as = TrainingSettings)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
     /// The preset these settings started from.
     pub preset: Preset,
-    /// Which powder an episode gets.
+    /// How the powder of an episode is chosen.
     pub order: Order,
-    /// Seed of everything that is drawn.
+    /// Seed of all random draws.
     pub seed: u64,
 
-    /// Episodes in the training. Default 4800 (ours), 4000 (paper), 720 where one goes on from a policy.
+    /// Episodes in the training. Default 4800 (ours), 4000 (paper), 720 when continuing from a
+    /// policy.
     pub episodes: u32,
-    /// First episodes that are played on a model of the spoon ([`super::Surrogate`]) instead of the simulator, a thousand times as fast; what they
-    /// taught stays, their steps are forgotten. Default 0; a training that is asked for without a number plays as many as
-    /// [`Settings::surrogate_by_default`].
+    /// Initial episodes played on a model of the spoon ([`super::Surrogate`]), a thousand times as
+    /// fast as the simulator; their lessons stay, their steps are dropped. Default 0; a training
+    /// requested without a number uses [`Settings::surrogate_by_default`].
     #[serde(default, skip_serializing_if = "is_default")]
     pub surrogate_episodes: u32,
-    /// Episodes collected in parallel with one snapshot of the policy, before updates. Fixed, so that the result does not
-    /// depend on the number of threads. Default 4 (ours), 1 (paper).
+    /// Episodes collected in parallel with one policy snapshot before updates. Fixed, so that the
+    /// result does not depend on the number of threads. Default 4 (ours), 1 (paper).
     pub episodes_per_round: u32,
     /// Rounds between checkpoints. Default 5.
     pub rounds_per_checkpoint: u32,
-    /// Share of the episodes whose parameter set is drawn from the whole published box instead of a powder's, so that a powder that was never
-    /// met is not new in every way. They do not count towards a level. Default 0.25 (ours), 0 (published).
+    /// Share of the episodes with a parameter set from the whole published box, so that a new
+    /// powder is not new in every way. They do not count towards a level. Default 0.25 (ours), 0
+    /// (published).
     #[serde(default, skip_serializing_if = "is_default")]
     pub box_share: f64,
-    /// Different heaps per parameter set; a filled spoon is kept and cloned. Default 20 (ours), 2 (paper).
+    /// Different heaps per parameter set; filled spoons are kept and cloned. Default 20 (ours), 2
+    /// (paper).
     pub fills_per_set: u32,
 
     /// Steps, ending and pitch range of an episode. Default: at most 10 steps, ends on target.
@@ -172,65 +182,69 @@ pub struct Settings {
     pub balance: balance::Settings,
     /// The simulated spoon; its pitch range is replaced by the rules'.
     pub spoon: dispense::Settings,
-    /// The version of the simulator that it trains on and the days it meets. Default the base, whose every day is alike.
+    /// Simulator version and days of the training. Default the base version, whose days are alike.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub extended: Option<Extended>,
 
-    /// What it goes on from. Default nothing: a training begins with a policy that cannot do anything.
+    /// The policy to continue from. Default none: a training starts with an untrained policy.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<FineTuning>,
 
     /// Inputs of the networks.
     pub encoding: Encoding,
-    /// Which network learns. Default feed-forward (ours), recurrent with stored states (prior work).
+    /// Network architecture. Default feed-forward (ours), recurrent with stored states (prior
+    /// work).
     #[serde(default)]
     pub network: Network,
     /// Width of the hidden layers and of the LSTM. Default 128 (prior work).
     pub hidden: u32,
-    /// Transitions per update; episodes per update for a recurrent network. Default 256 (ours), 16 (prior work).
+    /// Transitions per update; episodes if recurrent. Default 256 (ours), 16 (prior work).
     pub batch: u32,
-    /// Updates for each step in the simulator. Default 10 (ours: a step there costs more than they do), 1 (prior work).
+    /// Updates per simulator step. Default 10 (ours: a step costs more than they do), 1 (prior
+    /// work).
     pub updates_per_step: f64,
     /// Updates for each step on the surrogate. Default 1.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub surrogate_updates_per_step: f64,
     /// Episodes with random actions before the first update. Default 16 (ours), 20 (prior work).
     pub warmup_episodes: u32,
-    /// Random actions tilt the spoon: each warm-up episode draws a mean incline change from 0 to this share of 8 deg, so that
-    /// some of them pour. Default 0.6 (ours), 0 (prior work).
+    /// Tilt of random actions: each warm-up episode draws a mean incline change from 0 to this
+    /// share of 8 deg, so that some of them pour. Default 0.6 (ours), 0 (prior work).
     pub warmup_tilt: f64,
-    /// Transitions kept; the oldest is forgotten first. A recurrent network keeps as many episodes as have room at the most
-    /// steps. Default 1 000 000 (prior work).
+    /// Transitions kept; the oldest goes first. A recurrent network keeps as many full-length
+    /// episodes as fit. Default 1 000 000 (prior work).
     pub replay_capacity: u32,
     /// Adam's step size for actor, critics and temperature. Default 3e-4 (ours), 1e-4 (prior work).
     pub learning_rate: f64,
-    /// How far off a critic is. Default squared (Haarnoja 2018), Huber (prior work).
+    /// Loss function of the critics. Default squared (Haarnoja 2018), Huber (prior work).
     #[serde(default)]
     pub critic_loss: CriticLoss,
     /// Discount per step. Default 0.9 (ours: the ending counts for ten steps), 0.99 (prior work).
     pub gamma: f64,
-    /// Share of the critic that the target network takes over per update. Default 0.005 (Haarnoja 2018).
+    /// Share of the critic copied to the target network per update. Default 0.005 (Haarnoja 2018).
     pub tau: f64,
-    /// Entropy that the temperature steers to, nats. Default -2: minus the number of actions (Haarnoja 2018).
+    /// Target entropy of the temperature, nats. Default -2: minus the number of actions (Haarnoja
+    /// 2018).
     pub target_entropy: f64,
     /// Temperature at the start. Default 0.2 (ours), 1 (prior work).
     pub initial_alpha: f64,
-    /// Factor on rewards inside the losses; reports keep the unscaled reward. Default 0.1 (ours), 1 (prior work).
+    /// Factor on rewards in the losses; reports are unscaled. Default 0.1 (ours), 1 (prior work).
     pub reward_scale: f64,
-    /// An early ending is paid as if the last reward went on for ever, so that ending early on a bad dose is no escape:
-    /// the terminal reward is `r / (1 - gamma)`. Default true (ours; the paper's episodes never end early).
+    /// Whether an early ending is paid as if the last reward went on for ever (terminal reward
+    /// `r / (1 - gamma)`), so that it is no escape from a bad dose. Default true (ours; the paper's
+    /// never end early).
     pub absorbing_ending: bool,
-    /// Factor on the true error in the training reward once the dose is more than 1 mg too high; it cannot be taken back.
-    /// 1 is the published reward. Default 2 (ours).
+    /// Factor on the true error in the training reward for an overdose of more than 1 mg, which
+    /// cannot be undone. 1 is the published reward. Default 2 (ours).
     pub overdose_factor: f64,
-    /// Share of each batch whose target is drawn anew in hindsight (Andrychowicz 2017); the powder does not care what was
-    /// asked for. Whole episodes at once for a recurrent network; stored states belong to the target that was asked for, so with
-    /// them it must be 0. Default 0.8 (ours), 0 (prior work).
+    /// Share of each batch whose target is redrawn in hindsight (Andrychowicz 2017), as the
+    /// powder's behaviour does not depend on it. Whole episodes if recurrent; must be 0 with stored
+    /// states, which belong to the original target. Default 0.8 (ours), 0 (prior work).
     pub relabel_share: f64,
     /// Lowest relabelled target, mg. Default 2: endings are learned from small doses too.
     pub relabel_mg_min: f64,
 
-    /// When the curriculum moves on.
+    /// When the curriculum advances.
     pub curriculum: curriculum::Rule,
 }
 
@@ -305,15 +319,15 @@ impl Settings {
         }
     }
 
-    /// These settings for a training that goes on from a policy: it weighs from the first episode on, explores as little as it has come to, and takes
-    /// ten to thirty minutes on two cores.
+    /// Adapts the settings to continue from a policy: it weighs from the first episode, explores as
+    /// little as the policy does, and takes ten to thirty minutes on two cores.
     #[must_use]
     pub fn going_on_from(self, policy: String) -> Self {
         let from = Some(FineTuning { policy, held_updates: 2000, averaged_updates: 2000 });
         Self { from, episodes: 720, warmup_episodes: 0, initial_alpha: 0.02, ..self }
     }
 
-    /// These settings if a training can run with them.
+    /// Validates the settings.
     ///
     /// # Errors
     /// The first setting that is out of range, by name.
@@ -355,8 +369,9 @@ impl Settings {
         Ok(self)
     }
 
-    /// Episodes on the surrogate unless a request says otherwise: four fifths of ours, none of the published ones. None either where one goes on from a
-    /// policy: the surrogate knows nothing of the conditions that it is to learn, and unlearns what the simulator taught.
+    /// Default surrogate episodes: four fifths for ours, none for the published settings. None when
+    /// continuing from a policy: the surrogate lacks the conditions to learn, and unlearns the
+    /// simulator's lessons.
     pub fn surrogate_by_default(&self) -> u32 {
         match (self.preset, &self.from) {
             (Preset::Flip, None) => self.episodes - self.episodes.div_ceil(5),
@@ -364,7 +379,7 @@ impl Settings {
         }
     }
 
-    /// Share of the training's work that is done after these episodes; one on the surrogate is a fiftieth of one in the simulator.
+    /// Share of the training's work done by now; a surrogate episode counts as a fiftieth.
     pub fn share_done(&self, episodes: u32) -> f64 {
         let work = |episodes: u32| {
             let on_surrogate = episodes.min(self.surrogate_episodes);
@@ -373,7 +388,7 @@ impl Settings {
         work(episodes) / work(self.episodes)
     }
 
-    /// What the manifest of a policy says that was trained with these settings.
+    /// The kind recorded in the manifest of a policy trained with these settings.
     pub fn policy_kind(&self) -> Kind {
         match self.network {
             Network::FeedForward => Kind::Learned { encoding: self.encoding, widths: self.actor_widths() },
@@ -387,36 +402,39 @@ impl Settings {
         vec![self.encoding.width(), hidden, hidden, 2 * OUTPUTS]
     }
 
-    /// Episodes are remembered with the actor's state after their first step.
+    /// Whether episodes are stored with the actor's state after their first step.
     pub fn stores_states(&self) -> bool {
         self.network == Network::Recurrent { replayed: Replayed::StoredState }
     }
 
-    /// Most episodes on one of `levels` levels when there are `episodes` for all: the published 1330, or an equal share of a smaller budget.
+    /// Most episodes on one of `levels` levels with `episodes` in total: the published 1330, or an
+    /// equal share of a smaller budget.
     ///
     /// ```text
     /// min(1330, ceil(episodes (1 - box_share) / levels))
     /// ```
     ///
-    /// With the published three levels and 4000 episodes this is the published rule (the shares would be 1334); with a
-    /// demonstration budget every level still gets its turn, on the surrogate and once more in the simulator.
+    /// With the published three levels and 4000 episodes this is the published rule (the shares
+    /// would be 1334); with a demonstration budget every level still gets its turn, on the
+    /// surrogate and again in the simulator.
     pub fn level_episodes_max(&self, episodes: u32, levels: u32) -> u32 {
         let share = f64::from(episodes) * (1.0 - self.box_share) / f64::from(levels.max(1));
         self.curriculum.episodes_max.min(share.ceil() as u32)
     }
 }
 
-/// What is meant where nothing is said.
+/// Default of settings that are 1 if omitted.
 fn one() -> f64 {
     1.0
 }
 
-/// Left out likewise.
+/// Whether the value is 1, the default, which is omitted.
 fn is_one(value: &f64) -> bool {
     *value == 1.0
 }
 
-/// Left out of the text of settings, so that trainings from before there was such a setting are found.
+/// Whether the value is the default. It is then omitted, so that trainings older than the setting
+/// are still found.
 fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }

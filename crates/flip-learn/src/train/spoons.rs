@@ -1,4 +1,4 @@
-//! Filled spoons, kept: filling takes as long as several steps.
+//! Cache of filled spoons: filling takes as long as several steps.
 
 use super::environment::Filling;
 use flip_core::domain::conditions::Patch;
@@ -7,10 +7,11 @@ use flip_core::domain::seed::derive;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock};
 
-/// Filled spoons, each filled by the first who asks.
+/// Filled spoons, each filled on first request.
 type Shelf<S> = HashMap<(String, u32, String), Arc<OnceLock<S>>>;
 
-/// Filled spoons by parameter set, heap number and conditions. A clone of one is a new dose from the same heap.
+/// Filled spoons by parameter set, heap number and conditions. A clone of one is a new dose from
+/// the same heap.
 pub struct Spoons<'a, F: Filling> {
     filling: &'a F,
     seed: u64,
@@ -18,12 +19,13 @@ pub struct Spoons<'a, F: Filling> {
 }
 
 impl<'a, F: Filling> Spoons<'a, F> {
-    /// None filled yet.
+    /// Creates an empty cache.
     pub fn new(filling: &'a F, seed: u64) -> Self {
         Self { filling, seed, kept: Mutex::new(HashMap::new()) }
     }
 
-    /// Heap `heap` of this powder in these conditions, filled on first use. The same whoever asks first.
+    /// Returns heap `heap` of this powder in these conditions, filled on first use. The result does
+    /// not depend on who requests it first.
     pub fn take(&self, set: &ParameterSet, heap: u32, patch: &Patch) -> F::Spoon {
         let conditions = serde_json::to_string(patch).expect("plain data");
         let slot = {
@@ -33,7 +35,7 @@ impl<'a, F: Filling> Spoons<'a, F> {
         slot.get_or_init(|| self.fill(set, heap, patch)).clone()
     }
 
-    /// The same without keeping it, for powders and conditions that are met once.
+    /// The same without caching, for powders and conditions that occur once.
     pub fn fill(&self, set: &ParameterSet, heap: u32, patch: &Patch) -> F::Spoon {
         self.filling.fill_under(set, patch, derive(self.seed, &[heap.into()]))
     }

@@ -1,14 +1,15 @@
-//! A spoon in microseconds: what simulated ones were seen to do. Our own trainings begin on it.
+//! A microsecond model of the spoon, fitted to simulated ones. Our own trainings start on it.
 //!
-//! The model is the dispenser's ([`flip_policy::Response`]): a mass that is loose, and the share of it that a shake takes. Which spoonful it is
-//! follows from the powder and from chance,
+//! The model is the dispenser's ([`flip_policy::Response`]): a loose mass, and the share of it
+//! that a shake releases. The spoonful depends on the powder and on chance,
 //!
 //! ```text
 //! (onset, ln slope, ln stroke) = B (1, d1 .. d5) + N(0, C)
 //! ```
 //!
-//! with d the five numbers that the powder's parameter set folds into ([`flip_sim::directions`]). B, C and the model's other numbers are fitted to
-//! courses of simulated spoons over the whole published box:
+//! with d the five numbers that the powder's parameter set reduces to ([`flip_sim::directions`]).
+//! B, C and the model's other numbers are fitted to courses of simulated spoons over the whole
+//! published box:
 //!
 //! ```text
 //! cargo experiment shake_response -- box:300 1 1 -10 > box.csv
@@ -29,18 +30,20 @@ use rand_pcg::Pcg64Mcg;
 pub struct Surrogate {
     /// Range of the pitch.
     pub pitch: PitchLimits,
-    /// How much spoonfuls of one powder differ: 1 as simulated ones do, 0 not at all.
+    /// Spread between spoonfuls of one powder: 1 as in the simulator, 0 for none.
     pub spread: f64,
 }
 
-/// B: of the onset in degrees, of ln slope in mg/deg and of ln stroke in mm, each a constant and a number for each direction.
+/// B: rows for the onset in degrees, ln slope in mg/deg and ln stroke in mm, each with a constant
+/// and a coefficient for each direction.
 const BY_DIRECTIONS: [[f64; 1 + DIRECTIONS]; 3] = [
     [-2.942, 37.38, -1.234, -1.348, 3.49, -24.916],
     [-0.148, 0.008, 0.942, -0.924, 0.071, 0.343],
     [7.247, 1.469, -3.435, -0.92, -0.333, -0.117],
 ];
 
-/// What is left to chance, and what all spoonfuls share; the means are those of [`BY_DIRECTIONS`].
+/// The random part, and the parameters shared by all spoonfuls; the means are those of
+/// [`BY_DIRECTIONS`].
 const RESPONSE: Response = Response {
     onset_deg: [0.0, 21.92],
     ln_slope_mg_deg: [0.0, 1.07],
@@ -56,7 +59,7 @@ const RESPONSE: Response = Response {
     overdose_factor: 1.0,
 };
 
-/// A spoonful at work.
+/// A spoonful in use.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SurrogateSpoon {
     pitch: PitchLimits,
@@ -67,18 +70,18 @@ pub struct SurrogateSpoon {
 }
 
 impl Surrogate {
-    /// Spoonfuls as simulated ones are.
+    /// Creates spoonfuls with the simulator's spread.
     pub fn new(pitch: PitchLimits) -> Self {
         Self { pitch, spread: 1.0 }
     }
 
-    /// Means of onset, ln slope and ln stroke of a powder.
+    /// Means of onset, ln slope and ln stroke for a powder.
     fn means(set: &ParameterSet) -> [f64; 3] {
         let d = directions(set);
         BY_DIRECTIONS.map(|row| row[0] + row[1..].iter().zip(d).map(|(b, d)| b * d).sum::<f64>())
     }
 
-    /// What a spoonful of this powder does, as chance will have it.
+    /// Draws a spoonful of this powder.
     fn spoonful(&self, set: &ParameterSet, seed: u64) -> Spoonful {
         let [onset, slope, stroke] = Self::means(set);
         let response = Response {
@@ -112,7 +115,8 @@ impl Spoon for SurrogateSpoon {
         if mean <= 0.0 {
             return;
         }
-        // Grains in slightly other motion end elsewhere: what chance gives depends on all that was done, as in the simulator.
+        // Grains that move slightly differently end elsewhere: the random draw depends on the whole
+        // history, as in the simulator.
         self.seed = derive(self.seed, &[self.pitch_deg.to_bits(), action.shake_mm.to_bits()]);
         let z = normal(&mut Pcg64Mcg::seed_from_u64(self.seed));
         self.vial_mg = (self.vial_mg + RESPONSE.draw(mean, z.into())).min(RESPONSE.held_mg);
@@ -133,7 +137,7 @@ mod tests {
     const SURROGATE: Surrogate = Surrogate { pitch: PitchLimits::WIDE, spread: 1.0 };
     const SHAKE: Action = Action { incline_change_deg: 8.0, shake_mm: 8.0 };
 
-    /// Mass of one dose after four shakes, each 8 deg higher, for many spoonfuls.
+    /// Masses of one dose after four shakes, each 8 deg higher, for many spoonfuls.
     fn masses(set: &ParameterSet) -> Vec<f64> {
         (0..400)
             .map(|seed| {

@@ -18,11 +18,12 @@ use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
 
-/// Train a policy in the simulator.
+/// Trains a policy in the simulator.
 ///
-/// `on_event` hears of every episode and checkpoint; when it answers `Break`, the training stops with a checkpoint. When `flow`
-/// does, it stops sooner: episodes under way are played to their end, and their round is dropped to be played again. From a
-/// checkpoint the result is the same, bit for bit, as without the interruption.
+/// `on_event` is called with every episode and checkpoint; if it returns `Break`, the training
+/// stops with a checkpoint. If `flow` returns `Break`, it stops sooner: running episodes are played
+/// to their end, and their round is dropped and played again on resumption. Resuming from a
+/// checkpoint gives the same result, bit for bit, as an uninterrupted run.
 ///
 /// # Errors
 /// [`TrainError`].
@@ -36,7 +37,7 @@ pub fn train(
     train_on(&simulated(settings), levels, settings, start, flow, on_event)
 }
 
-/// Everything that changes during a training; what a checkpoint holds.
+/// The mutable state of a training, as stored in a checkpoint.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct State {
     pub learner: Learner,
@@ -50,9 +51,9 @@ pub(super) struct State {
 pub(super) struct Progress {
     pub rounds: u32,
     pub episodes: u32,
-    /// Steps in the simulator since the warm-up.
+    /// Simulator steps since the warm-up.
     pub learning_steps: u64,
-    /// Steps on the surrogate since the warm-up.
+    /// Surrogate steps since the warm-up.
     pub surrogate_steps: u64,
     pub updates: u64,
     /// Errors of the last 20 episodes, mg.
@@ -61,7 +62,7 @@ pub(super) struct Progress {
     pub on_level: Vec<u32>,
 }
 
-/// Episodes in the final error.
+/// Number of episodes in the final error.
 const RECENT: usize = 20;
 
 /// [`train`] on any kind of spoon.
@@ -102,13 +103,13 @@ pub fn train_on<F: Filling>(
     state.finish(levels, settings)
 }
 
-/// Rounds between checkpoints where the training stands: on the surrogate they are over in no time.
+/// Rounds between checkpoints at this point of the training: surrogate rounds take almost no time.
 fn rounds_per_checkpoint(progress: &Progress, settings: &Settings) -> u32 {
     let on_surrogate = progress.episodes < settings.surrogate_episodes;
     settings.rounds_per_checkpoint.saturating_mul(if on_surrogate { SURROGATE_EPISODES } else { 1 })
 }
 
-/// The levels in the order they are met.
+/// The levels in training order.
 fn ordered(levels: &[Level], settings: &Settings) -> Result<Vec<Level>, FieldError> {
     if settings.order == Order::DomainRandomisation {
         return Ok(Vec::new());
@@ -135,7 +136,7 @@ impl State {
     fn new(levels: &[Level], settings: &Settings) -> Self {
         let mut rng = Pcg64Mcg::seed_from_u64(derive(settings.seed, &[stream::INITIALISE]));
         let count = levels.len().max(1) as u32;
-        // A random order has no level to leave.
+        // A random order has no level to advance from.
         let steps = if matches!(settings.order, Order::Curriculum | Order::Reverse) { count } else { 1 };
         let first = if settings.surrogate_episodes > 0 { settings.surrogate_episodes } else { settings.episodes };
         Self {
@@ -146,7 +147,7 @@ impl State {
         }
     }
 
-    /// With a policy that can weigh in place of the fresh one.
+    /// Replaces the initial policy with a trained one.
     fn going_on_from(mut self, actor: &Actor, settings: &Settings) -> Result<Self, FieldError> {
         if actor.kind() != settings.policy_kind() {
             let advice = "is a policy of another network than this training's: take one of the same preset";
@@ -156,7 +157,8 @@ impl State {
         Ok(self)
     }
 
-    /// Play a round, learn from it, and report its episodes; None, and nothing is changed, when `flow` said to stop.
+    /// Plays a round, learns from it, and reports its episodes; None, with nothing changed, if
+    /// `flow` requested a stop.
     fn round<F: Filling>(
         &mut self,
         levels: &[Level],
@@ -165,7 +167,7 @@ impl State {
         flow: &Flow<'_>,
     ) -> Result<Option<Vec<EpisodeRecord>>, TrainError> {
         let first = self.progress.episodes;
-        // No round is played half on the surrogate and half in the simulator.
+        // A round is never split between the surrogate and the simulator.
         let on_surrogate = first < settings.surrogate_episodes;
         let end = if on_surrogate { settings.surrogate_episodes } else { settings.episodes };
         let count = settings.episodes_per_round.min(end - first);
@@ -188,7 +190,7 @@ impl State {
         let losses = self.learn(settings);
         let left = settings.episodes - self.progress.episodes;
         if on_surrogate && left > 0 && self.progress.episodes == settings.surrogate_episodes {
-            // What the surrogate did would be most of every batch, and the simulator does something else.
+            // Surrogate steps would dominate every batch, and the simulator behaves differently.
             self.replay = Replay::new(settings);
             let count = self.progress.on_level.len() as u32;
             self.curriculum.begin_again(settings.level_episodes_max(left, count));
@@ -202,7 +204,7 @@ impl State {
         if plan.randomised {
             self.curriculum.pass();
         } else {
-            // Under a random order every episode belongs to the curriculum's only level.
+            // In a random order every episode belongs to the curriculum's only level.
             self.curriculum.record(plan.level, error_mg);
             self.progress.on_level[plan.level as usize] += 1;
         }
@@ -212,7 +214,7 @@ impl State {
         self.progress.recent.push_back(error_mg);
     }
 
-    /// Make the updates that are due; the mean of what they saw.
+    /// Makes the updates that are due; returns the mean of their losses.
     fn learn(&mut self, settings: &Settings) -> Option<Losses> {
         let due = settings.updates_per_step * self.progress.learning_steps as f64
             + settings.surrogate_updates_per_step * self.progress.surrogate_steps as f64;

@@ -3,12 +3,13 @@
 use super::{Add, Div, Lanes, Mask, Mul, Sub, Vector, WIDTH};
 use std::arch::x86_64::*;
 
-/// The AVX2 implementation, in two halves. Values of this type come to be only in functions that are compiled for AVX2 and entered
-/// after the processor was asked for it ([`super::Path::available`]): this is what makes the intrinsics below sound.
+/// The AVX2 implementation, in two halves. Values of this type are created only in functions that
+/// are compiled for AVX2 and entered after checking that the processor supports it
+/// ([`super::Path::available`]); this makes the intrinsics below sound.
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2(__m256, __m256);
 
-/// Lanes of a half.
+/// Lanes in one half.
 const HALF: usize = WIDTH / 2;
 
 macro_rules! operators {
@@ -28,7 +29,8 @@ operators!(Add add _mm256_add_ps, Sub sub _mm256_sub_ps, Mul mul _mm256_mul_ps, 
 impl Lanes for Avx2 {
     #[inline(always)]
     fn splat(x: f32) -> Self {
-        // SAFETY: the processor has AVX2, see the type. So in every function below that says nothing more.
+        // SAFETY: the processor has AVX2, see the type. The same applies to every function below
+        // without its own reason.
         unsafe { Self(_mm256_set1_ps(x), _mm256_set1_ps(x)) }
     }
     #[inline(always)]
@@ -98,7 +100,7 @@ impl Lanes for Avx2 {
     #[inline(always)]
     unsafe fn gather(from: &[Vector], index: &[u32; WIDTH]) -> [Self; 4] {
         let base = from.as_ptr();
-        // SAFETY: the caller promises that every index is within `from`.
+        // SAFETY: the caller guarantees that every index is within `from`.
         unsafe {
             let at = |lane: usize| base.add(index[lane] as usize).cast::<f32>();
             let two = |r: usize| {
@@ -111,7 +113,7 @@ impl Lanes for Avx2 {
     }
 }
 
-/// The low eight bits as a lane mask.
+/// Expands the low eight bits to a lane mask.
 #[inline(always)]
 fn spread(mask: Mask) -> __m256 {
     // SAFETY: see `splat`.

@@ -3,8 +3,9 @@
 use super::{Add, Div, Lanes, Mask, Mul, Sub, Vector, WIDTH};
 use std::arch::x86_64::*;
 
-/// The AVX-512F implementation. Values of this type come to be only in functions that are compiled for AVX-512F and entered after
-/// the processor was asked for it ([`super::Path::available`]): this is what makes the intrinsics below sound.
+/// The AVX-512F implementation. Values of this type are created only in functions that are compiled
+/// for AVX-512F and entered after checking that the processor supports it
+/// ([`super::Path::available`]); this makes the intrinsics below sound.
 #[derive(Clone, Copy)]
 pub(crate) struct Avx512(__m512);
 
@@ -25,7 +26,8 @@ operators!(Add add _mm512_add_ps, Sub sub _mm512_sub_ps, Mul mul _mm512_mul_ps, 
 impl Lanes for Avx512 {
     #[inline(always)]
     fn splat(x: f32) -> Self {
-        // SAFETY: the processor has AVX-512F, see the type. So in every function below that says nothing more.
+        // SAFETY: the processor has AVX-512F, see the type. The same applies to every function
+        // below without its own reason.
         Self(unsafe { _mm512_set1_ps(x) })
     }
     #[inline(always)]
@@ -87,7 +89,7 @@ impl Lanes for Avx512 {
     #[inline(always)]
     unsafe fn gather(from: &[Vector], index: &[u32; WIDTH]) -> [Self; 4] {
         let base = from.as_ptr();
-        // SAFETY: the caller promises that every index is within `from`.
+        // SAFETY: the caller guarantees that every index is within `from`.
         unsafe {
             let at = |lane: usize| base.add(index[lane] as usize).cast::<f32>();
             let four = |r: usize| {
@@ -103,9 +105,10 @@ impl Lanes for Avx512 {
     unsafe fn exchange(components: [Self; 4], to: &mut [Vector], first: &[u32; WIDTH], second: &[u32; WIDTH]) {
         let quads = transpose(components.map(|component| component.0));
         let base = to.as_mut_ptr();
-        // SAFETY: the caller promises that every index is within `to`; `vectors` has four quads of sixteen numbers.
+        // SAFETY: the caller guarantees that every index is within `to`; `vectors` has four quads
+        // of sixteen numbers.
         unsafe {
-            // Through memory, which takes no turn of the units that compute.
+            // Goes through memory, which does not occupy the arithmetic units.
             let mut vectors = [Self::splat(0.0); 4];
             for r in 0..4 {
                 std::ptr::write_volatile(&raw mut vectors[r], quads[r]);

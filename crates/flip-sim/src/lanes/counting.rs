@@ -1,17 +1,20 @@
-//! The portable path with a tally of what it does: the same bits, and how much arithmetic and traffic they took.
+//! The portable path with operation counters: the same bits, plus the arithmetic and memory
+//! traffic.
 
 use super::{Add, Div, Lanes, Mask, Mul, Portable, Sub, Vector, WIDTH};
 use std::cell::Cell;
 
-/// What a stretch of the simulation did, lanes without a contact included: they are computed all the same.
+/// Work done by a stretch of the simulation, including lanes without a contact, which are computed
+/// all the same.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Work {
-    /// Additions, subtractions, multiplications, divisions, square roots, minima and maxima of single numbers. Comparisons, choices and
-    /// integer work are not counted.
+    /// Additions, subtractions, multiplications, divisions, square roots, minima and maxima of
+    /// single numbers. Comparisons, selections and integer work are not counted.
     pub flops: u64,
-    /// Those of them that are divisions or square roots, which processors do several times more slowly.
+    /// The divisions and square roots among them, which processors execute several times more
+    /// slowly.
     pub slow_flops: u64,
-    /// Bytes read or written in order, with the indices of what is gathered.
+    /// Bytes read or written sequentially, including the indices of gathers.
     pub streamed_bytes: u64,
     /// Bytes read or written by index.
     pub gathered_bytes: u64,
@@ -21,7 +24,7 @@ thread_local! {
     static WORK: Cell<Work> = const { Cell::new(Work { flops: 0, slow_flops: 0, streamed_bytes: 0, gathered_bytes: 0 }) };
 }
 
-/// What `run` does on this thread.
+/// Counts the work of `run` on this thread.
 pub(crate) fn counted(run: impl FnOnce()) -> Work {
     WORK.set(Work::default());
     run();
@@ -49,7 +52,7 @@ fn stream<T>(_: &[T; WIDTH]) {
     tally(|work| work.streamed_bytes += size_of::<[T; WIDTH]>() as u64);
 }
 
-/// Sixteen vectors are read by index, added to and written back.
+/// Counts a scatter: sixteen vectors are read by index, added to and written back.
 fn scattered(index: &[u32; WIDTH]) {
     stream(index);
     tally(|work| {
@@ -58,7 +61,7 @@ fn scattered(index: &[u32; WIDTH]) {
     });
 }
 
-/// Sixteen numbers that count what is done with them.
+/// Sixteen numbers that count the operations on them.
 #[derive(Clone, Copy)]
 pub(crate) struct Counting(Portable);
 
@@ -116,12 +119,12 @@ impl Lanes for Counting {
     unsafe fn gather(from: &[Vector], index: &[u32; WIDTH]) -> [Self; 4] {
         stream(index);
         tally(|work| work.gathered_bytes += size_of::<[Vector; WIDTH]>() as u64);
-        // SAFETY: the caller promises that every index is below `from.len()`.
+        // SAFETY: the caller guarantees that every index is below `from.len()`.
         unsafe { Portable::gather(from, index) }.map(Self)
     }
     unsafe fn scatter(components: [Self; 4], to: &mut [Vector], index: &[u32; WIDTH]) {
         scattered(index);
-        // SAFETY: the caller promises that every index is below `to.len()`.
+        // SAFETY: the caller guarantees that every index is below `to.len()`.
         unsafe { Portable::scatter(components.map(|component| component.0), to, index) }
     }
     unsafe fn exchange(components: [Self; 4], to: &mut [Vector], first: &[u32; WIDTH], second: &[u32; WIDTH]) {

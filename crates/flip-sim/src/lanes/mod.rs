@@ -1,7 +1,8 @@
-//! Sixteen grains at once: the one place that knows the processor.
+//! Sixteen grains at a time: the only processor-specific module.
 //!
-//! Every operation is an IEEE operation on each lane by itself: no fused multiply-add, no approximate reciprocal. So the portable
-//! path and the wider ones give the same bits, on every x86-64 machine; `FLIP_SIMD=portable` and `FLIP_SIMD=avx2` force one.
+//! Every operation is an IEEE operation on each lane separately: no fused multiply-add, no
+//! approximate reciprocal. The portable path and the wider ones therefore give the same bits on
+//! every x86-64 machine; `FLIP_SIMD=portable` and `FLIP_SIMD=avx2` force one.
 #![allow(unsafe_code)] // Processor intrinsics; every block says why it is sound.
 #![allow(clippy::inline_always)] // A function that is not inlined into its `target_feature` caller is compiled without the feature.
 
@@ -28,32 +29,32 @@ pub(super) type Mask = u16;
 pub(super) trait Lanes:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
 {
-    /// The same number in every lane.
+    /// Sets every lane to the same number.
     fn splat(x: f32) -> Self;
-    /// From memory.
+    /// Loads from memory.
     fn load(x: &[f32; WIDTH]) -> Self;
-    /// To memory.
+    /// Stores to memory.
     fn store(self, to: &mut [f32; WIDTH]);
-    /// `self > other ? self : other`, lane by lane: the other one when `self` is no number.
+    /// `self > other ? self : other`, lane by lane: `other` if `self` is NaN.
     fn max(self, other: Self) -> Self;
     /// `self < other ? self : other`, lane by lane.
     fn min(self, other: Self) -> Self;
     /// Square root.
     fn sqrt(self) -> Self;
-    /// Lanes in which `self < other`.
+    /// Mask of the lanes in which `self < other`.
     fn below(self, other: Self) -> Mask;
-    /// `yes` where the bit is set.
+    /// Selects `yes` where the bit is set, otherwise `no`.
     fn select(mask: Mask, yes: Self, no: Self) -> Self;
-    /// Sixteen vectors by their components.
+    /// Loads sixteen vectors by component.
     fn rows(from: &[Vector; WIDTH]) -> [Self; 4];
     /// The reverse of [`Lanes::rows`].
     fn write_rows(components: [Self; 4], to: &mut [Vector; WIDTH]);
-    /// The vectors at these places, by their components.
+    /// Gathers the vectors at these places by component.
     ///
     /// # Safety
     /// Every index is below `from.len()`.
     unsafe fn gather(from: &[Vector], index: &[u32; WIDTH]) -> [Self; 4];
-    /// Add the vectors to those at these places, lane after lane.
+    /// Adds the vectors to those at these places, lane after lane.
     ///
     /// # Safety
     /// Every index is below `to.len()`.
@@ -62,12 +63,13 @@ pub(super) trait Lanes:
         let mut vectors = [[0.0; 4]; WIDTH];
         Self::write_rows(components, &mut vectors);
         for lane in 0..WIDTH {
-            // SAFETY: the caller promises that every index is within `to`.
+            // SAFETY: the caller guarantees that every index is within `to`.
             let sum = unsafe { to.get_unchecked_mut(index[lane] as usize) };
             *sum = plus(*sum, vectors[lane]);
         }
     }
-    /// Add the first three components at the first places and take them away at the second, lane after lane; the fourth is added at both.
+    /// Adds the first three components at the first places and subtracts them at the second, lane
+    /// after lane; the fourth is added at both.
     ///
     /// # Safety
     /// Every index is below `to.len()`.
@@ -77,7 +79,7 @@ pub(super) trait Lanes:
         Self::write_rows(components, &mut vectors);
         for lane in 0..WIDTH {
             let [x, y, z, w] = vectors[lane];
-            // SAFETY: the caller promises that every index is within `to`.
+            // SAFETY: the caller guarantees that every index is within `to`.
             unsafe {
                 let sum = to.get_unchecked_mut(first[lane] as usize);
                 *sum = plus(*sum, [x, y, z, w]);
@@ -86,8 +88,8 @@ pub(super) trait Lanes:
             }
         }
     }
-    /// Write `first + lane` for every set bit to `to[at..]` and return the place after the last. The sixteen places after `at` may be
-    /// overwritten.
+    /// Writes `first + lane` for every set bit to `to[at..]` and returns the place after the last.
+    /// The sixteen places after `at` may be overwritten.
     ///
     /// # Panics
     /// If `to` has fewer than sixteen places after `at`.
@@ -114,13 +116,13 @@ pub(super) fn block(from: &[Vector], b: usize) -> &[Vector; WIDTH] {
     from[b * WIDTH..(b + 1) * WIDTH].try_into().expect("the slice has the width of a block")
 }
 
-/// Sixteen consecutive vectors, to write to.
+/// Sixteen consecutive vectors, mutable.
 #[inline(always)]
 pub(super) fn block_mut(from: &mut [Vector], b: usize) -> &mut [Vector; WIDTH] {
     (&mut from[b * WIDTH..(b + 1) * WIDTH]).try_into().expect("the slice has the width of a block")
 }
 
-/// Which implementation runs.
+/// The implementation in use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Path {
     /// Any processor.
@@ -132,9 +134,10 @@ pub(super) enum Path {
 }
 
 impl Path {
-    /// Every path, the narrowest first, and whether this processor has it.
+    /// All paths, narrowest first, and whether this processor supports them.
     fn all() -> [(&'static str, Self, bool); 3] {
-        // Every processor with AVX2 has these; the compiler counts the bits of a mask ten times more slowly without them.
+        // Every processor with AVX2 has these; without them the compiler counts the bits of a mask
+        // ten times more slowly.
         let bits = std::arch::is_x86_feature_detected!("popcnt")
             && std::arch::is_x86_feature_detected!("bmi1")
             && std::arch::is_x86_feature_detected!("bmi2");
@@ -145,7 +148,7 @@ impl Path {
         ]
     }
 
-    /// What `FLIP_SIMD` calls it.
+    /// The name used by `FLIP_SIMD`.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Portable => "portable",
@@ -154,12 +157,12 @@ impl Path {
         }
     }
 
-    /// The paths that this processor has, the narrowest first.
+    /// The paths supported by this processor, narrowest first.
     pub(super) fn available() -> impl Iterator<Item = Self> {
         Self::all().into_iter().filter(|(.., has)| *has).map(|(_, path, _)| path)
     }
 
-    /// The one that `FLIP_SIMD` names, if this processor has it; else the widest.
+    /// The path named by `FLIP_SIMD` if this processor supports it, otherwise the widest.
     pub(super) fn best() -> Self {
         static BEST: OnceLock<Path> = OnceLock::new();
         *BEST.get_or_init(|| {
@@ -287,7 +290,7 @@ mod tests {
         let mut written = [[0.0; 4]; WIDTH];
         L::write_rows(gathered, &mut written);
         assert_eq!(written, index.map(|i| vectors[i as usize]));
-        // Places that occur twice, within one call and between both.
+        // Repeated places, within one call and between both.
         let mut sums = vectors.clone();
         let first = std::array::from_fn(|l| (derive(seed, &[8, l as u64]) % 5) as u32);
         // SAFETY: the indices are below forty.
@@ -317,7 +320,7 @@ mod tests {
     fn every_path_gives_the_same_bits() {
         for path in Path::available().skip(1) {
             for seed in 0..200 {
-                // SAFETY: the processor has this path.
+                // SAFETY: the processor supports this path.
                 let wide = unsafe {
                     match path {
                         Path::Avx512 => everything_avx512(seed),

@@ -1,18 +1,21 @@
-//! What the processor can do at most, in the kernel's own operations: the two limits of the roofline model (Williams et al. 2009).
+//! Peak performance of the processor for the kernel's own operations: the two limits of the
+//! roofline model (Williams et al. 2009).
 
 use super::{Avx2, Avx512, Lanes, Path, Portable, WIDTH};
 use std::hint::black_box;
 
-/// Numbers in flight: enough to hide the latency of an addition and a multiplication without running out of registers.
+/// Independent chains: enough to hide the latency of an addition and a multiplication without
+/// running out of registers.
 const CHAINS_WIDE: usize = 12;
-/// The same where sixteen numbers take two or more registers.
+/// The same if sixteen numbers take two or more registers.
 const CHAINS: usize = 6;
 
-/// Multiply and add, without fusing the two as the kernel does, in registers; returns the operations done, one for each number.
+/// Multiplies and adds in registers without fusing, like the kernel; returns the number of
+/// operations, counting one per number.
 pub(crate) fn multiply_add(path: Path, rounds: u32) -> u64 {
     let chains = match path {
         Path::Portable => multiply_add_with::<Portable, CHAINS>(rounds),
-        // SAFETY: a path is chosen only on a processor that has it.
+        // SAFETY: a path is chosen only on a processor that supports it.
         Path::Avx2 => unsafe { multiply_add_avx2(rounds) },
         // SAFETY: as above.
         Path::Avx512 => unsafe { multiply_add_avx512(rounds) },
@@ -45,11 +48,11 @@ fn multiply_add_with<L: Lanes, const N: usize>(rounds: u32) -> usize {
     N
 }
 
-/// Read `numbers` in order, `passes` times; returns the bytes read.
+/// Reads `numbers` in order, `passes` times; returns the number of bytes read.
 pub(crate) fn read(path: Path, numbers: &[[f32; WIDTH]], passes: u32) -> u64 {
     match path {
         Path::Portable => read_with::<Portable>(numbers, passes),
-        // SAFETY: a path is chosen only on a processor that has it.
+        // SAFETY: a path is chosen only on a processor that supports it.
         Path::Avx2 => unsafe { read_avx2(numbers, passes) },
         // SAFETY: as above.
         Path::Avx512 => unsafe { read_avx512(numbers, passes) },
@@ -82,7 +85,7 @@ fn read_with<L: Lanes>(numbers: &[[f32; WIDTH]], passes: u32) {
     keep(sum);
 }
 
-/// Make the compiler believe that the numbers are used.
+/// Prevents the compiler from optimising the numbers away.
 #[inline(always)]
 fn keep<L: Lanes, const N: usize>(x: [L; N]) {
     let mut lanes = [0.0; WIDTH];

@@ -1,22 +1,23 @@
-//! Drag of the air on single grains.
+//! Air drag on single grains.
 
 use super::{Extensions, Mechanism, Scene};
 use crate::constraints::{V3, inner, scale};
 use crate::lanes::Lanes;
 
-/// Drag on a sphere with `C_D = 24 / Re + 0.4` (Stokes at low, Newton at high Reynolds number), taken implicitly:
+/// Drag on a sphere with `C_D = 24 / Re + 0.4` (Stokes at low, Newton at high Reynolds number),
+/// taken implicitly:
 ///
 /// ```text
 /// u <- u / (1 + a (1 + b |u|)),   a = 18 eta h / (rho d^2),   b = 0.4 rho_air d |u| / (24 eta)
 /// ```
 ///
-/// rho follows from the particle mass and diameter of the parameter set: in air the mass is not inert. The air is at rest in the frame that
-/// is solved, and grains do not shelter each other.
+/// rho follows from the particle mass and diameter of the parameter set: in air the mass matters.
+/// The air is at rest in the solved frame, and grains do not shield each other.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Air {
-    /// a above, for a grain of the mean radius.
+    /// a in the equation above, for a grain of the mean radius.
     rate: f32,
-    /// b above, per diameter per substep.
+    /// b in the equation above, per diameter per substep.
     inertia: f32,
 }
 

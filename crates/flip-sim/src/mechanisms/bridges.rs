@@ -1,17 +1,18 @@
-//! Liquid bridges: grains that have touched are pulled together by water until the bridge between them ruptures.
+//! Liquid bridges: water pulls grains that have touched together until the bridge ruptures.
 
 use super::{Extensions, Mechanism, Pair, Scene};
 use crate::lanes::Lanes;
 
-/// A bridge forms on touch and breaks at its rupture distance: pulling apart costs more than coming together gives.
+/// A bridge forms on contact and breaks at its rupture distance: separating costs more than
+/// approaching returns.
 ///
 /// ```text
 /// F = F_0 / (1 + 1.05 s + 2.5 s^2),  s = gap / sqrt(V / R)      Willett, Adams, Johnson, Seville 2000
 /// gap < V^(1/3)                                                  Lian, Thornton, Adams 1993, contact angle zero
 /// ```
 ///
-/// `humidity` scales both the force, `F_0 = 2 humidity m g`, and the volume, `V = 0.008 humidity d^3 / 8`: at 1 a bridge ruptures at
-/// 0.1 d.
+/// `humidity` scales both the force, `F_0 = 2 humidity m g`, and the volume,
+/// `V = 0.008 humidity d^3 / 8`: at 1 a bridge ruptures at 0.1 d.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Bridges {
     pull: f32,
@@ -25,7 +26,7 @@ pub(super) struct Bridges {
 const BOND: f32 = 2.0;
 /// Volume of a bridge at humidity 1 over the radius cubed.
 const VOLUME: f64 = 0.008;
-/// Where the memory says that a bridge spans a pair.
+/// Memory slot for whether a bridge spans a pair.
 const WET: usize = 4;
 
 impl Bridges {

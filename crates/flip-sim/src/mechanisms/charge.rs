@@ -3,8 +3,9 @@
 use super::{AtWall, Extensions, Mechanism, Scene};
 use crate::lanes::Lanes;
 
-/// The pull of a charge to its image in a conducting wall, `F = F_0 (r / (r + gap))^2`, with `F_0 = charge m g` at contact; it is cut off at
-/// [`REACH`], where 3 % is left. Repulsion between grains of like charge is not included.
+/// The attraction of a charge to its image in a conducting wall, `F = F_0 (r / (r + gap))^2`, with
+/// `F_0 = charge m g` at contact; it is cut off at [`REACH`], where 3 % remains. Repulsion between
+/// grains of like charge is not included.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Charge {
     pull: f32,
@@ -18,7 +19,7 @@ impl Charge {
         Self { pull: extensions.charge as f32 * scene.bond }
     }
 
-    /// Gap up to which a wall is felt, diameters.
+    /// Largest gap at which a wall acts, diameters.
     pub(super) fn reach(&self) -> f32 {
         if self.pull > 0.0 { REACH } else { 0.0 }
     }

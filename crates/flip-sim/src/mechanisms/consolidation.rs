@@ -1,12 +1,13 @@
-//! Contact-age cohesion: a contact grows stronger while it lasts.
+//! Contact-age cohesion: a contact strengthens while it lasts.
 
 use super::{Extensions, Mechanism, Pair, Scene};
 use crate::lanes::Lanes;
 
-/// `Bo(t) = Bo_c t / (t + tau)` beside the base's cohesion, for a contact of age t. A contact that opens forgets its age.
+/// `Bo(t) = Bo_c t / (t + tau)` in addition to the base cohesion, for a contact of age t. A contact
+/// that opens loses its age.
 ///
-/// Creep flattens the asperities of a contact under load, so that its adhesion grows and saturates; the hyperbola is the simplest law with
-/// both limits. tau is [`HALF_LIFE_S`].
+/// Creep flattens the asperities of a contact under load, so that its adhesion grows and saturates;
+/// the hyperbola is the simplest law with both limits. tau is [`HALF_LIFE_S`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Consolidation {
     pull: f32,
@@ -15,7 +16,7 @@ pub(super) struct Consolidation {
 
 /// Age at which half of the strength is reached, s.
 const HALF_LIFE_S: f64 = 0.1;
-/// Where the memory keeps the age, in substeps.
+/// Memory slot for the age, in substeps.
 const AGE: usize = 3;
 
 impl Consolidation {

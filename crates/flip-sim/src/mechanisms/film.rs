@@ -1,14 +1,15 @@
-//! The spoon's own adhesion, and the film of powder that it keeps.
+//! The spoon's own adhesion, and the film of powder that sticks to it.
 
 use super::{AtWall, Extensions, Mechanism, Scene, Site};
 use crate::constraints::attract;
 use crate::lanes::Lanes;
 use flip_core::domain::seed::derive;
 
-/// Grains are drawn to a spoon with a bond number of `spoon_adhesion`; a share `hold_up` of all grains, once in contact with it, with one
-/// of [`CLING`], which neither tilt nor shake undoes: a film of up to that share of a layer stays behind when the spoon is emptied.
+/// Grains are attracted to a spoon with a bond number of `spoon_adhesion`; a share `hold_up` of all
+/// grains, once in contact with it, with one of [`CLING`], which neither tilt nor shake overcomes:
+/// a film of up to that share of a layer remains when the spoon is emptied.
 ///
-/// Both fall to zero over a gap of [`REACH`], as the base's adhesion does.
+/// Both fall to zero over a gap of [`REACH`], like the base simulator's adhesion.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Film {
     pull: f32,
@@ -29,7 +30,7 @@ impl Film {
         Self { pull: adhesion as f32 * scene.bond, cling: CLING * scene.bond, share }
     }
 
-    /// 1 for a grain that clings, drawn by its number in the order of pouring.
+    /// 1 for a grain that clings, drawn by its id (order of pouring).
     pub(crate) fn clings(&self, id: u32) -> f32 {
         let draw = (derive(0xF11A, &[u64::from(id)]) >> 11) as f64 / (1u64 << 53) as f64;
         if draw < self.share { 1.0 } else { 0.0 }

@@ -1,10 +1,13 @@
-//! What the base simulator leaves out, one mechanism a file, each with an amplitude that is zero by default.
+//! Mechanisms not in the base simulator, one per file, each with an amplitude that is zero by
+//! default.
 //!
-//! A mechanism acts through one hook per kind of event ([`Mechanism`]): a step of the frame, a grain's predicted velocity, a pair of
-//! grains, a contact with a wall. To add one: its file, a field of [`Extensions`], a field of [`Mechanisms`] and its place in `each!`.
+//! A mechanism acts through one hook per kind of event ([`Mechanism`]): a step of the frame, a
+//! grain's predicted velocity, a pair of grains, a contact with a wall. To add one, create its
+//! file, a field of [`Extensions`], a field of [`Mechanisms`] and its place in `each!`.
 //!
-//! With every amplitude at zero the kernel is compiled without any of this. It would not matter: at zero amplitude each hook is the
-//! identity in every bit, which `sim/mechanisms/tests.rs` shows by running the kernel with the hooks and all amplitudes zero.
+//! With every amplitude at zero the kernel is compiled without any of this. Results would be the
+//! same: at zero amplitude each hook is the bitwise identity, which `sim/mechanisms/tests.rs`
+//! checks by running the kernel with the hooks and all amplitudes zero.
 
 mod air;
 mod bridges;
@@ -29,22 +32,23 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Extensions {
-    /// Freedom of grains to rotate: 0 not at all, 1 as solid spheres do.
+    /// Freedom of grains to rotate: 0 none, 1 as for solid spheres.
     #[serde(skip_serializing_if = "is_zero")]
     pub rotation: f64,
-    /// Rolling friction: largest rolling torque over normal force and radius. Acts only on grains that rotate.
+    /// Rolling friction: largest rolling torque over normal force and radius. Acts only on grains
+    /// that rotate.
     #[serde(skip_serializing_if = "is_zero")]
     pub rolling_friction: f64,
     /// Standard deviation of the logarithm of the radii.
     #[serde(skip_serializing_if = "is_zero")]
     pub size_spread: f64,
-    /// Bond number that a contact gains as it ages, reached half after 0.1 s.
+    /// Bond number gained by an ageing contact; half of it is reached after 0.1 s.
     #[serde(skip_serializing_if = "is_zero")]
     pub consolidation: f64,
     /// Water in the powder: 0 dry, 1 bridges of bond number 2 that reach 0.1 d.
     #[serde(skip_serializing_if = "is_zero")]
     pub humidity: f64,
-    /// Bond number of grains to the spoon, beside what `adhesion` gives.
+    /// Bond number of grains to the spoon, in addition to the effect of `adhesion`.
     #[serde(skip_serializing_if = "is_zero")]
     pub spoon_adhesion: f64,
     /// Share of the grains that stay on the spoon once they touch it.
@@ -53,10 +57,10 @@ pub struct Extensions {
     /// Peak acceleration of a vertical vibration of the base or the spoon, in g.
     #[serde(skip_serializing_if = "is_zero")]
     pub vibration_g: f64,
-    /// Bond number of grains to walls by charge, at contact.
+    /// Bond number of grains to walls due to charge, at contact.
     #[serde(skip_serializing_if = "is_zero")]
     pub charge: f64,
-    /// Viscosity of the air over that at 20 deg C; 1 is air, 0 is vacuum.
+    /// Viscosity of the air relative to 20 deg C; 1 is air, 0 is vacuum.
     #[serde(skip_serializing_if = "is_zero")]
     pub air: f64,
 }
@@ -67,7 +71,7 @@ fn is_zero(amplitude: &f64) -> bool {
 }
 
 impl Extensions {
-    /// Every mechanism: its name, its amplitude and the largest that makes sense.
+    /// All mechanisms: name, amplitude and largest sensible amplitude.
     pub fn amplitudes(&mut self) -> [(&'static str, &mut f64, f64); 10] {
         [
             ("rotation", &mut self.rotation, 1.0),
@@ -83,10 +87,10 @@ impl Extensions {
         ]
     }
 
-    /// Set the amplitude of the mechanism called `name`.
+    /// Sets the amplitude of the mechanism called `name`.
     ///
     /// # Errors
-    /// A name that no mechanism has, or an amplitude outside its bounds.
+    /// An unknown name, or an amplitude outside its bounds.
     pub fn with(mut self, name: &str, amplitude: f64) -> Result<Self, FieldError> {
         let mut all = self.amplitudes();
         let names = all.iter().map(|(name, ..)| *name).collect::<Vec<_>>().join(", ");
@@ -98,10 +102,10 @@ impl Extensions {
         Ok(self)
     }
 
-    /// The same with the amplitudes that conditions add, each at most the largest that makes sense.
+    /// Adds the amplitudes due to conditions, each capped at the largest sensible one.
     ///
     /// # Errors
-    /// A name that no mechanism has.
+    /// An unknown name.
     pub fn patched(mut self, patch: &Patch) -> Result<Self, FieldError> {
         for (name, more) in &patch.amplitudes {
             let (now, upper) = match self.amplitudes().into_iter().find(|(known, ..)| known == name) {
@@ -119,10 +123,10 @@ impl Extensions {
     }
 }
 
-/// What the walls of a scene are.
+/// Kind of walls in a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Site {
-    /// A base on which a heap grows.
+    /// The base of a heap.
     Base,
     /// A spoon.
     Spoon,
@@ -130,11 +134,13 @@ pub(super) enum Site {
 
 /// Numbers in a pair's memory.
 pub(super) const SLOTS: usize = 5;
-/// What sixteen pairs remember beside their anchors: rolling stretch (three), age, and whether a bridge of water spans them.
+/// Memory of sixteen pairs in addition to their anchors: rolling stretch (three), age, and whether
+/// a liquid bridge spans them.
 pub(super) type Memory = [[f32; WIDTH]; SLOTS];
 
-/// Sixteen pairs as the hooks see them. Lengths in grain diameters, time in substeps, masses over that of a mean grain; forces and torques
-/// act on the first grain, and opposite ones on the second.
+/// Sixteen pairs as seen by the hooks. Lengths in grain diameters, time in substeps, masses
+/// relative to a mean grain; forces and torques act on the first grain, with opposite ones on the
+/// second.
 pub(super) struct Pair<'a, L> {
     /// Distance between the surfaces, beyond the onset of contact.
     pub gap: L,
@@ -146,31 +152,33 @@ pub(super) struct Pair<'a, L> {
     pub reduced_mass: L,
     /// Lanes in contact.
     pub touch: Mask,
-    /// Push along the normal, in contact.
+    /// Push along the normal in contact.
     pub push: L,
-    /// Spin of the first less that of the second, radians per substep.
+    /// Spin of the first grain minus that of the second, radians per substep.
     pub turning: V3<L>,
-    /// What the pairs remember; zero when they meet. The first three numbers are a vector from one grain to the other.
+    /// Memory of the pairs; zero when they meet. The first three numbers are a vector from one
+    /// grain to the other.
     pub memory: &'a mut Memory,
-    /// Lanes that remember although they do not touch.
+    /// Lanes that keep their memory without touching.
     pub linked: &'a mut Mask,
-    /// Attraction that the mechanisms add.
+    /// Attraction added by the mechanisms.
     pub pull: L,
     /// Torque on the first grain.
     pub torque: V3<L>,
 }
 
-/// Sixteen contacts with a wall as the hooks see them; units as in [`Pair`], but accelerations for forces.
+/// Sixteen contacts with a wall as seen by the hooks; units as in [`Pair`], but with accelerations
+/// instead of forces.
 pub(super) struct AtWall<'a, L> {
     /// Distance between the surfaces.
     pub gap: L,
     /// The grain's radius.
     pub radius: L,
-    /// Acceleration of the grain by one unit of force.
+    /// Acceleration of the grain per unit of force.
     pub lightness: L,
     /// Lanes in contact.
     pub touch: Mask,
-    /// Push along the normal, in contact.
+    /// Push along the normal in contact.
     pub push: L,
     /// Spin, radians per substep.
     pub spin: V3<L>,
@@ -178,29 +186,30 @@ pub(super) struct AtWall<'a, L> {
     pub stretch: &'a mut V3<L>,
     /// 1 for a grain that stays on a spoon.
     pub clings: L,
-    /// Attraction that the mechanisms add.
+    /// Attraction added by the mechanisms.
     pub pull: L,
     /// Torque on the grain over its mass.
     pub torque: V3<L>,
 }
 
-/// One hook per kind of event. Each does nothing unless a mechanism says otherwise, and nothing in any bit at zero amplitude.
+/// One hook per kind of event. The default does nothing, and at zero amplitude a hook must be the
+/// bitwise identity.
 #[allow(clippy::inline_always)] // See `lanes`.
 pub(super) trait Mechanism {
-    /// Acceleration that the frame adds at a substep, diameters per substep squared, upwards.
+    /// Upward acceleration added by the frame at a substep, diameters per substep squared.
     #[inline(always)]
     fn step(&self, _substep: u32) -> f32 {
         0.0
     }
-    /// The predicted velocity of sixteen grains of these radii.
+    /// Modifies the predicted velocity of sixteen grains of these radii.
     #[inline(always)]
     fn grain<L: Lanes>(&self, u: V3<L>, _radius: L) -> V3<L> {
         u
     }
-    /// Sixteen pairs of grains, near or in contact.
+    /// Acts on sixteen pairs of grains, near or in contact.
     #[inline(always)]
     fn pair<L: Lanes>(&self, _pair: &mut Pair<L>) {}
-    /// Sixteen grains near a wall or in contact with it.
+    /// Acts on sixteen grains near a wall or in contact with it.
     #[inline(always)]
     fn wall<L: Lanes>(&self, _contact: &mut AtWall<L>) {}
 }
@@ -220,18 +229,19 @@ pub(super) struct Mechanisms {
     air: air::Air,
 }
 
-/// What a mechanism is made from.
+/// Inputs from which mechanisms are built.
 struct Scene<'a> {
     set: &'a ParameterSet,
-    /// The weight of a grain of the reference diameter under standard gravity as an acceleration: a bond number of 1.
+    /// The weight of a grain of the reference diameter under standard gravity, as an acceleration:
+    /// a bond number of 1.
     bond: f32,
-    /// Largest share of a rolling stretch that one substep may take from one side.
+    /// Largest share of a rolling stretch that one substep may remove from one side.
     grip: f32,
     substep_s: f64,
     site: Site,
 }
 
-/// Call a hook of every mechanism, in this order.
+/// Calls a hook of every mechanism, in this order.
 macro_rules! each {
     ($mechanisms:ident . $hook:ident ($($argument:expr),*)) => {
         $mechanisms.rolling.$hook($($argument),*);
@@ -243,7 +253,7 @@ macro_rules! each {
 }
 
 impl Mechanisms {
-    /// `bond` and `grip` as in [`Scene`].
+    /// `bond` and `grip` are as in [`Scene`].
     pub(super) fn new(
         extensions: &Extensions,
         set: &ParameterSet,
@@ -266,17 +276,17 @@ impl Mechanisms {
         }
     }
 
-    /// Gap up to which pairs matter, diameters.
+    /// Largest gap at which pairs interact, diameters.
     pub(super) fn pair_reach(&self) -> f32 {
         self.bridges.rupture
     }
 
-    /// Gap up to which walls matter, diameters.
+    /// Largest gap at which walls interact, diameters.
     pub(super) fn wall_reach(&self) -> f32 {
         self.charge.reach()
     }
 
-    /// What the frame adds to the acceleration at a substep.
+    /// Adds the frame's contribution to the acceleration at a substep.
     pub(super) fn step(&self, acceleration: Vector, substep: u32) -> Vector {
         let [x, y, z, w] = acceleration;
         [x, y, z - (0.0 - self.vibration.step(substep)), w]

@@ -1,10 +1,11 @@
-//! Rolling resistance: a torque against the turning of grains on each other and on walls.
+//! Rolling resistance: a torque against grains rolling on each other and on walls.
 
 use super::{AtWall, Extensions, Mechanism, Pair, Scene};
 use crate::constraints::{V3, add, choose, inner, scale, sub};
 use crate::lanes::{Lanes, Mask};
 
-/// An elastic-plastic spring, the model that holds heaps still (type C in Ai, Chen, Rotter and Ooi 2011):
+/// An elastic-plastic spring, the model that keeps heaps still (type C in Ai, Chen, Rotter and Ooi
+/// 2011):
 ///
 /// ```text
 /// w = w_i - w_j                        rolling and twisting velocity, radians per substep
@@ -13,8 +14,8 @@ use crate::lanes::{Lanes, Mask};
 /// M' = M min(1, mu_r r push / |M|)     and s follows so that the next substep begins at the limit
 /// ```
 ///
-/// with r = 2 r_i r_j / (r_i + r_j), at a wall the grain's own. Twisting about the normal is resisted as rolling is: a contact
-/// that is flat enough to resist one resists the other.
+/// with r = 2 r_i r_j / (r_i + r_j); at a wall, the grain's own radius. Twisting about the normal
+/// is resisted like rolling: a contact flat enough to resist one resists the other.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Rolling {
     friction: f32,
@@ -34,7 +35,7 @@ impl Rolling {
         }
     }
 
-    /// Torque against `turning` and the stretch afterwards, for contacts of this radius and share.
+    /// Torque against `turning` and the updated stretch, for contacts of this radius and share.
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
     fn resist<L: Lanes>(&self, stretch: V3<L>, turning: V3<L>, radius: L, side: L, push: L) -> [V3<L>; 2] {
@@ -79,7 +80,7 @@ impl Mechanism for Rolling {
             return;
         }
         let zero = L::splat(0.0);
-        // A wall does not give way: the whole stretch is the grain's.
+        // A wall does not yield: the grain takes the whole stretch.
         let side = L::splat(2.0);
         let [torque, stretch] = self.resist(*contact.stretch, contact.spin, contact.radius, side, contact.push);
         let touch: Mask = contact.touch;

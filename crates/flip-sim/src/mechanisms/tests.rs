@@ -1,4 +1,5 @@
-//! Each mechanism does its law where it can be seen alone, and nothing in any bit at zero amplitude.
+//! Each mechanism follows its law where it can be isolated, and is the bitwise identity at zero
+//! amplitude.
 
 use super::{Extensions, Site};
 use crate::constraints::{Vector, dot, vector};
@@ -75,7 +76,8 @@ fn an_amplitude_of_zero_gives_the_bytes_of_the_base_for_every_mechanism() {
     let base = outcome(Extensions::default());
     for (name, _, upper) in Extensions::default().amplitudes() {
         assert_eq!(outcome(Extensions::default().with(name, 0.0).unwrap()), base, "{name}");
-        // A rolling friction without rotation has nothing to act on, and the spoon's mechanisms act in the spoon alone.
+        // Rolling friction without rotation has nothing to act on, and the spoon's mechanisms act
+        // only in the spoon.
         if name != "rolling_friction" {
             assert_ne!(outcome(Extensions::default().with(name, 0.5 * upper).unwrap()), base, "{name}");
         }
@@ -101,7 +103,8 @@ fn an_unknown_mechanism_and_an_amplitude_out_of_bounds_are_refused_by_name() {
     assert_eq!(Extensions::default().with("rotation", 1.5).unwrap_err().field, "rotation");
 }
 
-/// Speed along x and spin about y times radius of a grain that slides onto a plate at `speed`, after `seconds`.
+/// Speed along x, and spin about y times radius, of a grain that slides onto a plate at `speed`,
+/// after `seconds`.
 fn slid(amplitudes: &[(&str, f64)], speed: f32, seconds: f64) -> [f32; 2] {
     let law = law(amplitudes, Site::Base);
     let mut one = Grains::default();
@@ -112,7 +115,7 @@ fn slid(amplitudes: &[(&str, f64)], speed: f32, seconds: f64) -> [f32; 2] {
 
 #[test]
 fn a_sliding_sphere_ends_rolling_with_five_sevenths_of_its_speed() {
-    // Momentum about a point of the plate is kept: v_end = v / (1 + 2/5), whatever the friction.
+    // Momentum about a point of the plate is conserved: v_end = v / (1 + 2/5), for any friction.
     let [v, surface] = slid(&[("rotation", 1.0)], 0.02, 0.1);
     assert!((v / 0.02 - 5.0 / 7.0).abs() < 0.01, "{v}");
     assert!((surface / v - 1.0).abs() < 0.01, "it rolls without slipping: {surface} {v}");
@@ -147,7 +150,8 @@ fn two_spinning_grains_keep_momentum_and_angular_momentum_in_an_oblique_collisio
     assert!(pair.spin(0)[2].abs() > 3e-4, "the collision was oblique");
     let (a, b) = (pair.grain(0).1, pair.grain(1).1);
     assert!((a[0] + b[0]).abs() < 1e-6 && (a[1] + b[1]).abs() < 1e-6);
-    // The corrections act at the predicted positions, so angular momentum is kept to the order of one substep's path.
+    // The corrections act at the predicted positions, so angular momentum is conserved to the order
+    // of one substep's path.
     assert!((angular(&pair) / before - 1.0).abs() < 0.01, "{} {before}", angular(&pair));
 }
 
@@ -158,7 +162,7 @@ fn radii_have_the_spread_that_was_asked_for_and_the_mean_volume_of_equal_grains(
     let mean = |of: fn(f64) -> f64| radii.iter().map(|r| of(2.0 * r)).sum::<f64>() / radii.len() as f64;
     let log = mean(f64::ln);
     let spread = mean(|r| r.ln() * r.ln()) - log * log;
-    // Cutting at 2.5 standard deviations takes 2 % of the spread and of the largest volumes.
+    // Cutting at 2.5 standard deviations removes 2 % of the spread and of the largest volumes.
     assert!((spread.sqrt() / 0.2 - 1.0).abs() < 0.03, "{}", spread.sqrt());
     assert!((mean(|r| r * r * r) - 1.0).abs() < 0.02, "{}", mean(|r| r * r * r));
 }
@@ -182,9 +186,10 @@ fn unequal_grains_keep_momentum_and_rest_on_each_other_surface_to_surface() {
     assert!((x[2] - x[3]).abs() < 0.01 && (x[3] - 0.5).abs() > 0.02, "{x:?}");
 }
 
-/// Largest pull away from it, as a bond number, under which a grain below a fixed one stays for `seconds` after hanging for `wait`.
+/// Largest separating pull, as a bond number, under which a grain below a fixed one stays for
+/// `seconds` after hanging for `wait`.
 fn strength(amplitudes: &[(&str, f64)], wait: f64, seconds: f64) -> f64 {
-    // Only a law with mechanisms knows fixed grains.
+    // Only a law with mechanisms supports fixed grains.
     let law = Law { extended: true, ..law(amplitudes, Site::Base) };
     let holds = |bond: f64| {
         let mut pair = Grains::default();
@@ -192,7 +197,7 @@ fn strength(amplitudes: &[(&str, f64)], wait: f64, seconds: f64) -> f64 {
         pair.pour(&law, vector(0.0, 0.0, -0.999), [0.0; 4]);
         // Held against the fixed grain by an upward weight.
         (0..substeps(wait)).for_each(|_| pair.substep(&law, vector(0.0, 0.0, law.gravity), &Shape::Nowhere));
-        // Slowly, for a sudden pull swings up to twice as far.
+        // Ramped slowly, because a sudden pull overshoots by up to a factor of two.
         for substep in 0..substeps(seconds) {
             let share = (2.0 * f64::from(substep) / f64::from(substeps(seconds))).min(1.0);
             pair.substep(&law, vector(0.0, 0.0, -law.gravity * (share * bond) as f32), &Shape::Nowhere);
@@ -212,7 +217,7 @@ fn strength(amplitudes: &[(&str, f64)], wait: f64, seconds: f64) -> f64 {
 
 #[test]
 fn a_contact_grows_stronger_with_its_age() {
-    // Bo(t) = 4 t / (t + 0.1 s), and the pull is at its full size 0.01 s after the wait.
+    // Bo(t) = 4 t / (t + 0.1 s), and the pull reaches its full size 0.01 s after the wait.
     let strengths = [0.02, 0.1, 0.9].map(|wait| strength(&[("consolidation", 4.0)], wait, 0.02));
     for (strength, expected) in strengths.into_iter().zip([0.92, 2.10, 3.60]) {
         assert!((strength / expected - 1.0).abs() < 0.06, "{strengths:?}");
@@ -224,7 +229,7 @@ fn a_contact_grows_stronger_with_its_age() {
 fn a_bridge_of_water_holds_its_bond_number_and_forms_only_on_touch() {
     let held = strength(&[("humidity", 1.0)], 0.02, 0.2);
     assert!((held - 2.0).abs() < 0.15, "{held}");
-    // A pair that approaches feels nothing, a pair that has touched is held at the same gap.
+    // An approaching pair feels nothing; a pair that has touched is held at the same gap.
     let law = law(&[("humidity", 1.0)], Site::Base);
     let mut apart = Grains::default();
     apart.pour(&law, vector(0.0, 0.0, 0.0), [0.0; 4]);
@@ -241,7 +246,7 @@ fn a_bridge_of_water_holds_its_bond_number_and_forms_only_on_touch() {
     }
     let end = met.grain(1).0[0] - met.grain(0).0[0];
     assert!(widest > 1.001 && end < 1.0, "the bridge brought it back: {widest} {end}");
-    // Faster, it ruptures: at a gap of (0.008)^(1/3) / 2 = 0.1 d.
+    // A faster pair ruptures at a gap of (0.008)^(1/3) / 2 = 0.1 d.
     let mut torn = Grains::default();
     torn.pour(&law, vector(0.0, 0.0, 0.0), [0.0; 4]);
     torn.pour(&law, vector(0.95, 0.0, 0.0), vector(0.04, 0.0, 0.0));
@@ -269,7 +274,7 @@ fn a_spoon_holds_grains_when_its_adhesion_exceeds_their_weight_and_a_base_does_n
 fn charge_holds_grains_to_any_wall_and_reaches_beyond_contact() {
     let amplitude = |bond| [("charge", bond)];
     assert!(hangs(&amplitude(1.1), Site::Base, 0.0) && !hangs(&amplitude(0.9), Site::Base, 0.0));
-    // At a gap of one radius the image is twice as far: a quarter of the pull.
+    // At a gap of one radius the image is twice as far away: a quarter of the pull.
     assert!(hangs(&amplitude(4.4), Site::Base, 0.5) && !hangs(&amplitude(3.6), Site::Base, 0.5));
 }
 

@@ -1,17 +1,18 @@
-//! A base or a spoon that vibrates vertically.
+//! Vertical vibration of a base or a spoon.
 
 use super::{Extensions, Mechanism, Scene};
 
-/// `a(t) = -A g sin(2 pi f t)`: the inertial acceleration in the frame of a base that moves as `A g sin(2 pi f t)`, at [`FREQUENCY_HZ`].
+/// `a(t) = -A g sin(2 pi f t)`: the inertial acceleration in the frame of a base with the
+/// acceleration `A g sin(2 pi f t)`, at [`FREQUENCY_HZ`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Vibration {
-    /// Peak, diameters per substep squared.
+    /// Peak acceleration, diameters per substep squared.
     peak: f64,
-    /// Radians per substep.
+    /// Angular frequency, radians per substep.
     pace: f64,
 }
 
-/// Of the small motors that laboratory feeders use.
+/// Typical of the small motors in laboratory feeders.
 const FREQUENCY_HZ: f64 = 100.0;
 
 impl Vibration {

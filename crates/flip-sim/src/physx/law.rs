@@ -1,32 +1,36 @@
-//! The nine parameters as the published engine takes them. Lengths in grain diameters, time in frames.
+//! The nine parameters as interpreted by the published engine. Lengths in grain diameters, time in
+//! frames.
 
 use crate::law::GRAVITY;
 use flip_core::domain::parameters::ParameterSet;
 
-/// Frame, s: the longest of those tried in which a grain that falls from the opening moves less than a diameter, beyond which it could
-/// pass the plate unseen. Grains overlap by less than 1 % of d on average.
+/// Frame, s: the longest of those tried in which a grain falling from the opening moves less than a
+/// diameter; beyond that it could pass the plate undetected. Grains overlap by less than 1 % of d
+/// on average.
 pub(crate) const FRAME_S: f64 = 0.001;
-/// Iterations in a frame: the engine's default.
+/// Iterations per frame: the engine's default.
 pub(crate) const ITERATIONS: u32 = 16;
 
-/// Distance within which two grains are solved as a pair, diameters: twice the contact offset, 1.5 rest offsets of half a diameter
-/// each, times the engine's neighbourhood scale.
+/// Distance within which two grains are solved as a pair, diameters: twice the contact offset, 1.5
+/// rest offsets of half a diameter each, times the engine's neighbourhood scale.
 const PAIR_RANGE: f32 = 1.5 * 1.01;
-/// Surface distance within which a wall contact is made, diameters: contact offset less rest offset.
+/// Surface distance within which a wall contact is made, diameters: contact offset minus rest
+/// offset.
 const WALL_RANGE: f32 = 0.25;
-/// Squared distance below which the engine leaves a pair alone, m^2: centres within 10 micrometres no longer repel.
+/// Squared distance below which the engine ignores a pair, m^2: centres within 10 micrometres no
+/// longer repel.
 const NEAREST2_M2: f64 = 1e-10;
 /// The engine's factor on friction between grains; not one of the nine parameters.
 const PARTICLE_FRICTION_SCALE: f32 = 1.0;
 
-/// A powder as the published engine's kernel sees it.
+/// A powder in the terms of the published engine's kernel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Law {
-    /// Size of gravity, diameters per frame squared.
+    /// Magnitude of gravity, diameters per frame squared.
     pub gravity: f32,
     /// Factor on every velocity, per frame.
     pub drag: f32,
-    /// Iterations in a frame.
+    /// Iterations per frame.
     pub iterations: u32,
     /// Share of the averaged correction that is applied.
     pub relaxation: f32,
@@ -36,21 +40,21 @@ pub(crate) struct Law {
     pub friction: f32,
     /// Coulomb coefficient at walls.
     pub wall_friction: f32,
-    /// Between grains.
+    /// Adhesion between grains.
     pub grain_adhesion: f32,
-    /// At walls.
+    /// Adhesion at walls.
     pub wall_adhesion: f32,
     /// Adhesion radius scale: the distance at which attraction between grains ends, in diameters.
     pub radius_scale: f32,
-    /// The gap at which attraction to walls ends, diameters: the same number read as metres.
+    /// Gap at which attraction to walls ends, diameters: the same number interpreted as metres.
     pub wall_guard: f32,
-    /// Speed limit, diameters per frame. The engine has none unless asked for one.
+    /// Speed limit, diameters per frame. The engine has none unless one is set.
     pub speed_max: f32,
     /// Squared distance within which two grains are a pair, diameters squared.
     pub pair_range2: f32,
     /// Gap within which a grain is in contact with a wall.
     pub wall_range: f32,
-    /// Squared distance below which a pair is left alone.
+    /// Squared distance below which a pair is ignored.
     pub nearest2: f32,
     /// Grain diameter, m.
     pub diameter_m: f64,
@@ -59,7 +63,8 @@ pub(crate) struct Law {
 }
 
 impl Law {
-    /// The law of a parameter set with frames of `frame_s` seconds and `iterations` iterations each, at least one.
+    /// The law of a parameter set, with frames of `frame_s` seconds and `iterations` iterations
+    /// each, at least one.
     pub(crate) fn new(set: &ParameterSet, frame_s: f64, iterations: u32) -> Self {
         let diameter_m = set.particle_diameter_mm() * 1e-3;
         let iterations = iterations.max(1);
@@ -85,10 +90,10 @@ impl Law {
         }
     }
 
-    /// The most that attraction takes from gap `e` of a pair in one iteration, diameters.
+    /// Largest reduction of a pair's gap `e` by attraction in one iteration, diameters.
     ///
-    /// Between grains it needs a radius scale above 1: within a smaller radius `e` is negative, and the larger of zero and a negative
-    /// number is zero.
+    /// Between grains it requires a radius scale above 1: within a smaller radius `e` is negative,
+    /// and the larger of zero and a negative number is zero.
     #[inline]
     pub(super) fn grain_pull(&self, e: f32) -> f32 {
         if e + 1.0 >= self.radius_scale {
@@ -100,10 +105,12 @@ impl Law {
         (self.grain_adhesion * (fade4 * fade4) * e).max(0.0)
     }
 
-    /// The most that attraction takes from separation `sep` to a wall in one iteration, diameters.
+    /// Largest reduction of the separation `sep` to a wall by attraction in one iteration,
+    /// diameters.
     ///
-    /// The radius is negative for a radius scale below 1, and the fourth power rises again beyond a positive one; the guard compares a
-    /// length with a scale. All three are the engine's.
+    /// The radius is negative for a radius scale below 1, and the fourth power rises again beyond a
+    /// positive one; the guard compares a length with a scale. All three are the engine's
+    /// behaviour.
     #[inline]
     pub(super) fn wall_pull(&self, sep: f32) -> f32 {
         if self.radius_scale <= 0.0 || self.wall_adhesion <= 0.0 || sep >= self.wall_guard {

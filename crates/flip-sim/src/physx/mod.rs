@@ -1,7 +1,9 @@
-//! The published engine's semantics: solid position-based particles as PhysX 5 solves them, switched on by `compat = "physx"`.
+//! The published engine's semantics: solid position-based particles as PhysX 5 solves them,
+//! switched on by `compat = "physx"`.
 //!
-//! Written from the equations in the engine's open source (NVIDIA-Omniverse/PhysX, commit a3d8a64, kernels of particlesystem.cu);
-//! where that source does something odd, this module does it too and says so. One frame of length dt is N iterations of length h:
+//! Written from the equations in the engine's open source (NVIDIA-Omniverse/PhysX, commit a3d8a64,
+//! kernels of particlesystem.cu); where that source does something odd, this module does it too and
+//! notes it. One frame of length dt is N iterations of length h:
 //!
 //! ```text
 //! v <- (v + g dt) (1 - min(1, c dt))                          once per frame
@@ -36,28 +38,36 @@
 //! | g, c | gravity, damping | d/frame^2, 1/s | `gravity_scale`, `damping` |
 //! | N, dt | iterations per frame, frame | 1, s | `iterations`, `frame_s` of the settings |
 //!
-//! What follows from it, each shown by a test in `physx/tests.rs`:
+//! Consequences, each shown by a test in `physx/tests.rs`:
 //!
-//! * `particle_mass_ug` is inert: masses are equal and walls do not move, so every weight is 1/2 or 1.
+//! * `particle_mass_ug` is inert: masses are equal and walls do not move, so every weight is 1/2
+//!   or 1.
 //! * `cohesion` is inert: the engine applies it between fluid particles only.
-//! * `base_friction` of the experiment is inert: the engine takes the grains' own coefficient at walls too.
-//! * Between grains, A and k act as their product, and only for s > 1. The published bounds end at s = 0.00005: no grain there ever
-//!   attracts another, and k is inert.
-//! * At walls, s < 1 makes the radius R negative, and the pull grows with distance instead of fading. What ends it is the guard
-//!   `sep < s`, which compares a length in metres with a scale: within the published bounds s is in effect the *range of wall adhesion
-//!   in metres*, 0 to 50 micrometres. For s > 1 the even power lets the pull grow again beyond R.
-//! * Without damping and attraction, gravity, frame and diameter act only as g dt^2/d: less gravity is a shorter frame.
-//! * Friction remembers nothing from one frame to the next, and the sums start from zero: a heap creeps, and its angle depends on the
-//!   frame, on N and on how long it stood.
-//! * The tangential sums have no direction: slip to and fro within a frame adds up. A lone grain rests on a slope up to half of mu,
-//!   *climbs* between that and a little above mu, and slides beyond with the acceleration that Coulomb's law gives.
-//! * Grains do not rotate, and impacts are inelastic up to what the frame in which they happen leaves undone: an impact n iterations
-//!   before its end keeps at most 2^(-n/2) of the closing speed (N = 16).
+//! * `base_friction` of the experiment is inert: the engine uses the grains' own coefficient at
+//!   walls too.
+//! * Between grains, A and k act as their product, and only for s > 1. The published bounds end at
+//!   s = 0.00005: no grain there ever attracts another, and k is inert.
+//! * At walls, s < 1 makes the radius R negative, and the pull grows with distance instead of
+//!   fading. It is ended by the guard `sep < s`, which compares a length in metres with a scale:
+//!   within the published bounds s is in effect the *range of wall adhesion in metres*, 0 to 50
+//!   micrometres. For s > 1 the even power lets the pull grow again beyond R.
+//! * Without damping and attraction, gravity, frame and diameter act only as g dt^2/d: less gravity
+//!   is equivalent to a shorter frame.
+//! * Friction has no memory from one frame to the next, and the sums start from zero: a heap
+//!   creeps, and its angle depends on the frame, on N and on how long it stood.
+//! * The tangential sums have no direction: slip to and fro within a frame adds up. A single grain
+//!   rests on a slope up to half of mu, *climbs* between that and slightly above mu, and beyond
+//!   that slides with the acceleration of Coulomb's law.
+//! * Grains do not rotate, and impacts are inelastic except for what remains at the end of the
+//!   frame in which they happen: an impact n iterations before its end keeps at most 2^(-n/2) of
+//!   the closing speed (N = 16).
 //!
-//! Not here, because solid grains of equal mass on one fixed wall never meet it: fluid constraints, moving bodies, velocity iterations
-//! (the engine's do not move particles in this solver), sleeping (compiled out there). Different here: a grain touches at most one
-//! plane per frame; sums run in another order and without fused multiply-add; a grain may have more than 96 neighbours; the plate has
-//! no thickness, so that a grain which falls more than a diameter in a frame can pass it.
+//! Not implemented, because solid grains of equal mass on one fixed wall never need it: fluid
+//! constraints, moving bodies, velocity iterations (the engine's do not move particles in this
+//! solver), sleeping (compiled out there). Differences: a grain touches at most one plane per
+//! frame; sums run in another order and without fused multiply-add; a grain may have more than 96
+//! neighbours; the plate has no thickness, so that a grain which falls more than a diameter in a
+//! frame can pass it.
 
 mod law;
 mod solver;

@@ -1,4 +1,4 @@
-//! The state of a powder under the published engine's semantics, and one frame of it.
+//! The state of a powder under the published engine's semantics, and one frame of its solver.
 
 use super::law::Law;
 use crate::constraints::{Vector, dot};
@@ -6,10 +6,11 @@ use crate::grid::Grid;
 use crate::lanes::{Lanes, Portable, WIDTH};
 use crate::walls::Wall;
 
-/// Shortest slip that has a direction, diameters.
+/// Shortest slip with a defined direction, diameters.
 const SLIP_MIN: f32 = 1e-16;
 
-/// Grains at one moment, in the order of pouring. Lengths in grain diameters, velocities in diameters per frame.
+/// Grains at one moment, in the order of pouring. Lengths in grain diameters, velocities in
+/// diameters per frame.
 ///
 /// Plain scalar code in one fixed order on one thread: the same bits on every machine.
 #[derive(Debug, Clone, Default)]
@@ -33,7 +34,7 @@ pub(crate) struct Solver {
 pub(super) struct Pair {
     i: u32,
     j: u32,
-    /// Sum of normal corrections in this frame, zero or negative: minus what repelled.
+    /// Sum of normal corrections in this frame, zero or negative: minus the repulsion.
     normal: f32,
     /// Sum of friction corrections in this frame.
     pub tangential: f32,
@@ -71,7 +72,7 @@ fn tangential(a: Vector, normal: Vector) -> (Vector, f32) {
 }
 
 impl Solver {
-    /// Add a grain at `x` with velocity `v`.
+    /// Adds a grain at `x` with velocity `v`.
     pub(crate) fn pour(&mut self, x: Vector, v: Vector) {
         self.x.push([x[0], x[1], x[2], 0.0]);
         self.v.push([v[0], v[1], v[2], 0.0]);
@@ -93,7 +94,7 @@ impl Solver {
         &self.contacts
     }
 
-    /// Advance one frame; the equations are in the [module's documentation](super).
+    /// Advances one frame; the equations are in the [module's documentation](super).
     pub(crate) fn frame(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
         for v in &mut self.v {
             *v = [0, 1, 2, 3].map(|k| if k < 3 { (v[k] + acceleration[k]) * law.drag } else { 0.0 });
@@ -114,7 +115,7 @@ impl Solver {
         }
     }
 
-    /// Every pair that is near where the grains are `ahead` of a frame from now.
+    /// Finds every pair that is near at the positions `ahead` of a frame from now.
     fn find_pairs(&mut self, law: &Law, ahead: f32) {
         self.projected.clear();
         self.projected.extend(self.x.iter().zip(&self.v).map(|(x, v)| plus(*x, *v, ahead)));
@@ -138,8 +139,9 @@ impl Solver {
         }
     }
 
-    /// Every grain that is near the wall where it is now. A grain that crosses the contact offset and the wall within one frame is not
-    /// seen: continuous collision detection is off in the engine unless asked for.
+    /// Finds every grain that is near the wall at its current position. A grain that crosses the
+    /// contact offset and the wall within one frame is missed: continuous collision detection is
+    /// off in the engine by default.
     fn find_contacts(&mut self, law: &Law, wall: &impl Wall) {
         self.contacts.clear();
         for first in (0..self.x.len()).step_by(WIDTH) {
@@ -164,7 +166,7 @@ impl Solver {
         }
     }
 
-    /// Move every grain along its velocity for `share` of a frame.
+    /// Moves every grain along its velocity for `share` of a frame.
     fn step(&mut self, law: &Law, share: f32) {
         for ((x, v), moved) in self.x.iter_mut().zip(&mut self.v).zip(&mut self.moved) {
             limit(v, law.speed_max);
@@ -173,7 +175,7 @@ impl Solver {
         }
     }
 
-    /// Sum up the corrections of all pairs and average them.
+    /// Sums the corrections of all pairs and averages them.
     fn solve_pairs(&mut self, law: &Law) {
         let Self { x, moved, sum, pairs, .. } = self;
         sum.clear();
@@ -183,7 +185,8 @@ impl Solver {
             let (i, j) = (pair.i as usize, pair.j as usize);
             let offset = minus(x[i], x[j]);
             let distance2 = dot(offset, offset);
-            // What is apart, does not attract and has not repelled gets no correction below either.
+            // A pair that is apart, does not attract and has not repelled gets no correction below
+            // either.
             if distance2 < law.nearest2 || (distance2 >= 1.0 && pair.normal == 0.0 && !adhesive) {
                 continue;
             }
@@ -216,7 +219,8 @@ impl Solver {
         }
     }
 
-    /// Add the corrections of the wall contacts, which are averaged apart from those of the pairs: one wall, nothing to average.
+    /// Adds the corrections of the wall contacts, which are averaged separately from those of the
+    /// pairs: with one wall, there is nothing to average.
     fn solve_contacts(&mut self, law: &Law) {
         for contact in &mut self.contacts {
             let i = contact.grain as usize;
@@ -234,7 +238,8 @@ impl Solver {
         }
     }
 
-    /// Apply the corrections: each moves its grain and, over the `per_frame`-th part of a frame, changes its velocity.
+    /// Applies the corrections: each moves its grain and changes its velocity by the correction
+    /// over the `per_frame`-th part of a frame.
     fn correct(&mut self, per_frame: f32) {
         for (((x, v), moved), sum) in self.x.iter_mut().zip(&mut self.v).zip(&mut self.moved).zip(&self.sum) {
             *x = plus(*x, *sum, 1.0);
@@ -243,7 +248,7 @@ impl Solver {
         }
     }
 
-    /// Take out the grains that have left for good.
+    /// Removes the grains that have left for good.
     pub(crate) fn drop_departed(&mut self, wall: &impl Wall) {
         let mut kept = 0;
         for i in 0..self.x.len() {
@@ -263,7 +268,7 @@ impl Solver {
         (sum / self.v.len().max(1) as f64).sqrt() as f32
     }
 
-    /// What makes the state meaningless, if anything does.
+    /// The reason why the state is meaningless, if any.
     pub(crate) fn fault(&self) -> Option<String> {
         let lost = self.x.iter().zip(&self.v).position(|(x, v)| !(dot(*x, *x) + dot(*v, *v)).is_finite());
         lost.map(|place| format!("grain {place} has no position"))
@@ -286,7 +291,7 @@ impl Solver {
     }
 }
 
-/// Shorten a velocity to the speed limit.
+/// Limits a velocity to the speed limit.
 #[inline]
 fn limit(v: &mut Vector, speed_max: f32) {
     let speed2 = dot(*v, *v);

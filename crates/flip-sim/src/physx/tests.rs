@@ -1,4 +1,4 @@
-//! What the published engine's semantics does, and what it does not.
+//! Properties of the published engine's semantics.
 
 use super::{FRAME_S, ITERATIONS, Law, Solver};
 use crate::constraints::{Vector, vector};
@@ -43,7 +43,7 @@ fn heap(changes: &[(&str, f64)], settings: &Settings) -> String {
     format!("{:?}", repose(&set(changes), settings, 5).unwrap())
 }
 
-/// A small heap, soon over.
+/// A small heap that runs quickly.
 fn small() -> Settings {
     Settings { compat: Compat::Physx, settle_max_s: 0.05, ..Settings::with_particles(300) }
 }
@@ -101,11 +101,11 @@ fn adhesion_and_its_particle_scale_act_between_grains_only_as_their_product() {
     let (a, b) = (grains(0.5, 1.0), grains(1.0, 0.5));
     assert_eq!(a, b);
     assert_ne!(collapse(&a, &Shape::Nowhere), collapse(&grains(1.0, 1.0), &Shape::Nowhere));
-    // A wall takes adhesion alone and tells them apart.
+    // A wall uses adhesion alone and distinguishes them.
     assert_ne!(law(&[("adhesion", 0.5)]).wall_adhesion, law(&[("adhesion", 1.0)]).wall_adhesion);
 }
 
-/// Where `pull` is largest among `steps` points up to `end`, and how large.
+/// Position and value of the maximum of `pull` among `steps` points up to `end`.
 fn peak(end: f32, pull: impl Fn(f32) -> f32) -> (f32, f32) {
     (0..=10_000u16)
         .map(|k| end * f32::from(k) / 10_000.0)
@@ -122,7 +122,8 @@ fn attraction_between_grains_peaks_at_a_ninth_of_the_aura_and_saturates_at_the_g
         // d/de (1 - e/aura)^8 e = 0 at aura/9: (8/9)^8 / 9 = 0.0433.
         assert!((at / aura - 1.0 / 9.0).abs() < 1e-3 && (largest / aura - 0.043_30).abs() < 1e-4, "{at}, {largest}");
         assert_eq!(law.grain_pull(aura), 0.0);
-        // m <= e: a pull of three gaps closes the gap and no more, so two strong adhesions act alike near contact.
+        // m <= e: a pull of three gaps closes the gap and no more, so two strong adhesions act
+        // alike near contact.
         let strong = |grain_adhesion| {
             let law = Law { grain_adhesion, iterations: 1, ..law };
             let mut pair = solver(&[([0.0; 4], [0.0; 4]), (vector(1.0 + 0.01 * aura, 0.0, 0.0), [0.0; 4])]);
@@ -153,7 +154,8 @@ fn within_the_published_bounds_the_radius_scale_is_the_range_of_wall_adhesion_in
     let range = 0.05f32 / 0.27;
     assert!((law.wall_guard - range).abs() < 1e-6);
     assert_eq!(law.wall_pull(1.001 * range), 0.0);
-    // Radius -d/2: the pull over the gap grows from A at contact to A (1 + 2 range)^4 at the end, where it exceeds the gap.
+    // Radius -d/2: the pull over the gap grows from A at contact to A (1 + 2 range)^4 at the end,
+    // where it exceeds the gap.
     assert!((law.wall_pull(1e-4) / 1e-4 - 0.5).abs() < 1e-3);
     let end = 0.999 * range;
     let expected = 0.5 * (1.0 + 2.0 * end).powi(4);
@@ -196,7 +198,8 @@ fn a_grain_falls_as_its_frames_say() {
 
 #[test]
 fn gravity_and_the_frame_act_only_as_gravity_times_frame_squared() {
-    // 0.4 (1.5 ms)^2 = 0.9 (1 ms)^2; without damping the rest of a law does not know how long a frame is.
+    // 0.4 (1.5 ms)^2 = 0.9 (1 ms)^2; without damping the rest of a law does not depend on the frame
+    // length.
     let friction = |gravity_scale| set(&[("friction", 0.6), ("gravity_scale", gravity_scale)]);
     let (slow, quick) = (Law::new(&friction(0.4), 0.0015, 16), Law::new(&friction(0.9), 0.001, 16));
     assert_eq!(collapse(&slow, &Plate { radius: 4.0 }), collapse(&quick, &Plate { radius: 4.0 }));
@@ -207,7 +210,7 @@ fn gravity_and_the_frame_act_only_as_gravity_times_frame_squared() {
 #[test]
 fn a_lone_grain_rests_on_a_gentle_slope_climbs_a_steeper_one_and_slides_above_the_friction_angle() {
     let law = law(&[("friction", 0.4)]);
-    // Diameters per second downhill, and acceleration per second squared in units of g cos.
+    // Downhill speed in diameters per second, and acceleration in units of g cos.
     let slide = |slope: f32| {
         let lean = vector(slope * law.gravity, 0.0, -law.gravity);
         let mut one = solver(&[(vector(0.0, 0.0, 0.5), [0.0; 4])]);
@@ -221,8 +224,9 @@ fn a_lone_grain_rests_on_a_gentle_slope_climbs_a_steeper_one_and_slides_above_th
     for slope in [0.1, 0.2] {
         assert!(slide(slope).0.abs() < 1e-3, "{} d/s at slope {slope}", slide(slope).0);
     }
-    // The tangential sum has no direction: slip to and fro adds up, meets the cap, and the excess pushes uphill. The rate is what a
-    // transcription of the equations for one grain in double precision gives.
+    // The tangential sum has no direction: slip to and fro adds up, reaches the cap, and the excess
+    // pushes uphill. The rate is from a transcription of the equations for one grain in double
+    // precision.
     assert!((slide(0.39).0 + 2.516).abs() < 0.01, "{} d/s", slide(0.39).0);
     for slope in [0.45, 0.5] {
         let acceleration = slide(slope).1;
@@ -241,7 +245,8 @@ fn no_grain_is_faster_than_the_speed_limit() {
 
 #[test]
 fn one_iteration_has_its_closed_form_with_sticking_and_slipping_friction() {
-    // One iteration: the overlap is the whole normal sum, and the slip of the frame is the relative velocity.
+    // One iteration: the overlap is the whole normal sum, and the slip of the frame is the relative
+    // velocity.
     for (friction, speed) in [(0.5, 0.02f32), (0.5, 0.004), (0.0, 0.02)] {
         let law = Law { friction: friction as f32, ..Law::new(&set(&[]), FRAME_S, 1) };
         let (overlap, relaxation) = (0.01f32, 0.9f32);
@@ -251,7 +256,7 @@ fn one_iteration_has_its_closed_form_with_sticking_and_slipping_friction() {
         let [a, b] = [pair.velocities()[0], pair.velocities()[1]];
         assert!((a[0] + 0.5 * relaxation * overlap).abs() < 1e-6, "{a:?}");
         assert!((a[1] - (speed - 0.5 * relaxation * grip)).abs() < 1e-6, "{a:?}");
-        // Opposite corrections: the sum of momenta stays.
+        // Opposite corrections: total momentum is conserved.
         assert!((a[0] + b[0]).abs() < 1e-7 && (a[1] + b[1] - speed).abs() < 1e-7);
         assert_eq!((a[3], b[3]), (1.0, 1.0));
     }
@@ -261,7 +266,7 @@ fn one_iteration_has_its_closed_form_with_sticking_and_slipping_friction() {
 fn the_friction_of_a_frame_stays_below_coulombs_cap_and_reaches_it_in_slip() {
     let law = law(&[("friction", 0.4)]);
     let plate = Plate { radius: 20.0 };
-    // Sliding at first, and leaning on friction at half of what it can hold.
+    // Sliding at first, and resting on friction at half of its capacity.
     for (speed, lean, slips) in [(0.2, 0.0, true), (0.0, 0.2, false)] {
         let mut one = solver(&[(vector(0.0, 0.0, 0.5), vector(speed, 0.0, 0.0))]);
         for _ in 0..5 {
@@ -277,7 +282,8 @@ fn the_friction_of_a_frame_stays_below_coulombs_cap_and_reaches_it_in_slip() {
     }
 }
 
-/// Relative velocity after a head-on impact at closing speed `closing`, over that speed; 100 frames, for one of 20 first gaps.
+/// Relative velocity after a head-on impact at closing speed `closing`, over that speed; 100
+/// frames, for one of 20 first gaps.
 fn restitution(law: &Law, closing: f32, phase: u8) -> f32 {
     let gap = closing * f32::from(phase) / 20.0;
     let mut pair = solver(&[
@@ -292,8 +298,9 @@ fn restitution(law: &Law, closing: f32, phase: u8) -> f32 {
 
 #[test]
 fn an_impact_keeps_what_the_rest_of_its_frame_leaves_undone() {
-    // With beta = 1/2 an iteration multiplies (e, h u), gap and closing step, by [[1/2, 1/2], [-1/2, 1/2]]: eigenvalues of modulus
-    // 1/sqrt(2). The sums that pull a parting pair back end with the frame, so the grains keep what is left then.
+    // With beta = 1/2 an iteration multiplies (e, h u), gap and closing step, by [[1/2, 1/2],
+    // [-1/2, 1/2]]: eigenvalues of modulus 1/sqrt(2). The sums that pull a separating pair back end
+    // with the frame, so the grains keep the remainder.
     let law = law(&[]);
     assert_eq!((law.iterations, law.relaxation), (16, 0.5));
     for phase in 0..20u8 {
@@ -302,7 +309,7 @@ fn an_impact_keeps_what_the_rest_of_its_frame_leaves_undone() {
         let bound = 0.5f32.powf(0.5 * left as f32);
         assert!((-1e-4..=1.01 * bound).contains(&kept), "{kept} for {bound} at phase {phase}");
     }
-    // A whole frame leaves nothing; one with four iterations to go a quarter.
+    // A whole frame leaves nothing; with four iterations to go, a quarter remains.
     assert!(restitution(&law, 0.2, 0) < 0.004 && restitution(&law, 0.2, 15) > 0.2);
 }
 

@@ -1,20 +1,23 @@
 //! Axisymmetric column collapse: a cylinder of grains is released on a plane.
 //!
-//! With r0 and h0 the column's radius and height and a = h0 / r0, sand, rice and sugar come to rest at (Lube et al. 2004, J. Fluid Mech.
-//! 508, 175)
+//! With r0 and h0 the column's radius and height and a = h0 / r0, sand, rice and sugar come to rest
+//! at (Lube et al. 2004, J. Fluid Mech. 508, 175)
 //!
 //! ```text
 //! (r_inf - r0) / r0 = 1.24 a        a < 1.7
 //!                   = 1.6 a^(1/2)   a > 1.7
 //! ```
 //!
-//! and glass beads at `1.35 a` up to a = 3, `2.0 a^(1/2)` above, and `h_inf / r0 = 0.74` above a = 0.74 (Lajeunesse et al. 2004, Phys. Fluids
-//! 16, 2371). The run-outs agree within the tolerances here and the first are taken. The heights do not: angular grains stand higher the
-//! taller the column was, `0.88 a^(1/6)`, and beads, the spheres of a laboratory, do not. Both are checked.
+//! and glass beads at `1.35 a` up to a = 3, `2.0 a^(1/2)` above, and `h_inf / r0 = 0.74` above a =
+//! 0.74 (Lajeunesse et al. 2004, Phys. Fluids 16, 2371). The run-outs agree within the tolerances
+//! used here, and the former are taken. The heights differ: angular grains end up higher the taller
+//! the column was, `0.88 a^(1/6)`, while beads, the spheres of a laboratory, do not. Both are
+//! checked.
 //!
-//! Columns have r0 = 20 d, above which the run-out no longer depends on it (Warnett et al. 2014, Granular Matter 16, 115). All columns
-//! of one experiment are cut from one bed that rained into a container without wall friction, and stand on a plane that is rough with a
-//! layer of such grains, as their beds are in a laboratory.
+//! Columns have r0 = 20 d, above which the run-out no longer depends on it (Warnett et al. 2014,
+//! Granular Matter 16, 115). All columns of one experiment are cut from one bed that was rained
+//! into a container without wall friction, and stand on a plane roughened with a layer of the same
+//! grains, like the beds in a laboratory.
 
 use super::super::engine::{LAYER, close_packed};
 use super::super::flank::surface;
@@ -48,19 +51,22 @@ pub(super) const EXPERIMENTS: &[Experiment] = &[
 
 /// Radius of every column, grain diameters.
 const RADIUS: f64 = 20.0;
-/// Aspect ratios of low columns: a column of fewer than fourteen grains loses a tenth of its run-out to the one grain by which its front
-/// is uncertain.
+/// Aspect ratios of low columns: a column of fewer than fourteen grains loses a tenth of its
+/// run-out to the one-grain uncertainty of its front.
 const LOW: [f64; 3] = [0.7, 1.1, 1.6];
-/// Aspect ratios of tall columns: beyond where the law of either source changes, for the exponent falls gradually.
+/// Aspect ratios of tall columns: beyond the transition of either source's law, because the
+/// exponent falls gradually.
 const TALL: [f64; 3] = [3.2, 4.5, 6.3];
-/// How far the rough layer reaches, column radii beyond the column, over the run-out that is expected.
+/// Extent of the rough layer beyond the column, relative to the expected run-out (both in column
+/// radii).
 const MARGIN: f64 = 1.4;
-/// Height at which the column starts over the rough layer, grain diameters: none of its grains is in one of the layer's.
+/// Initial height of the column above the rough layer, grain diameters, chosen so that its grains
+/// do not overlap the layer's.
 const LIFT: f32 = 0.95;
 /// The front is where the grains' cross-sections cover this share of a ring.
 const COVERED: f64 = 0.5;
 
-/// What a column leaves behind, in column radii.
+/// The deposit of a column, in column radii.
 struct Deposit {
     aspect: f64,
     /// (r_inf - r0) / r0.
@@ -107,7 +113,7 @@ fn collapse(suite: &Suite, aspects: &[f64]) -> Vec<Deposit> {
     let silo = Silo::closed(RADIUS as f32);
     let tallest = aspects.iter().fold(0.0f64, |tallest, a| tallest.max(*a)) * RADIUS;
     let bed = rain(&smooth_sided, &silo, 1.0, 1, |grains| f64::from(top(grains)) > tallest + 1.0);
-    // Only a law with mechanisms knows fixed grains.
+    // Only a law with mechanisms supports fixed grains.
     let (law, contained) = (Law { extended: true, ..law }, Law { extended: true, ..smooth_sided });
     let release = |aspect: f64| {
         let mut grains = Grains::default();
@@ -117,7 +123,8 @@ fn collapse(suite: &Suite, aspects: &[f64]) -> Vec<Deposit> {
             grains.pour(&law, vector(x[0], x[1], x[2] + LIFT), [0.0; 4]);
         }
         advance(&mut grains, &contained, down(&law), &Shape::Silo(silo), 200);
-        // Three free falls from the column's height is the time the front takes; it is given twice that to come to rest.
+        // The front takes about three free falls from the column's height; it gets twice that to
+        // come to rest.
         let time = 6.0 * (aspect * RADIUS).sqrt() * fall_time(&law);
         settle(&mut grains, &law, down(&law), &Shape::FLAT, time as u32);
         let lying: Vec<Vector> = grains.free().map(|x| [x[0], x[1], x[2] - LAYER, x[3]]).collect();
@@ -136,7 +143,7 @@ pub(super) fn front(centres: &[Vector]) -> f64 {
         }
         counts[ring] += 1.0;
     }
-    // A grain covers pi / 4, ring k pi (2 k + 1).
+    // A grain covers pi / 4, ring k has the area pi (2 k + 1).
     let coverage = |ring: usize| counts.get(ring).map_or(0.0, |count| count / 4.0 / (2 * ring + 1) as f64);
     let bare = (1..=counts.len()).find(|&ring| coverage(ring) < COVERED).unwrap_or(0);
     let (within, beyond) = (coverage(bare.saturating_sub(1)), coverage(bare));

@@ -1,4 +1,4 @@
-//! Silos: the rate at which an orifice empties one, and the load that its floor bears.
+//! Silos: discharge rate through an orifice, and load on the floor.
 
 use super::super::law::Law;
 use super::super::scene::{advance, cut, down, fall_time, line, packing_fraction, power_law, rain, settle, top};
@@ -19,18 +19,20 @@ pub(super) const EXPERIMENTS: &[Experiment] = &[
 
 /// Orifice diameters, grain diameters: from six, below which arches form, to 2/5 of the silo's.
 const ORIFICES: [f64; 4] = [6.0, 8.0, 10.0, 12.0];
-/// Radius of the discharged silo and height of its filling, two and a half of the widest orifice, grain diameters.
+/// Radius of the discharged silo and filling height (two and a half times the widest orifice),
+/// grain diameters.
 const RADIUS: f64 = 15.0;
 const HEIGHT: f64 = 30.0;
-/// Beds over which each rate is averaged: of one bed alone 600 grains leave through the narrowest orifice, and the offset is uncertain by 0.1.
+/// Number of beds over which each rate is averaged: with a single bed, 600 grains leave through the
+/// narrowest orifice, and the offset is uncertain by 0.1.
 const BEDS: u64 = 4;
 /// Offset of spheres in the fit of the exponent (Beverloo et al. 1961).
 const OFFSET: f64 = 1.4;
 
 /// Beverloo et al. 1961: W = C rho_bulk sqrt(g) (D - k d)^(5/2).
 ///
-/// `C` and `k` come from a line through W^(2/5) over D; the exponent from a power law of D - 1.4 d, since with `k` free it would be what
-/// the line assumed.
+/// `C` and `k` come from a line through W^(2/5) over D; the exponent from a power law of D - 1.4 d,
+/// because with `k` free it would be the one assumed by the line.
 fn beverloo(suite: &Suite) -> Vec<Check> {
     let law = suite.law_of_deep_bed(SMOOTH);
     let full = |grains: &Grains| f64::from(top(grains)) > HEIGHT + 1.0;
@@ -61,7 +63,8 @@ fn beverloo(suite: &Suite) -> Vec<Check> {
     ]
 }
 
-/// Volume of grains, d^3, that leaves through an orifice in the time sqrt(d / g), once the flow is steady.
+/// Volume of grains, d^3, that leaves through an orifice in the time sqrt(d / g), once the flow is
+/// steady.
 fn discharge(law: &Law, bed: &Grains, orifice: f64) -> f64 {
     const LOOK: u32 = 8;
     let silo = Silo { orifice: 0.5 * orifice as f32, ..Silo::closed(RADIUS as f32) };
@@ -81,14 +84,16 @@ fn discharge(law: &Law, bed: &Grains, orifice: f64) -> f64 {
 
 /// Radius of Janssen's column, grain diameters.
 const COLUMN: f64 = 6.0;
-/// Heights to which it is filled, grain diameters.
+/// Filling heights of Janssen's column, grain diameters.
 const FILLINGS: [f64; 7] = [3.0, 6.0, 9.0, 14.0, 20.0, 30.0, 45.0];
 
-/// Janssen 1895: what a floor bears of a filling m saturates, m_app = c m_sat (1 - exp(-m / m_sat)) with m_sat = rho pi R^3 / (2 mu K).
+/// Janssen 1895: the share of a filling m borne by the floor saturates, m_app = c m_sat (1 - exp(-m
+/// / m_sat)) with m_sat = rho pi R^3 / (2 mu K).
 ///
-/// Each filling rains in. Then the floor sinks by a fifth of a diameter, which mobilises the wall's friction upwards, and its load is the
-/// mean over the second half of that (Vanel and Clement 1999, Eur. Phys. J. B 11, 525). The load is the floor's and the groove's push;
-/// `c`, below one, is what the friction of the groove, which is not seen, leaves of it.
+/// Each filling is rained in. The floor then sinks by a fifth of a diameter, which mobilises the
+/// wall's friction upwards, and the load is averaged over the second half of that motion (Vanel and
+/// Clement 1999, Eur. Phys. J. B 11, 525). The load is the push of the floor and the groove; `c`,
+/// below one, accounts for the friction of the groove, which is not measured.
 fn janssen(suite: &Suite) -> Vec<Check> {
     let law = suite.law_of_deep_bed(SMOOTH);
     let loads: Vec<[f64; 2]> = FILLINGS.iter().map(|&height| floor_load(&law, height)).collect();
@@ -102,7 +107,7 @@ fn janssen(suite: &Suite) -> Vec<Check> {
     let saturated = least(&error, [10.0, 10_000.0]);
     let mean = loads.iter().map(|load| load[1]).sum::<f64>() / loads.len() as f64;
     let spread: f64 = loads.iter().map(|load| (load[1] - mean).powi(2)).sum();
-    // m_sat in grains, with the bulk's share of volume 0.6: K to a few percent.
+    // m_sat in grains, with a packing fraction of 0.6 in the bulk: K to a few percent.
     let stress_ratio = 0.6 * 6.0 * COLUMN.powi(3) / (2.0 * SMOOTH * saturated);
     vec![
         Check::near("janssen_saturation", 1.0 - error(saturated) / spread, [1.0, 0.02], "R2", "Janssen 1895"),
@@ -110,7 +115,7 @@ fn janssen(suite: &Suite) -> Vec<Check> {
     ]
 }
 
-/// Grains filled in, and the weight on the floor in grains.
+/// Number of grains filled in, and the load on the floor in grain weights.
 pub(super) fn floor_load(law: &Law, height: f64) -> [f64; 2] {
     const SINK: f32 = 0.2;
     const STEPS: u16 = 4000;
@@ -128,8 +133,9 @@ pub(super) fn floor_load(law: &Law, height: f64) -> [f64; 2] {
     [grains.centres().len() as f64, load]
 }
 
-/// What the floor and the groove push the grains upwards by, diameters per substep squared, as the next substep computes it. The side is
-/// vertical; its friction, the rest of the weight, is not counted.
+/// Upward push of the floor and the groove on the grains, diameters per substep squared, as the
+/// next substep will compute it. The side is vertical; its friction, which carries the rest of the
+/// weight, is not included.
 fn lift(law: &Law, grains: &Grains, silo: &Silo) -> f64 {
     let mut sum = 0.0;
     for (x, v) in grains.centres().iter().zip(grains.velocities()) {
@@ -154,7 +160,7 @@ fn first(lanes: Portable) -> f32 {
     all[0]
 }
 
-/// Where a function with one minimum is least, by golden section.
+/// Minimum of a function with a single minimum, by golden-section search.
 fn least(of: &impl Fn(f64) -> f64, [mut low, mut high]: [f64; 2]) -> f64 {
     let golden = 0.5 * (5.0f64.sqrt() - 1.0);
     for _ in 0..80 {

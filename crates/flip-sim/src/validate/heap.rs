@@ -1,4 +1,4 @@
-//! The angle of repose as a property of the powder, and heaps that rest.
+//! The angle of repose as a property of the powder, and heaps at rest.
 
 use super::super::law::{BOND_PER_COHESION, DIAMETER_REFERENCE_MM, SUBSTEP_S};
 use super::super::repose::{Repose, Settings};
@@ -21,12 +21,13 @@ pub(super) const EXPERIMENTS: &[Experiment] = &[
     Experiment { name: "rest_cohesive", checks: &["rest_cohesive_creep", "rest_cohesive_speed"], run: rest_cohesive },
 ];
 
-/// Two means that differ by more than this many standard errors of the difference are different.
+/// Two means count as different if they differ by more than this many standard errors of the
+/// difference.
 const SIGNIFICANT: f64 = 2.0;
-/// Source of what every heap has to do.
+/// Source of the requirements on every heap.
 const ZHOU: &str = "Zhou et al. 2001, Phys. Rev. E 64, 021301: friction decides, within two standard errors";
 
-/// Heaps of one kind that differ by their seed; one without an angle has no numbers.
+/// Heaps that differ only by their seed; none for those without an angle.
 fn heaps(suite: &Suite, powder: &ParameterSet, settings: &Settings, seeds: u64) -> Vec<Option<Repose>> {
     (1..=seeds).map(|seed| suite.heap(powder, settings, seed).ok()).collect()
 }
@@ -37,17 +38,18 @@ pub(super) fn angle(suite: &Suite, powder: &ParameterSet, settings: &Settings, s
     Mean::of(&heaps(suite, powder, settings, seeds).into_iter().map(tip).collect::<Vec<_>>())
 }
 
-/// The larger of two, and no number if either is none.
+/// The larger of two numbers, NaN if either is.
 fn worse(a: f64, b: f64) -> f64 {
     if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) }
 }
 
-/// Largest fall from one mean to the next in standard errors, zero when all rise.
+/// Largest decrease from one mean to the next, in standard errors; zero if all rise.
 fn fall(means: &[Mean]) -> f64 {
     means.windows(2).fold(0.0, |worst, pair| worse(worst, pair[0].above(&pair[1])))
 }
 
-/// A law that says "never less", and that it is not met by nothing happening at all: the whole rise is three standard errors or more.
+/// Checks that means never decrease, and that the whole rise is at least three standard errors, so
+/// that no change at all does not pass.
 fn monotone([never_less, rise]: [&'static str; 2], means: &[Mean]) -> Vec<Check> {
     let (first, last) = (&means[0], &means[means.len() - 1]);
     let (whole, rise_min) = (last.mean - first.mean, 3.0 * last.error.hypot(first.error));
@@ -81,7 +83,7 @@ fn base_friction(suite: &Suite) -> Vec<Check> {
     vec![Check::within("repose_base_friction", fall(&means), [0.0, SIGNIFICANT], "errors", ZHOU)]
 }
 
-/// Largest difference between mean angles and its standard error, degrees.
+/// Largest difference between mean angles with its standard error, degrees.
 fn difference(means: &[Mean]) -> [f64; 2] {
     let mut largest = [0.0f64; 2];
     for (i, a) in means.iter().enumerate() {
@@ -95,8 +97,8 @@ fn difference(means: &[Mean]) -> [f64; 2] {
     largest
 }
 
-/// Does the angle depend on how far grains fall? Asked of the means of many heaps, and beside it whether two heaps could tell: of their
-/// scatter.
+/// Does the angle depend on the drop height? Checked on the means of many heaps, and, from their
+/// scatter, whether two heaps could show a difference.
 fn funnel(suite: &Suite) -> Vec<Check> {
     const HEAPS: u64 = 48;
     let at = |clearance: f64| {
@@ -105,7 +107,7 @@ fn funnel(suite: &Suite) -> Vec<Check> {
     };
     let means = [2.0, 3.0, 5.0].map(at);
     let [degrees, error] = difference(&means);
-    // The standard error of a mean of n is the scatter of one over the root of n.
+    // The standard error of a mean of n is the scatter of one heap over the root of n.
     let scatter = means.iter().map(|mean| mean.error * mean.error * HEAPS as f64).sum::<f64>() / means.len() as f64;
     let source = "an angle of repose belongs to the powder, within two standard errors";
     let one = "an angle of repose belongs to the powder, within the scatter of one heap";
@@ -117,7 +119,7 @@ fn funnel(suite: &Suite) -> Vec<Check> {
 
 fn size(suite: &Suite) -> Vec<Check> {
     let of = |particles: u32, seeds: u64| angle(suite, &suite.powder, &Settings::with_particles(particles), seeds);
-    // So many that the standard error of each is about 0.2 deg.
+    // Enough heaps for a standard error of about 0.2 deg each.
     let means = [of(2000, 32), of(4000, 16), of(8000, 10)];
     let [degrees, _] = difference(&means);
     vec![Check::near("repose_size", degrees, [0.0, 1.5], "deg", "an angle of repose belongs to the powder")]
@@ -133,7 +135,7 @@ fn substep(suite: &Suite) -> Vec<Check> {
     ]
 }
 
-/// The worst of a few heaps in one respect.
+/// The worst of a few heaps by one criterion.
 fn worst(heaps: &[Option<Repose>], of: fn(&Repose) -> f64) -> f64 {
     heaps.iter().fold(0.0, |most, heap| worse(most, heap.as_ref().map_or(f64::NAN, of)))
 }
@@ -153,7 +155,8 @@ fn rest_free_flowing(suite: &Suite) -> Vec<Check> {
     ]
 }
 
-/// At bond number 2: the strongest cohesion between the smallest grains, under the gravity that makes it so.
+/// At bond number 2: the strongest cohesion between the smallest grains, under the gravity that
+/// yields it.
 fn rest_cohesive(suite: &Suite) -> Vec<Check> {
     let (cohesion, diameter, bond) = (1.2, 0.22, 2.0);
     let gravity_scale = BOND_PER_COHESION * cohesion * (DIAMETER_REFERENCE_MM / diameter).powi(2) / bond;

@@ -1,20 +1,23 @@
-//! The validation suite: laws of nature that the simulator has to keep, each with a number, its range and where the law comes from.
+//! The validation suite: physical laws that the simulator must obey, each with a number, its
+//! allowed range and its source.
 //!
-//! One powder, one solver setting and one friction map serve every check: the default [`ParameterSet`] (Coulomb coefficient 0.16 between
-//! grains, diameter 0.27 mm, no attraction), the simulator's own substep, and two walls, [`SMOOTH`] and [`ROUGH`]. A check that is about
-//! a parameter changes that parameter and nothing else; beds deeper than a heap weigh less, [`LIGHT`].
+//! One powder, one solver setting and one friction map serve every check: the default
+//! [`ParameterSet`] (Coulomb coefficient 0.16 between grains, diameter 0.27 mm, no attraction), the
+//! simulator's own substep, and two walls, [`SMOOTH`] and [`ROUGH`]. A check of a parameter changes
+//! only that parameter; beds deeper than a heap are lighter, [`LIGHT`].
 //!
-//! | file | what it asks |
+//! | file | what it checks |
 //! |---|---|
 //! | `single` | exact laws of one and two grains |
 //! | `discharge` | does a silo empty and bear load like a silo: Beverloo, Janssen |
 //! | `collapse` | does a released column spread like sand |
 //! | `packing` | how densely do poured grains lie |
 //! | `heap` | is the angle of repose a property of the powder, and does a heap rest |
-//! | `rotation` | what grains do that may roll |
+//! | `rotation` | grains that may roll |
 //! | `tilt` | when does a bed at rest start to flow |
 //!
-//! Experiments are pure and independent of each other; a caller runs them in any order, on any thread, and gets the same bytes.
+//! Experiments are pure and independent of each other; a caller can run them in any order, on any
+//! thread, and gets the same bytes.
 
 mod collapse;
 mod discharge;
@@ -33,46 +36,47 @@ use super::repose::{Refusal, Repose, Settings, repose_under};
 use flip_core::domain::parameters::ParameterSet;
 use serde::Serialize;
 
-/// Gravity scale of beds deeper than a heap. Their laws hold for hard grains of any weight, and overlaps grow with the weight above: at
-/// full gravity a bed of eighty diameters would be a tenth too dense.
+/// Gravity scale of beds deeper than a heap. Their laws hold for hard grains of any weight, and
+/// overlaps grow with the weight above: at full gravity a bed of eighty diameters would be a tenth
+/// too dense.
 const LIGHT: f64 = 0.3;
 /// Coulomb coefficient of silo walls and inclines.
 const SMOOTH: f64 = 0.4;
 /// Coulomb coefficient of a base that grains stick to, as under the heaps of [`super::repose`].
 const ROUGH: f64 = 0.8;
 
-/// One law, as measured.
+/// One law, with its measured value.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Check {
-    /// Fixed name.
+    /// Stable name.
     pub name: &'static str,
-    /// What the simulator does, in `unit`; not a number when the experiment failed.
+    /// Measured value in the simulator, in `unit`; NaN if the experiment failed.
     pub measured: f64,
-    /// What the law says, or the middle of the range that it allows.
+    /// Value according to the law, or the middle of the allowed range.
     pub expected: f64,
     /// Largest difference between the two.
     pub tolerance: f64,
-    /// Unit of the three numbers; empty when they have none.
+    /// Unit of the three numbers; empty if dimensionless.
     pub unit: &'static str,
     /// Whether `measured` is within `tolerance` of `expected`.
     pub passed: bool,
-    /// Why a miss is known, when it is no larger than the documented one.
+    /// Known reason for a miss, if it is no larger than documented.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub known_deviation: Option<KnownDeviation>,
-    /// Where the law and its range come from.
+    /// Source of the law and its range.
     pub source: &'static str,
 }
 
-/// A documented miss.
+/// A documented deviation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct KnownDeviation {
-    /// Largest distance from the allowed range that is documented, in the check's unit.
+    /// Largest documented distance from the allowed range, in the check's unit.
     pub miss: f64,
     /// Its cause.
     pub reason: &'static str,
 }
 
-/// Checks that the simulator is known to miss, by how much at most, and why.
+/// Checks that the simulator is known to miss, with the largest deviation and the reason.
 const KNOWN: &[(&str, KnownDeviation)] = &[
     (
         "collapse_height_exponent",
@@ -91,7 +95,7 @@ const KNOWN: &[(&str, KnownDeviation)] = &[
 ];
 
 impl Check {
-    /// A quantity that a law gives.
+    /// A quantity predicted by a law.
     fn near(
         name: &'static str,
         measured: f64,
@@ -106,7 +110,7 @@ impl Check {
         check
     }
 
-    /// A quantity that has to lie in a range.
+    /// A quantity that must lie in a range.
     fn within(
         name: &'static str,
         measured: f64,
@@ -117,7 +121,8 @@ impl Check {
         Self::near(name, measured, [0.5 * (low + high), 0.5 * (high - low)], unit, source)
     }
 
-    /// Distance of the measured value from the allowed range, zero within; not a number when the experiment failed.
+    /// Distance of the measured value from the allowed range, zero within it; NaN if the experiment
+    /// failed.
     pub fn miss(&self) -> f64 {
         let beyond = (self.measured - self.expected).abs() - self.tolerance;
         if beyond < 0.0 { 0.0 } else { beyond }
@@ -129,12 +134,12 @@ impl Check {
     }
 }
 
-/// The powder and the solver that all experiments share.
+/// The powder and the solver shared by all experiments.
 #[derive(Debug, Clone)]
 pub struct Suite {
     powder: ParameterSet,
     extensions: Extensions,
-    /// Applied to every law that an experiment uses: a fault that a check has to find.
+    /// Applied to every law used by an experiment, to inject a fault that a check must detect.
     revise: fn(Law) -> Law,
 }
 
@@ -145,12 +150,12 @@ impl Default for Suite {
 }
 
 impl Suite {
-    /// The same experiments with mechanisms that the base simulator leaves out.
+    /// The same experiments with mechanisms added to the base simulator.
     pub fn extended(extensions: Extensions) -> Self {
         Self { powder: ParameterSet::default(), extensions, revise: std::convert::identity }
     }
 
-    /// The same experiments under another physics.
+    /// The same experiments under modified physics.
     #[cfg(test)]
     fn revised(revise: fn(Law) -> Law) -> Self {
         Self { revise, ..Self::default() }
@@ -186,24 +191,25 @@ impl Suite {
     }
 }
 
-/// An independent part of the suite: one scene or one family of scenes, and the checks read from it.
+/// An independent part of the suite: one scene or one family of scenes, and the checks derived from
+/// it.
 #[derive(Debug, Clone, Copy)]
 pub struct Experiment {
-    /// Fixed name.
+    /// Stable name.
     pub name: &'static str,
-    /// Names of its checks, in the order in which they are returned.
+    /// Names of its checks, in the order returned.
     pub checks: &'static [&'static str],
     run: fn(&Suite) -> Vec<Check>,
 }
 
 impl Experiment {
-    /// Run it. Pure: the same suite gives the same bytes.
+    /// Runs the experiment. Pure: the same suite gives the same bytes.
     pub fn run(&self, suite: &Suite) -> Vec<Check> {
         (self.run)(suite)
     }
 }
 
-/// All experiments, the longest first.
+/// All experiments, longest first.
 pub fn experiments() -> Vec<Experiment> {
     [
         collapse::EXPERIMENTS,

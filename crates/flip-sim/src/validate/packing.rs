@@ -1,4 +1,4 @@
-//! How densely poured grains lie.
+//! Packing fraction of poured grains.
 
 use super::super::scene::{packing_fraction, rain, top};
 use super::super::shapes::Silo;
@@ -23,7 +23,7 @@ fn frictionless(suite: &Suite) -> Vec<Check> {
     vec![Check::within("packing_frictionless", fraction(suite, false), [0.60, 0.66], "", source)]
 }
 
-/// Share of grain in the bulk, away from walls and surface, after rain.
+/// Packing fraction in the bulk, away from walls and surface, after rain.
 fn fraction(suite: &Suite, with_friction: bool) -> f64 {
     let mut law = suite.law_of_deep_bed(SMOOTH);
     if !with_friction {

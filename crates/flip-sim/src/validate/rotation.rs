@@ -1,4 +1,5 @@
-//! Grains that may roll: what discrete-element codes find, and what rolling resistance gives back.
+//! Grains that may roll: comparison with discrete-element codes, and the effect of rolling
+//! resistance.
 
 use super::super::law::Law;
 use super::super::mechanisms::{Extensions, Site};
@@ -22,21 +23,22 @@ pub(super) const EXPERIMENTS: &[Experiment] = &[
     },
 ];
 
-/// Heaps of each kind.
+/// Number of heaps of each kind.
 const HEAPS: u64 = 4;
-/// Friction of these heaps: a Coulomb coefficient of 0.32, in the middle of what discrete-element studies of glass beads use.
+/// Friction of these heaps: a Coulomb coefficient of 0.32, in the middle of those used by
+/// discrete-element studies of glass beads.
 const FRICTION: f64 = 1.3;
-/// Rolling friction that gives the heap back.
+/// Rolling friction that restores the heap.
 const ROLLING: f64 = 0.3;
 
-/// A released block of grains on a plane that offers no hollow to lie in rolls apart.
+/// A block of grains released on a smooth plane, without hollows to lie in, rolls apart.
 fn smooth_plate(suite: &Suite) -> Vec<Check> {
     let powder = suite.powder(&[("friction", FRICTION)]);
     let rolling = Extensions { rotation: 1.0, ..suite.extensions };
     let law = (suite.revise)(Law::new(&powder, ROUGH, super::SUBSTEP_S).extended(&rolling, &powder, Site::Base));
     let side = -6..6i8;
     let at = |i: i8| 1.05 * (f32::from(i) + 0.5);
-    // Each layer is shifted against the one below: stacked columns would stand.
+    // Each layer is shifted relative to the one below: stacked columns would stand.
     let block = (0..12i8).flat_map(|k| {
         let shift = 0.3 * f32::from(k % 3);
         let side = side.clone();
@@ -50,8 +52,8 @@ fn smooth_plate(suite: &Suite) -> Vec<Check> {
     vec![Check::near("rotation_smooth_plate", slope_of_cone(grains.centres()), [0.0, 5.0], "deg", source)]
 }
 
-/// Slope of the cone with the same mean radius and mean height of grains, degrees: `tan = 2 (z - 1/2) / r` for means z and r, zero for a
-/// single layer.
+/// Slope of the cone with the same mean radius and mean height of grains, degrees:
+/// `tan = 2 (z - 1/2) / r` for means z and r, zero for a single layer.
 fn slope_of_cone(centres: &[Vector]) -> f64 {
     let mean = |of: fn(&Vector) -> f64| centres.iter().map(of).sum::<f64>() / centres.len() as f64;
     let radius = mean(|x| f64::from(x[0]).hypot(f64::from(x[1])));
@@ -76,7 +78,7 @@ fn rough_plate(suite: &Suite) -> Vec<Check> {
         Check::within("rotation_rough_plate", loose, [15.0, 25.0], "deg", source),
         Check::within("rolling_resistance_rise", held - loose, [5.0, 25.0], "deg", returns),
         Check::within("rolling_resistance_rough_plate", held, [25.0, 50.0], "deg", back),
-        // The narrower of our own range, 20 to 45, and the other.
+        // The narrower of FLIP's own range, 20 to 45, and the other.
         Check::within("rolling_resistance_smooth_plate", held_smooth, [25.0, 45.0], "deg", back),
     ]
 }

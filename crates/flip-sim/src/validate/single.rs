@@ -21,7 +21,8 @@ pub(super) const EXPERIMENTS: &[Experiment] = &[
     Experiment { name: "mass_invariance", checks: &["mass_invariance"], run: mass_invariance },
 ];
 
-/// Fallen from rest in 0.1 s. Semi-implicit steps of length h fall g t h / 2 further than g t^2 / 2.
+/// Free fall from rest over 0.1 s. Semi-implicit steps of length h fall g t h / 2 further than g
+/// t^2 / 2.
 fn free_fall(suite: &Suite) -> Vec<Check> {
     let law = suite.law(SMOOTH);
     let mut one = at_rest(&law, [[0.0; 4]]);
@@ -34,7 +35,7 @@ fn free_fall(suite: &Suite) -> Vec<Check> {
     vec![Check::near("free_fall", fallen, [expected, 1e-4 * expected], "mm", source)]
 }
 
-/// Speed after over speed before the impact of a grain that falls five diameters.
+/// Ratio of the speeds after and before the impact of a grain that falls five diameters.
 fn inelastic_drop(suite: &Suite) -> Vec<Check> {
     let law = suite.law(SMOOTH);
     let mut one = at_rest(&law, [vector(0.0, 0.0, 5.5)]);
@@ -49,7 +50,8 @@ fn inelastic_drop(suite: &Suite) -> Vec<Check> {
     vec![Check::within("inelastic_drop", f64::from(rebound / fastest), [0.0, 0.1], "", source)]
 }
 
-/// Largest change of momentum, over the sum of both momenta's sizes, in random oblique collisions with friction.
+/// Largest change of momentum, relative to the sum of both momenta's magnitudes, in random oblique
+/// collisions with friction.
 fn pair_momentum(suite: &Suite) -> Vec<Check> {
     let law = suite.law(SMOOTH);
     let mut rng = Pcg64Mcg::seed_from_u64(derive(1, &[2]));
@@ -83,7 +85,7 @@ fn momentum(grains: &Grains) -> [f64; 3] {
     std::array::from_fn(|k| grains.velocities().iter().map(|v| f64::from(v[k])).sum())
 }
 
-/// Lean gravity slowly to an angle, from 2 deg less.
+/// Tilts gravity slowly to an angle, starting 2 deg below it.
 fn lean(grains: &mut Grains, law: &Law, degrees: f64, wall: &Shape) {
     let steps = law.substeps(0.1);
     for step in 0..steps {
@@ -92,7 +94,7 @@ fn lean(grains: &mut Grains, law: &Law, degrees: f64, wall: &Shape) {
     }
 }
 
-/// Whether a grain on a plane slides at an angle, once the lean has come to it.
+/// Whether a grain on a plane slides at an angle, once the tilt has reached it.
 fn slides(law: &Law, degrees: f64) -> bool {
     let mut one = at_rest(law, [vector(0.0, 0.0, 0.5)]);
     lean(&mut one, law, degrees, &Shape::FLAT);
@@ -122,17 +124,19 @@ fn incline(suite: &Suite) -> Vec<Check> {
     ]
 }
 
-/// Lean at which a grain without friction leaves its seat on three fixed grains through the saddle between two of them.
+/// Tilt at which a frictionless grain leaves its seat on three fixed grains through the saddle
+/// between two of them.
 ///
-/// The saddle lies 1 / (2 sqrt 3) aside of the seat, sqrt(2/3) below it: atan of their ratio is 19.47 deg. Over a sphere it were 35.26.
-/// The lower three are glued to a plane by a contact of a hundred weights; the contacts of the fourth are those between grains.
+/// The saddle lies 1 / (2 sqrt 3) to the side of the seat, sqrt(2/3) below it: atan of their ratio
+/// is 19.47 deg. Over a sphere it would be 35.26. The lower three are glued to a plane by a contact
+/// of a hundred weights; the contacts of the fourth are those between grains.
 fn tetrahedron(suite: &Suite) -> Vec<Check> {
     let mut law = suite.law(SMOOTH);
     law.grain.friction = 0.0;
     law.wall.friction = 100.0;
     law.wall = law.wall.attracted(100.0 * law.gravity);
     let aside = 0.75f32.sqrt();
-    // Around the axis, with the saddle towards +x between the first two.
+    // Arranged around the axis, with the saddle towards +x between the first two.
     let seat = [[aside / 3.0, 0.5], [aside / 3.0, -0.5], [-2.0 * aside / 3.0, 0.0]];
     let lower = seat.map(|[x, y]| vector(x, y, 0.5));
     let upper = vector(0.0, 0.0, 0.5 + (2.0f32 / 3.0).sqrt());
@@ -146,11 +150,12 @@ fn tetrahedron(suite: &Suite) -> Vec<Check> {
     vec![Check::near("tetrahedron_escape", threshold([10.0, 30.0], 10, leaves), [19.471, 0.2], "deg", source)]
 }
 
-/// Attraction over weight at which a grain stops falling off another that hangs from a plate.
+/// Attraction over weight at which a grain no longer falls off another that hangs from a plate.
 fn pendant_pair(suite: &Suite) -> Vec<Check> {
     let gravity_scale = 0.3;
     let holds = |cohesion: f64| {
-        // The upper grain has to bear both: adhesion 1.2 is four weights here, and none of it acts between the grains.
+        // The upper grain must bear both: adhesion 1.2 is four weights here, and none of it acts
+        // between the grains.
         let changes = [
             ("gravity_scale", gravity_scale),
             ("adhesion", 1.2),
@@ -175,7 +180,7 @@ fn pendant_pair(suite: &Suite) -> Vec<Check> {
     vec![Check::near("pendant_pair", bond, [1.0, 0.02], "weights", source)]
 }
 
-/// Change of a heap's angles when every grain weighs more.
+/// Change of a heap's angles with heavier grains.
 fn mass_invariance(suite: &Suite) -> Vec<Check> {
     let angles = |mass: f64| {
         let heap = suite.heap(&suite.powder(&[("particle_mass_ug", mass)]), &Settings::with_particles(300), 5);

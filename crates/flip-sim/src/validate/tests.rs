@@ -1,4 +1,5 @@
-//! A broken law fails its check, so that the suite cannot pass for nothing; and its instruments read what is there.
+//! A broken law must fail its check, so that the suite cannot pass vacuously; and its instruments
+//! must read correctly.
 
 use super::super::constraints::{Vector, vector};
 use super::super::law::Law;
@@ -7,13 +8,13 @@ use super::collapse::front;
 use super::discharge::floor_load;
 use super::{Check, SMOOTH, Suite, experiments};
 
-/// The named check under a change of the law.
+/// The named check under a modified law.
 fn check(name: &str, revise: fn(Law) -> Law) -> Check {
     let experiment = experiments().into_iter().find(|e| e.checks.contains(&name)).unwrap();
     experiment.run(&Suite::revised(revise)).into_iter().find(|check| check.name == name).unwrap()
 }
 
-/// A law broken on purpose.
+/// A deliberately broken law.
 type Fault = fn(Law) -> Law;
 
 #[test]

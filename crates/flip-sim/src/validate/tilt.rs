@@ -1,10 +1,11 @@
-//! When a bed at rest starts to flow.
+//! Onset of flow in a tilted bed.
 //!
-//! A bed under a level surface that is tilted slowly stays until its maximum angle of stability, flows, and comes to rest at a smaller
-//! slope, its angle of repose. In sand and glass beads the two differ by 1 to 5 deg (Jaeger, Liu and Nagel 1989, Phys. Rev. Lett. 62, 40;
-//! Pouliquen and Forterre 2002, J. Fluid Mech. 453, 133). A bed that starts below its angle of repose has forgotten its friction; one
-//! that starts far above it is glued. The heap of the same powder stands at the angle of repose, so the bed must start between that and a
-//! few degrees more.
+//! A bed with a level surface that is tilted slowly stays put until its maximum angle of stability,
+//! flows, and comes to rest at a smaller slope, its angle of repose. In sand and glass beads the
+//! two differ by 1 to 5 deg (Jaeger, Liu and Nagel 1989, Phys. Rev. Lett. 62, 40; Pouliquen and
+//! Forterre 2002, J. Fluid Mech. 453, 133). If a bed starts to flow below its angle of repose, the
+//! friction memory was lost; if far above it, the grains are stuck together. The heap of the same
+//! powder stands at the angle of repose, so the bed must start between that and a few degrees more.
 
 use super::super::flank::surface;
 use super::super::law::Law;
@@ -22,7 +23,7 @@ pub(super) const EXPERIMENTS: &[Experiment] =
 /// Radius of the container and depth of the bed, grain diameters.
 const RADIUS: f64 = 15.0;
 const DEPTH: f64 = 8.0;
-/// The slope is read and the flow watched within this radius.
+/// Radius within which the slope is measured and the flow monitored.
 const WATCHED: f64 = 10.0;
 
 fn tilted_bed(suite: &Suite) -> Vec<Check> {
@@ -37,17 +38,19 @@ fn tilted_bed(suite: &Suite) -> Vec<Check> {
     ]
 }
 
-/// Slope at which the bed starts to flow, and the slope at which it comes to rest again, degrees; no numbers for one that never flows.
+/// Slope at which the bed starts to flow, and the slope at which it comes to rest again, degrees;
+/// NaN if it never flows.
 pub(super) fn avalanche(law: &Law, seed: u64) -> [f64; 2] {
     const LOOK: u32 = 100;
     let silo = Silo::closed(RADIUS as f32);
     let mut bed = rain(law, &silo, 0.4, seed, |grains| f64::from(top(grains)) > DEPTH);
-    // At this speed the surface moves by a diameter in ten fall times; single grains that settle do not move its mean so far.
+    // At this speed the surface moves by a diameter in ten fall times; individual settling grains
+    // do not move its mean that far.
     let fastest = 0.1 * f64::from(law.gravity).sqrt();
     let mut tilt = 0.0;
     let mut flows = false;
     while tilt < 60.0 && !flows {
-        // Ten degrees per second, four times that as long as nothing can happen.
+        // Ten degrees per second, four times that while nothing can happen.
         let rate = if tilt < 10.0 { 40.0 } else { 10.0 };
         for _ in 0..LOOK {
             tilt += rate * law.substep_s;

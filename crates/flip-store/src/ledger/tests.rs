@@ -1,4 +1,4 @@
-//! The ledger's promises, with the clock in hand.
+//! The ledger's guarantees, under a clock controlled by the test.
 
 use super::{Claim, Claimed, DEATHS_MAX, FAILURES_MAX};
 use crate::jobs::Job;
@@ -18,7 +18,7 @@ fn at(seconds: i64) -> Timestamp {
     Timestamp::from_unix_ms(1_800_000_000_000 + 1000 * seconds)
 }
 
-/// Seconds that a lease lasts here.
+/// Lease duration in these tests, s.
 const LEASE: i64 = 30;
 
 impl Ledger {
@@ -185,7 +185,7 @@ async fn a_job_that_nobody_computes_after_a_restart_is_not_said_to_run() {
     assert!(job.progress.message.contains("the process ended"), "{}", job.progress.message);
     let told = ledger.store.events_after(Some("job:job"), before, 10).await.unwrap();
     assert_eq!(told.iter().map(|event| event.data["state"].as_str().unwrap()).collect::<Vec<_>>(), ["queued"]);
-    // That the process ended still counts against a job that ends it every time.
+    // An ended process still counts against a job that ends it every time.
     for _ in 1..DEATHS_MAX {
         ledger.granted("next", 1).await;
         ledger.store.end_leases().await.unwrap();

@@ -1,13 +1,15 @@
-//! Ends of a sensor's range, which loggers write where they read nothing: 0 or 100 % of humidity, 0, -40 or 85 deg C.
+//! Ends of a sensor's range, which loggers write when they have no reading: 0 or 100 % humidity; 0,
+//! -40 or 85 deg C.
 
 use crate::app::csv_file::{Refused, at};
 use crate::app::humidity;
 
 /// Relative humidity, per cent.
 const OF_HUMIDITY: [f64; 2] = [0.0, 100.0];
-/// Temperature, deg C: no signal, and the least and most that usual sensors read, or read before their first conversion.
+/// Temperature, deg C: no signal, and the lowest and highest values that common sensors read, or
+/// return before their first conversion.
 const OF_TEMPERATURE: [f64; 9] = [0.0, -40.0, -45.0, -46.85, -127.0, 85.0, 125.0, 127.0, 130.0];
-/// How far every other value is from an end that was not measured, per cent or degrees.
+/// Minimum distance of every other value from an end that was not measured, per cent or degrees.
 const FAR: f64 = 10.0;
 
 fn of_column(column: &str) -> (&'static [f64], &'static str) {
@@ -22,10 +24,11 @@ fn of_column(column: &str) -> (&'static [f64], &'static str) {
     }
 }
 
-/// Ends of the sensor's range in fewer than half of the filled cells, where no other value is within [`FAR`] of them. A value with its unit is what it says.
+/// Refuses ends of the sensor's range in fewer than half of the filled cells if no other value is
+/// within [`FAR`] of them. A value with its unit is taken at face value.
 ///
 /// # Errors
-/// Each of them, by row.
+/// Each of these cells, by row.
 pub(super) fn check(
     column: &str,
     values: &[Option<f64>],

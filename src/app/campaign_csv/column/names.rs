@@ -1,6 +1,7 @@
-//! A column of names, if it says anything.
+//! A column of names, if it is informative.
 //!
-//! Names that differ in capitals and blanks alone are one, as they first stand in the file: `Ada`, `ada`. A column of yes, no, 1 and 0 holds two.
+//! Names that differ only in capitals and blanks are the same, written as first found in the file:
+//! `Ada`, `ada`. A column of yes, no, 1 and 0 has two values.
 
 use super::super::{Cell, NAMES, is_name};
 use super::Column;
@@ -10,16 +11,17 @@ use flip_core::domain::powder_name::same_name;
 use flip_discover::{LEVELS_MAX, Values};
 use std::collections::BTreeMap;
 
-/// Names of a note.
+/// Number of names listed in a note.
 const NAMED: usize = 5;
 
-/// The column of these names.
+/// Reads a column of these names.
 pub(super) fn read(name: &str, cells: &[Cell<'_>], filled: usize) -> Column {
     let (cells, note) = as_one(cells);
     let mut names: Vec<&str> = cells.iter().filter(|cell| cell.is_filled()).map(|cell| cell.text).collect();
     names.sort_unstable();
     names.dedup();
-    // A column that a cause needs is kept, so that the report can say why the cause cannot be told.
+    // A column that a cause needs is kept, so that the report can explain why the cause cannot be
+    // judged.
     let is_needed = NAMES.contains(&name);
     if !names.iter().all(|name| is_name(name)) {
         return Column::nothing(filled, "it holds sentences");
@@ -38,7 +40,7 @@ pub(super) fn read(name: &str, cells: &[Cell<'_>], filled: usize) -> Column {
     Column { values: Some(Values::Levels { names: names.into_iter().map(str::to_owned).collect(), of }), filled, note }
 }
 
-/// Cells with one name for what is one, and what that is to say.
+/// The cells with one spelling per name, and the note on it.
 fn as_one<'a>(cells: &[Cell<'a>]) -> (Vec<Cell<'a>>, Option<String>) {
     let mut ways: BTreeMap<String, Vec<&'a str>> = BTreeMap::new();
     for cell in cells.iter().filter(|cell| cell.is_filled()) {
@@ -49,7 +51,7 @@ fn as_one<'a>(cells: &[Cell<'a>]) -> (Vec<Cell<'a>>, Option<String>) {
     }
     let named =
         |cell: &Cell<'a>| Cell { text: ways.get(&same_name(cell.text)).map_or(cell.text, |known| known[0]), ..*cell };
-    // Of letters alone, such as t and n, nobody knows.
+    // Single letters, such as t and n, are ambiguous.
     let has_word = ways.keys().any(|name| name.len() > 1 && name.chars().all(char::is_alphabetic));
     if ways.len() > 2 && has_word && ways.keys().all(|name| yes_or_no(name).is_some()) {
         let told = |cell: &Cell<'a>| yes_or_no(cell.text).map_or(*cell, |text| Cell { text, told: Told::Text(text) });

@@ -1,19 +1,20 @@
-//! What stands first in the dates of a column: of the orders in which each of its dates is a day those that read no campaign of more than ten years,
-//! if these agree; else it is asked for.
+//! Which component comes first in the dates of a column: among the orders in which every date is
+//! valid, those under which the campaign lasts at most ten years, if these agree; otherwise the
+//! user is asked.
 
 use crate::app::csv_file::date::{CAMPAIGN_MAX_D, DateOrder, Written};
 use crate::app::csv_file::{Refused, at};
 use flip_core::domain::FieldError;
 use time::Date;
 
-/// Dates that an order decides, each with its row and its text.
+/// Dates that need an order, each with its row and its text.
 pub(super) struct Dates<'a>(pub Vec<(&'a Written, usize, &'a str)>);
 
 impl Dates<'_> {
-    /// The order; none where there is no date that needs one.
+    /// The order; none if no date needs one.
     ///
     /// # Errors
-    /// Dates that contradict each other; a date that may be two days.
+    /// Dates that contradict each other; a date that may be two different days.
     pub fn order(&self) -> Refused<Option<DateOrder>> {
         if self.0.is_empty() {
             return Ok(None);
@@ -34,12 +35,12 @@ impl Dates<'_> {
         }
     }
 
-    /// All of them in one order; nothing where one of them is no day then.
+    /// All of them in one order; `None` if one of them is not a valid day then.
     fn read(&self, order: DateOrder) -> Option<Vec<Date>> {
         self.0.iter().map(|(written, ..)| written.day(Some(order))).collect()
     }
 
-    /// Dates that have what stands first elsewhere than the first that can be read in one way only.
+    /// Dates whose first component is not that of the first unambiguous date.
     fn contradictions(&self) -> Vec<FieldError> {
         let shown = || self.0.iter().filter_map(|(written, row, text)| Some((written.order()?, *row, *text)));
         let Some((first, from, _)) = shown().next() else {
@@ -56,7 +57,7 @@ impl Dates<'_> {
             (order != first).then(|| at(row, "session", advice))
         };
         let others: Vec<FieldError> = shown().filter_map(other).collect();
-        // Nor need two of them be at odds: each of the others may leave out another order.
+        // No two of them need be at odds: each of the others may rule out another order.
         let is_no_day = |(written, ..): &&(&Written, usize, &str)| written.day(Some(first)).is_none();
         let all = || {
             self.0.iter().filter(is_no_day).map(|(_, row, text)| {
@@ -112,16 +113,16 @@ mod tests {
     #[test]
     fn a_year_of_two_digits_that_stands_first_is_not_the_day() {
         use DateOrder::{DayFirst, MonthFirst, YearFirst};
-        // Read with the day first these would be of 2003 to 2028.
+        // Read day first, these would span 2003 to 2028.
         assert_eq!(order(&["26/02/03", "26/02/28", "26/03/15"]), Ok(Some(YearFirst)));
         assert_eq!(order(&["26.02.03", "26.02.28"]), Ok(Some(YearFirst)));
-        // And these, with the year first, of 2003 to 2028.
+        // And these, read year first, 2003 to 2028.
         assert_eq!(order(&["03/02/26", "28/02/26"]), Ok(Some(DayFirst)));
         assert_eq!(order(&["02-03-26", "02-28-26"]), Ok(Some(MonthFirst)));
-        // A few days in turn may be either.
+        // A few consecutive days are ambiguous.
         assert_eq!(order(&["26/02/19", "26/02/20", "26/02/21"]), Err(vec!["row[2].session".to_owned()]));
         assert_eq!(order(&["26.02.21"]), Err(vec!["row[2].session".to_owned()]));
-        // One that can only be read in one way tells.
+        // A single unambiguous date decides.
         assert_eq!(order(&["26/02/21", "32/02/21"]), Ok(Some(YearFirst)));
         assert_eq!(order(&["26/02/21", "3/2/21"]), Ok(Some(DayFirst)));
     }

@@ -1,11 +1,13 @@
-//! Sessions that look like numbers and are names: 1.1, 1.2 and so on to 1.10, which as a number is 1.1 again.
+//! Sessions that look like numbers but are names: 1.1, 1.2 and so on to 1.10, which as a number
+//! equals 1.1.
 //!
-//! Parts between dots are counted up by themselves. Where that gives another order than the numbers have, or tells apart what is one number, only the
-//! laboratory knows what they are, and they are names.
+//! Parts between dots are compared separately. If that gives a different order than the numbers, or
+//! distinguishes equal numbers, only the laboratory knows their meaning, and they are treated as
+//! names.
 
 use std::cmp::Ordering;
 
-/// Whether these sessions, all of them numbers, are names.
+/// Whether these sessions, all of them numeric, are names.
 pub(super) fn are_labels(texts: &[&str]) -> bool {
     let parts: Option<Vec<[u64; 2]>> = texts.iter().map(|text| parts(text)).collect();
     let numbers: Vec<f64> = texts.iter().filter_map(|text| text.replace(',', ".").parse().ok()).collect();
@@ -20,7 +22,7 @@ pub(super) fn are_labels(texts: &[&str]) -> bool {
     })
 }
 
-/// What stands before and behind the dot; nothing of another number.
+/// The parts before and after the dot; `None` for other numbers.
 fn parts(text: &str) -> Option<[u64; 2]> {
     let (before, behind) = text.split_once(['.', ',']).unwrap_or((text, "0"));
     Some([before.parse().ok()?, behind.parse().ok()?])

@@ -1,10 +1,12 @@
-//! Days of one campaign lie within ten years: a day outside those that hold most of them has a wrong digit in its year.
+//! Days of one campaign lie within ten years: a day outside the ten years that hold most of them
+//! has a wrong digit in its year.
 
 use crate::app::csv_file::date::CAMPAIGN_MAX_D;
 use crate::app::csv_file::{Refused, at};
 use time::Date;
 
-/// Days that do not belong to the others. Where no ten years hold half of the cells, nothing is said of any.
+/// Refuses days that do not belong with the others. If no ten years hold half of the cells, all are
+/// accepted.
 ///
 /// # Errors
 /// Each of them, by row.
@@ -15,7 +17,7 @@ pub(super) fn check(days: &[Date], rows: &[usize], texts: &[&str]) -> Refused<()
     let held = |first: i32| {
         sorted.partition_point(|day| day - first <= CAMPAIGN_MAX_D) - sorted.partition_point(|day| *day < first)
     };
-    // Of several the earliest.
+    // On a tie, the earliest.
     let Some((most, first)) = sorted.iter().rev().map(|&first| (held(first), first)).max_by_key(|it| it.0) else {
         return Ok(());
     };

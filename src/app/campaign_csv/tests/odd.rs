@@ -1,4 +1,4 @@
-//! Odd tables: what they are refused for, and what is told of those that are read.
+//! Odd tables: why they are refused, and the notes on those that are read.
 
 use super::*;
 
@@ -8,7 +8,7 @@ fn table(header: &str, row: impl Fn(usize) -> String) -> String {
     format!("{header}\n{}\n", rows.join("\n"))
 }
 
-/// Fourteen runs of salt, each with its cell of one more column.
+/// Fourteen runs of salt, each with a cell in one extra column.
 fn beside(column: &str, cell: impl Fn(usize) -> String) -> String {
     table(&format!("powder,repose_deg,{column}"), |k| format!("salt,3{}.{},{}", k % 7, k % 10, cell(k)))
 }
@@ -20,7 +20,7 @@ fn note(text: &str, column: &str) -> String {
 
 #[test]
 fn a_date_with_its_year_of_two_digits_first_is_no_day_of_2021() {
-    // Three days in turn: 2026 or 2019 to 2021.
+    // Three consecutive days: in 2026, or 2019 to 2021.
     for written in [
         |k: usize| format!("26/02/{}", 19 + k % 3),
         |k| format!("26.02.{}", 19 + k % 3),
@@ -31,7 +31,7 @@ fn a_date_with_its_year_of_two_digits_first_is_no_day_of_2021() {
         let read = read(&text, &REQUIRED, Some(DateOrder::YearFirst)).unwrap();
         assert_eq!(read.read.columns[2].note, "3 days, 2026-02-19 to 2026-02-21");
     }
-    // A column over more of the month tells: nobody measured from 2001 to 2027.
+    // A column covering more of the month is unambiguous: nobody measured from 2001 to 2027.
     assert_eq!(
         note(&beside("session", |k| format!("26/02/{:02}", 1 + 2 * k)), "session"),
         "14 days, 2026-02-01 to 2026-02-27"
@@ -40,7 +40,7 @@ fn a_date_with_its_year_of_two_digits_first_is_no_day_of_2021() {
         note(&beside("session", |k| format!("{:02}.02.26", 1 + 2 * k)), "session"),
         "14 days, 2026-02-01 to 2026-02-27"
     );
-    // The same without marks, which as numbers would be sorted by the day of the month.
+    // The same without separators; as numbers they would be sorted by the day of the month.
     let days = |k: usize| format!("{:02}{}26", 10 + k, if k % 2 == 0 { "02" } else { "01" });
     assert_eq!(note(&beside("session", days), "session"), "14 days, 2026-01-11 to 2026-02-22");
 }
@@ -82,7 +82,7 @@ fn a_humidity_in_fractions_and_per_cents_is_refused_whatever_its_column_is_calle
         column(&mixed, "relative_humidity_pct"),
         Some(&Values::Numbers(vec![Some(45.0), Some(41.0), Some(47.0)]))
     );
-    // A share that may be anything.
+    // A share that can be anything.
     assert!(column(&campaign_of(&with_column("fill", &["45", "0.41", "47"])), "fill").is_some());
 }
 
@@ -96,7 +96,7 @@ fn days_under_another_name_are_the_sessions_and_no_condition() {
     for header in ["Sesion", "When", "Zeitpunkt"] {
         assert_eq!(refused(&beside(header, days)), [header], "{header}");
     }
-    // Beside a session they may be anything: the day on which a batch was made.
+    // Next to a session they can be anything: the day on which a batch was made.
     let both =
         beside("session", |k| format!("{},2026-01-{:02}", days(k), 1 + k % 3)).replace("session\n", "session,date\n");
     assert!(column(&campaign_of(&both), "date").is_some());
@@ -128,7 +128,7 @@ fn a_mean_below_a_table_is_no_powder_and_no_run() {
     let with = read_of(&format!("{text}salt,33.6,Mean\nsalt,39.9,Max\n"));
     assert_eq!(with.campaign, campaign_of(&text));
     assert_eq!(with.read.left_out[0].rows, [16, 17]);
-    // Levels that are called so are no summaries.
+    // Levels with such names are not summaries.
     let skill = campaign_of(&beside("skill", |k| ["low", "average", "high"][k % 3].to_owned()));
     assert_eq!(skill.runs.len(), 14);
     assert_eq!(refused(&beside("statistic", |k| ["mean", "min", "max"][k % 3].to_owned())), ["row[2]"]);
@@ -167,7 +167,7 @@ fn a_thousand_with_a_point_beside_hundreds_is_no_one_point_something() {
     let rows =
         |text: &str| table("powder;repose_deg;pressure_hpa", |k| format!("salt;{}{text};{}", 30 + k % 7, pressure(k)));
     assert_eq!(refused(&rows("")).len(), 7, "may be 1.013 or 1013");
-    // Another column tells that points separate decimals, or that commas do.
+    // Another column shows whether points or commas separate decimals.
     let first = |text: &str| match column(&campaign_of(&rows(text)), "pressure_hpa") {
         Some(Values::Numbers(of)) => of[1],
         other => panic!("{other:?}"),
@@ -228,7 +228,7 @@ fn a_humidity_of_0_or_100_among_laboratory_air_is_a_loggers_missing_value() {
     }
     let fractions = |k: usize| if k == 4 { "0".to_owned() } else { format!("0.{}", 40 + k) };
     assert_eq!(refused(&beside("relative_humidity_pct", fractions)), ["row[6].relative_humidity_pct"]);
-    // With its unit it means what it says, and near others it was measured.
+    // With its unit it is taken at face value, and near other values it was measured.
     for (column, end, usual) in [
         ("relative_humidity_pct", "0 %", 38),
         ("relative_humidity_pct", "0", 3),
@@ -238,7 +238,7 @@ fn a_humidity_of_0_or_100_among_laboratory_air_is_a_loggers_missing_value() {
     ] {
         assert_eq!(campaign_of(&beside(column, tenth(end, usual))).runs.len(), 14, "{column} {end}");
     }
-    // Half of the cells: somebody dried the air.
+    // In half of the cells: somebody dried the air.
     assert_eq!(campaign_of(&beside("relative_humidity_pct", |k| (45 * (k % 2)).to_string())).runs.len(), 14);
 }
 

@@ -1,4 +1,4 @@
-//! What an emulated arm knows, and which calls it accepts when: the contract's table as code.
+//! State of an emulated arm, and which calls it accepts when: the contract's table as code.
 
 use super::dead_man::{DeadMan, Unrenewed};
 use super::fault::Fault;
@@ -8,16 +8,16 @@ use std::time::Instant;
 use tokio::sync::watch;
 use tonic::{Code, Status};
 
-/// A motion as it was asked for.
+/// A requested motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Asked {
-    /// To over the vial.
+    /// Move over the vial.
     Approach,
-    /// Level, and away from it.
+    /// Level, and move away from the vial.
     Retract,
-    /// To this pitch, deg.
+    /// Turn to this pitch, deg.
     Pitch(f64),
-    /// By this amplitude, mm.
+    /// Shake by this amplitude, mm.
     Shake(f64),
     /// Fill the spoon.
     Scoop,
@@ -32,9 +32,9 @@ pub enum Asked {
 pub enum End {
     /// Stop was called.
     Stopped,
-    /// Renewals ended.
+    /// Renewals stopped.
     DeadMan,
-    /// Control was given back.
+    /// Control was released.
     Released,
     /// The robot's reflex.
     Reflex,
@@ -45,7 +45,7 @@ pub enum End {
 }
 
 impl End {
-    /// Why the arm is latched by it, if it is.
+    /// The latch cause, if this end latches the arm.
     pub(super) fn latch_cause(self) -> Option<&'static str> {
         match self {
             Self::Stopped | Self::Released => None,
@@ -56,7 +56,7 @@ impl End {
         }
     }
 
-    /// What the motion answers.
+    /// The status with which the motion is answered.
     pub(super) fn status(self) -> Status {
         match self {
             Self::Stopped => Status::aborted("the motion was stopped"),
@@ -70,25 +70,25 @@ impl End {
 /// Ends one motion, once: the first cause counts.
 pub type Brake = Arc<OnceLock<End>>;
 
-/// Answer of a motion, when there is one.
+/// Answer of a motion, once there is one.
 pub(super) type Answer = watch::Receiver<Option<Result<Executed, Status>>>;
 
-/// The motion that was accepted last.
+/// The most recently accepted motion.
 pub(super) struct Accepted {
     pub sequence: u64,
     pub asked: Asked,
     pub answer: Answer,
 }
 
-/// Who has control.
+/// The current lease.
 pub(super) struct Lease {
     pub id: String,
     pub unrenewed: Unrenewed,
-    /// Stop was called: this lease brings the spoon back and does nothing else.
+    /// Stop was called: this lease can only bring the spoon back.
     pub stopped: bool,
 }
 
-/// Where the arm is and who may move it.
+/// Pose of the arm, and who may move it.
 pub(super) struct Body {
     pub mode: Mode,
     pub station: Station,
@@ -96,7 +96,7 @@ pub(super) struct Body {
     pub displacement_mm: f64,
     pub last_shake: Option<Executed>,
     pub lease: Option<Lease>,
-    /// Leases given so far.
+    /// Leases granted so far.
     pub leases: u64,
     pub latch: Option<&'static str>,
     pub accepted: Option<Accepted>,
@@ -105,7 +105,7 @@ pub(super) struct Body {
 }
 
 impl Body {
-    /// Level, retracted and nobody's.
+    /// Level, retracted and without a lease.
     pub(super) fn new() -> Self {
         Self {
             mode: Mode::Idle,
@@ -134,20 +134,21 @@ impl Body {
         matches!(self.mode, Mode::Moving | Mode::Returning)
     }
 
-    /// Stand still and let nobody move it until a person has looked.
+    /// Hold still and refuse all motion until a person has checked the arm.
     pub(super) fn latch(&mut self, cause: Option<&'static str>) {
         let cause = cause.unwrap_or("the spoon could not be brought back");
         (self.mode, self.lease, self.latch) = (Mode::Latched, None, Some(cause));
     }
 
-    /// A motion was accepted; its brake.
+    /// Record an accepted motion; returns its brake.
     pub(super) fn begin(&mut self, sequence: u64, asked: Asked, answer: Answer) -> Brake {
         self.accepted = Some(Accepted { sequence, asked, answer });
         (self.mode, self.brake) = (Mode::Moving, Brake::default());
         self.brake.clone()
     }
 
-    /// What moves ends, control ends, and the spoon is brought back; the brake of that.
+    /// End the current motion and control, and start bringing the spoon back; returns the brake of
+    /// that motion.
     pub(super) fn begin_return(&mut self, end: End) -> Brake {
         // A motion that has already ended keeps its own cause.
         let _ = self.brake.set(end);
@@ -155,16 +156,16 @@ impl Body {
         self.brake.clone()
     }
 
-    /// The motion of this brake is over.
+    /// Record that the motion of this brake is over.
     pub(super) fn settle(&mut self, brake: &Brake) {
-        // Stop may have let another motion in meanwhile, whose brake this is not.
+        // Stop may have let another motion in meanwhile, with another brake.
         if self.mode == Mode::Moving && Arc::ptr_eq(brake, &self.brake) {
             let stopped = self.lease.as_ref().is_some_and(|lease| lease.stopped);
             self.mode = if stopped { Mode::Stopped } else { Mode::Ready };
         }
     }
 
-    /// Give control to whoever asks first.
+    /// Grant control to the first client that requests it.
     pub(super) fn acquire(&mut self) -> Result<String, Status> {
         match self.mode {
             Mode::Latched => Err(self.latched()),
@@ -180,7 +181,7 @@ impl Body {
         }
     }
 
-    /// `lease_id` has control.
+    /// The lease, if `lease_id` has control.
     pub(super) fn held_by(&mut self, lease_id: &str) -> Result<&mut Lease, Status> {
         if self.mode == Mode::Latched {
             return Err(self.latched());
@@ -189,12 +190,13 @@ impl Body {
         self.lease.as_mut().filter(|lease| lease.id == lease_id).ok_or_else(ended)
     }
 
-    /// Renewals came too late.
+    /// Whether renewals came too late.
     pub(super) fn is_abandoned(&mut self, dead_man: DeadMan) -> bool {
         self.lease.as_mut().is_some_and(|lease| lease.unrenewed.is_over(dead_man, Instant::now()))
     }
 
-    /// Whether a motion may begin, in the contract's order of checks; the first answer where it is a repeat.
+    /// Whether a motion may begin, in the contract's order of checks; for a repeat, the first
+    /// answer.
     pub(super) fn judge(
         &mut self,
         arm: &proto::Description,
@@ -242,7 +244,7 @@ pub(super) fn refused(why: &str) -> Status {
     Status::new(Code::FailedPrecondition, why)
 }
 
-/// This arm can do that, and within its limits.
+/// Whether this arm can do that, within its limits.
 fn possible(arm: &proto::Description, asked: Asked) -> Result<(), Status> {
     let limits = arm.limits.unwrap_or_default();
     let within = |field, value, lower, upper| {

@@ -1,44 +1,47 @@
-//! When is a client dead? By the clock of the room, where a robot moves.
+//! When is a client dead? By wall-clock time, like a moving robot.
 //!
-//! An emulated arm often shares its machine with whoever uses it, with trainings and calibrations beside both. Where the driver itself got no processor time
-//! its client had none to renew either: such time is forgiven. A look that comes when it should says that the machine had time for everybody.
+//! An emulated arm often shares its machine with its client, and with trainings and calibrations
+//! running next to both. While the driver itself got no CPU time, its client had none to renew
+//! either, so such time is forgiven. A check that runs on schedule shows that the machine had time
+//! for everyone.
 
 use std::time::{Duration, Instant};
 
-/// Between two looks at whether the lease was renewed.
+/// How often the lease is checked.
 pub(super) const LOOK: Duration = Duration::from_millis(5);
-/// A look that comes later than this after the one before was held up.
+/// A check later than this after the one before was delayed.
 const ON_TIME: Duration = Duration::from_millis(10);
-/// So many looks after one that was held up do not count either: whoever has to renew was held up as well.
+/// This many checks after a delayed one do not count either: the client that has to renew was
+/// delayed as well.
 const AFTERWARDS: u32 = 3;
-/// So much is forgiven at most.
+/// Maximum time forgiven.
 const FORGIVEN_MAX: Duration = Duration::from_millis(2700);
 
 /// How long a lease lives without renewal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct DeadMan {
     pub limit: Duration,
-    /// Time in which the driver was held up does not count.
+    /// Time in which the driver was delayed does not count.
     pub forgives: bool,
 }
 
-/// How long a lease has not been renewed.
+/// Time since a lease was last renewed.
 #[derive(Debug)]
 pub(super) struct Unrenewed {
     since: Instant,
     looked: Instant,
     counted: Duration,
-    /// Looks that do not count.
+    /// Checks that do not count.
     forgiven: u32,
 }
 
 impl Unrenewed {
-    /// It was renewed now.
+    /// Renewed at `now`.
     pub(super) fn since(now: Instant) -> Self {
         Self { since: now, looked: now, counted: Duration::ZERO, forgiven: 0 }
     }
 
-    /// The lease has ended by now.
+    /// Whether the lease has expired by now.
     pub(super) fn is_over(&mut self, dead_man: DeadMan, now: Instant) -> bool {
         let passed = now - self.looked;
         self.looked = now;
@@ -64,7 +67,7 @@ mod tests {
 
     const LIMIT: Duration = Duration::from_millis(300);
 
-    /// After how many of these looks, ms apart, the lease ends.
+    /// The number of checks, ms apart, after which the lease expires.
     fn ends(forgives: bool, apart_ms: impl Iterator<Item = u64>) -> Option<u64> {
         let mut now = Instant::now();
         let (began, mut lease) = (now, Unrenewed::since(now));

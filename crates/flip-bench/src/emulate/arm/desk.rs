@@ -1,4 +1,5 @@
-//! A driver process around any robot: the contract's calls, modes, leases and dead-man, without a word about how it moves.
+//! A driver process around any robot: the contract's calls, modes, leases and dead-man, independent
+//! of how it moves.
 
 use super::body::{Answer, Asked, Body, Brake, End};
 use super::dead_man::DeadMan;
@@ -15,33 +16,34 @@ use std::time::{Duration, Instant};
 use tokio::sync::{oneshot, watch};
 use tonic::Status;
 
-/// On whose account a motion is made.
+/// Reason for a motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Why {
-    /// A client asked for it.
+    /// A client requested it.
     Asked,
-    /// Control was given back.
+    /// Control was released.
     Released,
-    /// Renewals ended.
+    /// Renewals stopped.
     DeadMan,
-    /// A person had looked.
+    /// A person cleared the latch.
     Recovered,
 }
 
-/// What carries out motions.
+/// Carries out motions.
 pub trait Robot: Send + 'static {
-    /// Carry out one motion and return when it rests. Where the spoon is goes to `desk` on the way: [`Desk::show`],
-    /// [`Desk::rest`] and [`Desk::arrive`]. When `brake` is set,
-    /// stand still at once and return its cause. The answer's sequence number is not the robot's business.
+    /// Carry out one motion and return when it is at rest. The spoon's position is reported to
+    /// `desk` on the way: [`Desk::show`], [`Desk::rest`] and [`Desk::arrive`]. When `brake` is set,
+    /// stop at once and return its cause. The robot does not deal with the answer's sequence
+    /// number.
     ///
     /// # Errors
     /// What ended it before it was complete.
     fn carry_out(&mut self, asked: Asked, why: Why, brake: &Brake, desk: &Desk) -> Result<Executed, End>;
 }
 
-/// What the thread of a robot is asked to do.
+/// Jobs of a robot's thread.
 pub(super) enum Job {
-    /// A motion of a client.
+    /// A client's motion.
     Motion { sequence: u64, asked: Asked, brake: Brake, answer: watch::Sender<Option<Result<Executed, Status>>> },
     /// Level and retract.
     Return { why: Why, brake: Brake, answer: oneshot::Sender<Result<(), Status>> },
@@ -49,7 +51,7 @@ pub(super) enum Job {
     Finish,
 }
 
-/// What the threads of one driver share.
+/// State shared by the threads of one driver.
 pub struct Desk {
     began: Instant,
     description: proto::Description,
@@ -67,20 +69,21 @@ impl Desk {
         self.dead_man
     }
 
-    /// Where the spoon is while it moves. Never waits, so that a control loop may call it: where the desk is busy nothing is shown.
+    /// Report the spoon's pose while it moves. Never blocks, so that a control loop may call it:
+    /// while the desk is busy the pose is dropped.
     pub fn show(&self, pitch_deg: f64, displacement_mm: f64) {
         if let Ok(mut body) = self.body.try_lock() {
             (body.pitch_deg, body.displacement_mm) = (pitch_deg, displacement_mm);
         }
     }
 
-    /// Where the spoon rests.
+    /// Report the spoon's pose at rest.
     pub fn rest(&self, pitch_deg: f64, displacement_mm: f64) {
         let mut body = self.locked();
         (body.pitch_deg, body.displacement_mm) = (pitch_deg, displacement_mm);
     }
 
-    /// The spoon rests at this station, or has left it for [`proto::Station::Between`].
+    /// Report that the spoon rests at this station, or has left it for [`proto::Station::Between`].
     pub fn arrive(&self, station: proto::Station) {
         self.locked().station = station;
     }
@@ -91,7 +94,7 @@ impl Desk {
         (body.pitch_deg, body.displacement_mm)
     }
 
-    /// Where the spoon is.
+    /// Station of the spoon.
     pub fn station(&self) -> proto::Station {
         self.locked().station
     }
@@ -101,7 +104,7 @@ impl Desk {
         proto::Description { latch_cause, ..self.description.clone() }
     }
 
-    /// Accept a motion, or find the answer of the one that it repeats.
+    /// Accept a motion, or find the answer of the one it repeats.
     pub(super) fn accept(&self, ticket: &proto::Ticket, asked: Asked) -> Result<Answer, Status> {
         let mut body = self.locked();
         if let Some(first) = body.judge(&self.description, &ticket.lease_id, ticket.sequence, asked)? {
@@ -114,7 +117,7 @@ impl Desk {
         Ok(answer)
     }
 
-    /// End what moves, and level and retract on the driver's own account.
+    /// End the current motion, then level and retract on the driver's own initiative.
     pub(super) fn begin_return(&self, body: &mut Body, why: Why, end: End) -> oneshot::Receiver<Result<(), Status>> {
         let (answer, hear) = oneshot::channel();
         let brake = body.begin_return(end);
@@ -122,7 +125,7 @@ impl Desk {
         hear
     }
 
-    /// The state that a stream says next, and whether anything moves.
+    /// The next state to stream, and whether anything moves.
     pub(super) fn state(&self) -> (Result<proto::State, Status>, bool) {
         let body = self.locked();
         if body.has(Fault::StateStreamLost) {
@@ -161,7 +164,7 @@ impl Desk {
         }
     }
 
-    /// The answer of a client's motion, and the mode afterwards.
+    /// The answer to a client's motion; also sets the mode afterwards.
     fn after(
         &self,
         sequence: u64,
@@ -198,7 +201,7 @@ impl Desk {
     }
 }
 
-/// A driver process at work. It ends when this is dropped.
+/// A running driver process. It ends when this is dropped.
 pub struct Driver {
     desk: Arc<Desk>,
     wires: Wires,
@@ -208,8 +211,8 @@ pub struct Driver {
 }
 
 impl Driver {
-    /// Serve this robot, whose spoon is level and retracted, on a TCP address; port 0 takes a free one. Without renewal for as long as `dead_man` by the
-    /// clock of the room its lease ends.
+    /// Serve this robot, whose spoon is level and retracted, on a TCP address; port 0 picks a free
+    /// one. A lease expires when it is not renewed for `dead_man` of wall-clock time.
     ///
     /// # Errors
     /// The system has no port or thread left.
@@ -241,7 +244,7 @@ impl Driver {
         Ok(Self { desk, wires, address, runtime, hand })
     }
 
-    /// What a client connects to.
+    /// The address clients connect to.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -254,7 +257,7 @@ impl Driver {
         &self.wires
     }
 
-    /// Let the driver have no processor time for so long.
+    /// Starve the driver of CPU time for this long.
     #[cfg(test)]
     pub(super) fn hold_up(&self, held: Duration) {
         let (say, hear) = channel();

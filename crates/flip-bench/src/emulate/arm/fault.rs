@@ -1,28 +1,29 @@
-//! How an emulated arm misbehaves.
+//! Faults of an emulated arm.
 
 use flip_core::domain::FieldError;
 use std::str::FromStr;
 use std::time::Duration;
 
-/// One way of misbehaving. It lasts until faults are cleared, unless it says otherwise.
+/// One fault. It lasts until faults are cleared, unless stated otherwise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Fault {
-    /// Half way through the motion under way, or the next, the robot's reflex stops it: it answers with an error, holds still and is latched. Happens
-    /// once.
+    /// Half way through the current motion, or the next, the robot's reflex stops it: it answers
+    /// with an error, holds still and is latched. Happens once.
     Reflex,
     /// Every connection breaks and no new one is accepted; the dead-man acts.
     CommunicationLoss,
-    /// Motions are carried out, and their answers never come.
+    /// Motions are carried out, but never answered.
     FrozenReply,
-    /// Answers to motions come late, by the clock of the room.
+    /// Motions are answered late, in wall-clock time.
     SlowReply(Duration),
-    /// A shake goes further than it was asked for by this factor, 1 to [`FACTOR_MAX`].
+    /// A shake exceeds the commanded amplitude by this factor, 1 to [`FACTOR_MAX`].
     ShakeTooLarge(f64),
-    /// Somebody presses the user stop: what moves stands still, every motion is refused and the arm is latched.
+    /// Someone presses the user stop: the current motion stops, every motion is refused and the arm
+    /// is latched.
     UserStop,
-    /// States end and are refused; motions go on.
+    /// State streams end and are refused; motions continue.
     StateStreamLost,
-    /// The spoon cannot be brought to level: trying answers with an error and latches the arm.
+    /// The spoon cannot be levelled: an attempt answers with an error and latches the arm.
     LevelFails,
 }
 
@@ -30,7 +31,7 @@ pub enum Fault {
 pub const FACTOR_MAX: f64 = 2.0;
 
 impl Fault {
-    /// Each once, with numbers that do harm.
+    /// Each fault once, with harmful values.
     pub const ALL: [Self; 8] = [
         Self::Reflex,
         Self::CommunicationLoss,
@@ -42,7 +43,7 @@ impl Fault {
         Self::LevelFails,
     ];
 
-    /// As it is asked for.
+    /// Name used to select it.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Reflex => "reflex",

@@ -9,7 +9,7 @@ use rand_pcg::Pcg64Mcg;
 /// Amplitude to which [`Flow::level_mg`] refers, mm.
 const REFERENCE_MM: f64 = 8.0;
 
-/// How a powder leaves a spoon.
+/// How powder flows from a spoon.
 ///
 /// ```text
 /// mean = m0 exp(p / e) (A / 8)^n / (1 + exp(-(p - p0) / w))
@@ -23,24 +23,24 @@ const REFERENCE_MM: f64 = 8.0;
 /// | p0, w | `onset_deg`, `onset_width_deg` | deg |
 /// | CV | `variation` | 1 |
 ///
-/// Source: the defaults m0 and e are those of table salt from a tapped tube, ln(mg per tap) = -1.22 + 0.0458 deg from 0 to 60 deg with a
-/// CV from 0.4 to 0.8 (the weighing notes, real data).
-/// Differs: a tap has no amplitude; the power of it is a guess.
+/// Source: the defaults m0 and e are those of table salt from a tapped tube, ln(mg per tap) =
+/// -1.22 + 0.0458 deg from 0 to 60 deg with a CV from 0.4 to 0.8 (the weighing notes, real data).
+/// Differs: a tap has no amplitude; the exponent of the amplitude is a guess.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Flow {
-    /// Mean mass of a shake by 8 mm at level, far above the onset, mg. Default 0.295.
+    /// Mean mass of a shake of 8 mm at level, far above the onset, mg. Default 0.295.
     pub level_mg: f64,
     /// Pitch over which the mean grows e-fold, deg. Default 21.8.
     pub e_fold_deg: f64,
-    /// Power of the amplitude. Default 1.5.
+    /// Exponent of the amplitude. Default 1.5.
     pub power: f64,
     /// Pitch from which powder leaves, deg. Default 5.
     pub onset_deg: f64,
-    /// Over which pitch it begins to, deg. Default 2.
+    /// Width of the onset, deg. Default 2.
     pub onset_width_deg: f64,
-    /// Standard deviation over mean of one shake. Default 0.5.
+    /// Coefficient of variation of one shake. Default 0.5.
     pub variation: f64,
-    /// A full spoon, mg. Default 40.
+    /// Mass of a full spoon, mg. Default 40.
     pub capacity_mg: f64,
 }
 
@@ -69,7 +69,8 @@ impl Flow {
     }
 }
 
-/// A spoon that follows a [`Flow`]. Empty until it is filled; the same seed and motions give the same masses.
+/// A spoon that follows a [`Flow`]. Empty until it is filled; the same seed and motions yield the
+/// same masses.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FormulaSpoon {
     flow: Flow,
@@ -86,7 +87,7 @@ impl FormulaSpoon {
         Self { flow, seed, shakes: 0, pitch_deg: 0.0, held_mg: 0.0, kept_mg: 0.0 }
     }
 
-    /// A factor of mean 1: log-normal, cut at the 3 sd that a test can rely on.
+    /// A log-normal factor of mean 1, cut at 3 sd so that a test can rely on it.
     fn scatter(&self) -> f64 {
         let mut rng = Pcg64Mcg::seed_from_u64(derive(self.seed, &[self.shakes]));
         let spread = libm::log(1.0 + self.flow.variation * self.flow.variation).sqrt();

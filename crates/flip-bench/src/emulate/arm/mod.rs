@@ -1,8 +1,10 @@
-//! An emulated arm: a driver process as `proto/flip/bench/v1/arm.proto` asks for, whose spoon follows the simulator or a formula.
+//! An emulated arm: a driver process that implements `proto/flip/bench/v1/arm.proto`, whose spoon
+//! follows the simulator or a formula.
 //!
-//! Motions take bench time by the clock of the [`Pan`]; the dead-man and late answers go by the clock of the room, and what the machine had no time for is
-//! forgiven (`dead_man.rs`). Powder lands on the pan while the spoon is over the vial, evenly during the motion and a fall later; elsewhere it falls back
-//! into the container.
+//! Motions take bench time by the clock of the [`Pan`]; the dead-man and late answers use
+//! wall-clock time, and time that a busy machine did not provide is forgiven (`dead_man.rs`).
+//! Powder lands on the pan while the spoon is over the vial, evenly during the motion and delayed
+//! by the fall time; elsewhere it falls back into the container.
 
 mod body;
 mod dead_man;
@@ -37,15 +39,15 @@ use std::net::Ipv4Addr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// How an emulated arm behaves when nothing is wrong. Times are of the bench.
+/// Behaviour of an emulated arm without faults. Times are bench time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
     /// From a request to the first movement, s. Default 0.02.
     pub reply_s: f64,
-    /// To over the vial, s. Default 1.5.
+    /// Moving over the vial, s. Default 1.5.
     pub approach_s: f64,
-    /// Away from it, s. Default 1.
+    /// Moving away from the vial, s. Default 1.
     pub retract_s: f64,
     /// Filling the spoon and shaking off the surplus, s. Default 8.
     pub scoop_s: f64,
@@ -53,28 +55,29 @@ pub struct Settings {
     pub discard_s: f64,
     /// Turning the platform over the funnel and back, s. Default 6.
     pub invert_s: f64,
-    /// Executed amplitude is this share of what is commanded. Default 0.94.
+    /// Executed amplitude as a fraction of the commanded one. Default 0.94.
     pub shake_gain: f64,
-    /// Less this, mm. Default 0.1.
+    /// Minus this, mm. Default 0.1.
     pub shake_loss_mm: f64,
-    /// A commanded amplitude below this moves nothing, mm. Default 0.3.
+    /// A commanded amplitude below this causes no motion, mm. Default 0.3.
     pub shake_deadband_mm: f64,
-    /// Speed of a shake, as a share of what its limits allow, above 0 to 1. Default 0.95.
+    /// Speed of a shake, as a fraction of its limits, above 0 to 1. Default 0.95.
     pub speed: f64,
-    /// Range of the pitch. Default FLIP's own.
+    /// Pitch range. Default FLIP's own.
     pub pitch: PitchLimits,
-    /// It can fill its spoon and empty it. Default true.
+    /// It can fill and empty its spoon. Default true.
     pub scoops: bool,
     /// Limits of pitching.
     pub turn: TurnLimits,
     /// Limits of the shake. Default the published ones.
     pub shake: MotionLimits,
-    /// Largest amplitude that may be commanded, mm. Default 16.
+    /// Maximum commanded amplitude, mm. Default 16.
     pub shake_mm_max: f64,
-    /// From the spoon to the pan, s. Default 0.05.
+    /// Fall time from the spoon to the pan, s. Default 0.05.
     pub fall_s: f64,
-    /// Without renewal for so long, by the clock of the room, the arm levels, retracts and latches, ms. Time in which the machine was too busy for the
-    /// emulator itself does not count. Default 300.
+    /// After this long without renewal, in wall-clock time, the arm levels, retracts and latches,
+    /// ms. Time in which the machine was too busy for the emulator itself does not count.
+    /// Default 300.
     pub dead_man_ms: u32,
 }
 
@@ -85,7 +88,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// As the fields say.
+    /// Defaults given at the fields.
     pub const DEFAULT: Self = Self {
         reply_s: 0.02,
         approach_s: 1.5,
@@ -106,7 +109,7 @@ impl Settings {
         dead_man_ms: 300,
     };
 
-    /// Amplitude that is executed where this one is commanded, mm.
+    /// Amplitude executed when this one is commanded, mm.
     pub fn executed_mm(&self, commanded_mm: f64) -> f64 {
         if commanded_mm < self.shake_deadband_mm {
             return 0.0;
@@ -114,7 +117,7 @@ impl Settings {
         (self.shake_gain * commanded_mm - self.shake_loss_mm).max(0.0)
     }
 
-    /// What measuring this arm's shakes finds: its gain and what it loses.
+    /// Shake calibration of this arm: its gain and loss.
     pub fn shakes(&self) -> Option<ShakeCalibration> {
         let shake = |commanded_mm: f64| {
             let planned_mm_s = 1e3 * Move::new(1e-3 * commanded_mm, self.shake).top_m_s();
@@ -124,7 +127,7 @@ impl Settings {
         ShakeCalibration::of([2.0, 4.0, 8.0, self.shake_mm_max].map(shake).to_vec()).ok()
     }
 
-    /// The same settings if an arm can have them.
+    /// Returns the settings if they are valid for an arm.
     ///
     /// # Errors
     /// The first field that is out of bounds.
@@ -172,14 +175,14 @@ impl Settings {
     }
 }
 
-/// One motion that was made, complete or not.
+/// One executed motion, complete or not.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Event {
     /// Bench time at its end, s.
     pub at_s: f64,
-    /// Which.
+    /// The motion.
     pub motion: Asked,
-    /// On whose account.
+    /// Its reason.
     pub why: Why,
     /// What ended it before it was complete.
     pub ended: Option<End>,
@@ -187,11 +190,11 @@ pub struct Event {
     pub pitch_deg: f64,
     /// Executed amplitude, mm.
     pub amplitude_mm: f64,
-    /// What fell towards the pan, mg.
+    /// Mass that fell towards the pan, mg.
     pub poured_mg: f64,
 }
 
-/// What the emulated robot works on.
+/// The environment of the emulated robot.
 struct Laboratory {
     settings: Settings,
     pan: Pan,
@@ -213,7 +216,7 @@ impl Laboratory {
     }
 }
 
-/// An emulated arm at work. Its driver process ends when this is dropped.
+/// A running emulated arm. Its driver process ends when this is dropped.
 pub struct Arm {
     lab: Arc<Laboratory>,
     driver: Driver,
@@ -234,12 +237,12 @@ impl Arm {
         Ok(Self { lab, driver, url })
     }
 
-    /// What a driver connects to.
+    /// The URL clients connect to.
     pub fn url(&self) -> &str {
         &self.url
     }
 
-    /// Misbehave from now on.
+    /// Inject this fault.
     pub fn inject(&self, fault: Fault) {
         let mut body = self.driver.desk().locked();
         body.faults.push(fault);
@@ -253,38 +256,39 @@ impl Arm {
         }
     }
 
-    /// Behave again. What is latched stays latched.
+    /// Clear all faults. A latch stays.
     pub fn clear(&self) {
         self.driver.desk().locked().faults.clear();
         self.driver.wires().mend();
     }
 
-    /// Every motion made so far.
+    /// Every motion so far.
     pub fn log(&self) -> Vec<Event> {
         self.lab.events.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The spoon holds its powder, at rest on its axis.
+    /// Whether the spoon is level and at rest on its axis.
     pub fn is_level(&self) -> bool {
         self.driver.desk().pose() == (0.0, 0.0)
     }
 
-    /// The spoon is away from the vial.
+    /// Whether the spoon is away from the vial.
     pub fn is_retracted(&self) -> bool {
         self.driver.desk().station() == Station::Retracted
     }
 
-    /// Something moves.
+    /// Whether anything moves.
     pub fn is_moving(&self) -> bool {
         self.driver.desk().locked().is_moving()
     }
 
-    /// Why a person must look, if one must. While the arm brings the spoon back after its dead-man this is set already.
+    /// Why the arm is latched, if it is. Already set while the arm brings the spoon back after its
+    /// dead-man.
     pub fn latched(&self) -> Option<&'static str> {
         self.driver.desk().locked().latch
     }
 
-    /// Put another spoon into its hand: for between two doses.
+    /// Put another spoon into its hand, between two doses.
     pub fn set_spoon(&self, spoon: Box<dyn Spoon>) {
         *self.lab.spoon() = spoon;
     }

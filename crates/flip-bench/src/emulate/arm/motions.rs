@@ -1,4 +1,5 @@
-//! An emulated arm at work: one thread carries out motions in order, in bench time, and lets powder fall on the way.
+//! The worker of an emulated arm: one thread carries out motions in order, in bench time, and lets
+//! powder fall on the way.
 
 use super::body::{Asked, Brake, End};
 use super::desk::{Desk, Robot, Why};
@@ -10,10 +11,10 @@ use flip_core::domain::bench::Action;
 use flip_core::domain::motion::Move;
 use std::sync::Arc;
 
-/// Bench time between two looks at the brake, s; poses are as fresh.
+/// Bench time between two checks of the brake, s; poses are as fresh.
 const SLICE_S: f64 = 0.01;
 
-/// What a motion did.
+/// Outcome of a motion.
 #[derive(Debug, Clone, Copy, Default)]
 struct Done {
     amplitude_mm: f64,
@@ -22,7 +23,7 @@ struct Done {
     poured_mg: f64,
 }
 
-/// The robot that is not there.
+/// The emulated robot.
 pub(super) struct Emulated(pub Arc<Laboratory>);
 
 impl Robot for Emulated {
@@ -39,7 +40,7 @@ impl Robot for Emulated {
     }
 }
 
-/// One motion under way.
+/// One motion in progress.
 struct Hand<'a> {
     lab: &'a Laboratory,
     desk: &'a Desk,
@@ -77,7 +78,7 @@ impl Hand<'_> {
         }
     }
 
-    /// Something away from the vial, where the spoon's own pose is of no interest.
+    /// A motion away from the vial, where the spoon's own pose does not matter.
     fn at_container(&self, duration_s: f64, done: &mut Done) -> Result<(), End> {
         let (pitch_deg, _) = self.desk.pose();
         self.play(duration_s, 0.0, done, |_| (pitch_deg, 0.0))
@@ -92,7 +93,7 @@ impl Hand<'_> {
         Ok(())
     }
 
-    /// Turn to this pitch; a stroke that was left half way is brought back meanwhile.
+    /// Turn to this pitch; an interrupted stroke is brought back at the same time.
     fn turn(&self, to_deg: f64, done: &mut Done) -> Result<(), End> {
         let (from_deg, displacement_mm) = self.desk.pose();
         if to_deg == from_deg && displacement_mm == 0.0 {
@@ -109,7 +110,7 @@ impl Hand<'_> {
             (pitch_deg, displacement_mm * (1.0 - t / duration_s).max(0.0))
         });
         if ended.is_err() {
-            // The spoon's law was asked for the whole turn: bring it to where the turn ended.
+            // The spoon model was stepped by the whole turn: bring it to where the turn ended.
             let back = self.desk.pose().0 - to_deg;
             let mass_mg = self.let_fall(Action { incline_change_deg: back, shake_mm: 0.0 });
             self.lab.spoon().keep(mass_mg);
@@ -138,7 +139,7 @@ impl Hand<'_> {
             furthest_mm = furthest_mm.max(displacement_mm);
             (pitch_deg, displacement_mm)
         });
-        // A stroke that was complete turned round between two looks.
+        // A completed stroke turned round between two checks.
         done.amplitude_mm = if ended.is_ok() { executed_mm } else { furthest_mm };
         done.peak_speed_m_s = stroke.top_m_s() * settings.speed;
         if ended.is_ok() {
@@ -147,13 +148,15 @@ impl Hand<'_> {
         ended
     }
 
-    /// What the spoon's law gives for this action, mg. It may take the simulator some time, in which the bench stands still.
+    /// The mass that the spoon model releases for this action, mg. The simulator may take some
+    /// time, during which bench time stands still.
     fn let_fall(&self, action: Action) -> f64 {
         self.lab.spoon().step(action).mass_mg
     }
 
-    /// Let a motion take its time, powder falling evenly while the spoon is over the vial; elsewhere it falls into the container.
-    /// What would have fallen after the end stays in the spoon.
+    /// Let a motion take its time, with powder falling evenly while the spoon is over the vial;
+    /// elsewhere it falls into the container. Powder that would have fallen after the end stays in
+    /// the spoon.
     fn play(
         &self,
         duration_s: f64,
@@ -182,7 +185,8 @@ impl Hand<'_> {
         }
     }
 
-    /// Begin one slice unless the motion has ended. Brake and powder are one under the lock: after Stop has answered nothing more falls.
+    /// Begin one slice unless the motion has ended. Brake and powder are updated under the same
+    /// lock: once Stop has been answered nothing more falls.
     fn slice(&self, mass_mg: f64, half_way: bool, fallen_mg: &mut f64, done: &mut Done) -> Result<(), End> {
         let mut body = self.desk.locked();
         if half_way && body.has(Fault::Reflex) {

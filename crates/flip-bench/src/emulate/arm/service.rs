@@ -1,4 +1,4 @@
-//! The contract's calls, answered from what the desk knows.
+//! The contract's calls, answered from the state of the desk.
 
 use super::body::{Asked, End, refused};
 use super::dead_man::{LOOK, Unrenewed};
@@ -14,17 +14,17 @@ use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
-/// Between states, by the clock of the room: while it moves, and otherwise.
+/// Interval between states, wall-clock: while moving, and otherwise.
 const STATES: [Duration; 2] = [Duration::from_millis(5), Duration::from_millis(50)];
 
-/// An answer, or why there is none.
+/// An answer, or a status that refuses it.
 type Answered<T> = Result<Response<T>, Status>;
 
-/// The driver as its clients see it.
+/// The driver as seen by its clients.
 pub(super) struct Service(pub Arc<Desk>);
 
 impl Service {
-    /// Accept a motion, or find the answer that it had, and wait for it.
+    /// Accept a motion, or find its earlier answer, and wait for it.
     async fn motion(&self, ticket: Option<proto::Ticket>, asked: Asked) -> Answered<Executed> {
         let ticket = ticket.ok_or_else(|| Status::invalid_argument("ticket: must be set"))?;
         let mut answer = self.0.accept(&ticket, asked)?;
@@ -36,7 +36,7 @@ impl Service {
         outcome.unwrap_or_else(|| Err(Status::unavailable("the driver ends"))).map(Response::new)
     }
 
-    /// Answers that come late, or not at all, by the faults of the hour.
+    /// Delay an answer, or withhold it, according to the active faults.
     async fn hold_back(&self) {
         let slow = self.0.locked().faults.iter().find_map(|fault| match fault {
             Fault::SlowReply(late) => Some(*late),
@@ -58,14 +58,14 @@ impl Service {
     }
 }
 
-/// The dead-man: looks for ever whether the lease was renewed in time.
+/// The dead-man: checks forever whether the lease was renewed in time.
 pub(super) async fn watch_over(desk: Arc<Desk>) {
     loop {
         sleep(LOOK).await;
         let mut body = desk.locked();
         if body.is_abandoned(desk.dead_man()) {
             body.latch = End::DeadMan.latch_cause();
-            // Nobody waits for the outcome: the mode shows it.
+            // Nobody waits for the result: the mode shows it.
             drop(desk.begin_return(&mut body, Why::DeadMan, End::DeadMan));
         }
     }
@@ -131,7 +131,8 @@ impl arm_server::Arm for Service {
         self.motion(request.into_inner().ticket, Asked::Invert).await
     }
 
-    /// Answered when the brake is set: robots look at it at least every 10 ms, and are asked to stand still within 40 more.
+    /// Answered once the brake is set: robots check it at least every 10 ms, and must be at rest
+    /// within another 40 ms.
     async fn stop(&self, _: Request<proto::StopRequest>) -> Answered<proto::StopResponse> {
         let mut body = self.0.locked();
         if let Some(lease) = &mut body.lease {

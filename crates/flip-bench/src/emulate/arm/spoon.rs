@@ -1,11 +1,11 @@
-//! The spoon of an emulated arm: what falls from it, by whatever law.
+//! The spoon of an emulated arm: what falls from it, under any model.
 
 use flip_core::domain::bench::Action;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
 use flip_sim::dispense::{Dispenser, Settings};
 
-/// What one motion lets fall.
+/// Powder released by one motion.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Pour {
     /// Mass that falls through the vial's mouth if the spoon is over it, mg.
@@ -17,13 +17,14 @@ pub trait Spoon: Send {
     /// Carry out one action, pitch first; the amplitude is the executed one.
     fn step(&mut self, action: Action) -> Pour;
 
-    /// This much of what the last step let fall did not fall after all, mg: the motion was ended. It lies in the spoon and falls no more.
+    /// Take back this much of the powder released by the last step, mg: the motion was ended. It
+    /// stays in the spoon and does not fall later.
     fn keep(&mut self, mass_mg: f64);
 
     /// Fill the level spoon from the container.
     fn refill(&mut self);
 
-    /// Put what is left back into the container.
+    /// Return the remaining powder to the container.
     fn empty(&mut self);
 
     /// Pitch, degrees, positive is tip down.
@@ -33,21 +34,21 @@ pub trait Spoon: Send {
     fn held_mg(&self) -> f64;
 }
 
-/// A spoon whose powder is the simulator: seconds of processor for a dose. Empty until it is filled.
+/// A spoon whose powder is simulated: seconds of CPU time per dose. Empty until it is filled.
 pub struct GrainsSpoon {
     set: ParameterSet,
     settings: Settings,
     seed: u64,
-    /// Times it was filled.
+    /// Number of fills.
     fills: u64,
     full: Option<Dispenser>,
-    /// While it is empty.
+    /// Pitch while it is empty.
     pitch_deg: f64,
     kept_mg: f64,
 }
 
 impl GrainsSpoon {
-    /// An empty spoon for this powder; each fill has a seed of its own.
+    /// An empty spoon for this powder; each fill has its own seed.
     pub fn new(set: &ParameterSet, settings: &Settings, seed: u64) -> Self {
         Self { set: *set, settings: *settings, seed, fills: 0, full: None, pitch_deg: 0.0, kept_mg: 0.0 }
     }

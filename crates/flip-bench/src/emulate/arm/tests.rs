@@ -11,12 +11,12 @@ use std::time::Instant;
 
 /// A vial of this mass stands on the pan, mg.
 const VIAL_MG: f64 = 11_000.0;
-/// By the clock of the room: how long a test waits for what must come.
+/// How long a test waits for something that must come, wall-clock.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// A dead-man that a busy machine does not set off by itself.
+/// A dead-man that a busy machine does not trigger by itself.
 const PATIENT: Settings = Settings { dead_man_ms: 1500, ..Settings::DEFAULT };
-/// The same with stations near each other, for motions by the clock of the room.
+/// The same with stations close together, for motions in wall-clock time.
 const NEAR: Settings = Settings { scoop_s: 0.05, approach_s: 0.05, retract_s: 0.05, ..PATIENT };
 
 fn laboratory(settings: Settings, clock: Clock) -> (Arm, Pan) {
@@ -321,7 +321,7 @@ fn every_fault_ends_with_a_safe_spoon_or_a_latched_arm() {
     }
 }
 
-/// Once the fault is gone and a person has looked, the arm works again.
+/// Once the fault is gone and a person has checked the arm, it works again.
 fn recovers(arm: &Arm, fault: Fault) {
     if fault == Fault::UserStop {
         assert!(client(arm).recover("Ada").unwrap_err().to_string().contains("still pressed"));
@@ -397,13 +397,14 @@ fn nothing_that_listens_is_no_arm() {
 
 type Driver = ArmClient<tonic::transport::Channel>;
 
-/// Talk to a driver call by call, as nobody but a test should.
+/// Call a driver directly, as only a test should.
 fn raw<A, F: Future<Output = A>>(url: &str, talk: impl FnOnce(Driver) -> F) -> A {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async { talk(ArmClient::connect(url.to_owned()).await.unwrap()).await })
 }
 
-/// Take control, fill the spoon and tilt it over the vial, under the numbers 1 to 3; the lease.
+/// Take control, fill the spoon and tilt it over the vial, with sequence numbers 1 to 3; returns
+/// the lease.
 async fn raw_tilted(driver: &mut Driver) -> String {
     let lease = driver.acquire(proto::AcquireRequest { client: "test".to_owned() }).await.unwrap().into_inner();
     let ticket = |sequence| Some(proto::Ticket { lease_id: lease.lease_id.clone(), sequence, deadline_ms: 0 });

@@ -7,10 +7,10 @@ use tokio::net::TcpStream;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 
-/// Connections that wait to be served.
+/// Maximum number of connections waiting to be served.
 const WAITING_MAX: usize = 16;
 
-/// Every connection that is open. Clones share them.
+/// Every open connection. Clones share them.
 #[derive(Clone, Default)]
 pub(super) struct Wires(Arc<Mutex<Open>>);
 
@@ -21,7 +21,7 @@ struct Open {
 }
 
 impl Wires {
-    /// Break every connection, and the new ones until [`Wires::mend`].
+    /// Break every connection, including new ones, until [`Wires::mend`].
     pub(super) fn cut(&self) {
         let mut open = self.locked();
         open.is_cut = true;
@@ -35,7 +35,7 @@ impl Wires {
         self.locked().is_cut = false;
     }
 
-    /// Accept connections for as long as somebody serves them.
+    /// Accept connections until the receiver is dropped.
     pub(super) fn accept(&self, listener: TcpListener) -> std::io::Result<ReceiverStream<std::io::Result<TcpStream>>> {
         listener.set_nonblocking(true)?;
         let listener = tokio::net::TcpListener::from_std(listener)?;
@@ -51,7 +51,7 @@ impl Wires {
         Ok(ReceiverStream::new(incoming))
     }
 
-    /// Keep a second grip on the connection, to cut it by; none where it is cut off at once.
+    /// Keep a second handle to the connection for cutting it; `false` where it is cut at once.
     fn admits(&self, stream: &TcpStream) -> bool {
         let mut open = self.locked();
         if open.is_cut {

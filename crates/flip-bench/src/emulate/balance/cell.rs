@@ -6,18 +6,19 @@ use crate::emulate::pan::Pan;
 use crate::hardware::balance::value::Unit;
 use flip_core::domain::seed::derive;
 
-/// Creep of a reading that drifts, mg/s.
+/// Creep of a drifting reading, mg/s.
 const DRIFT_MG_PER_S: f64 = 0.05;
 /// SD of readings in a draught, mg.
 const DRAUGHT_MG: f64 = 5.0;
-/// Part of the capacity within which the zero point can be set, and below which the pan counts as lifted.
+/// Fraction of the capacity within which the zero point can be set, and below which the pan counts
+/// as lifted.
 const ZERO_RANGE: f64 = 0.02;
-/// What a balance shows that was switched on with a load, mg.
+/// Reading of a balance that was switched on with a load, mg.
 const RESTARTED_MG: f64 = 2.0;
 /// mg in an ounce (avoirdupois).
 const OUNCE_MG: f64 = 28_349.523_125;
 
-/// What the display shows.
+/// The display.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Display {
     Mass { number: String, unit: &'static str, stable: bool },
@@ -27,7 +28,7 @@ pub(super) enum Display {
     Adjusting,
 }
 
-/// How far the reading has wandered: to where, when, and in how many moves.
+/// State of the wander: its value, when it was updated, and how many times.
 #[derive(Debug, Default)]
 struct Wander {
     mass_mg: f64,
@@ -39,7 +40,7 @@ struct Wander {
 pub(super) struct Cell {
     settings: Settings,
     pan: Pan,
-    /// Frames so far: each has its own noise.
+    /// Number of frames so far: each has its own noise.
     frames: u64,
     zero_mg: f64,
     tare_mg: f64,
@@ -74,11 +75,12 @@ impl Cell {
     /// Bench time until the next frame is measured, s.
     pub(super) fn until_frame_s(&self) -> f64 {
         let (now_s, frame_s) = (self.pan.clock().now_s(), self.settings.frame_s);
-        // The clock counts microseconds: a frame that began less than a thousandth of a frame ago is the last one.
+        // The clock counts microseconds: a frame that began less than a thousandth of a frame ago
+        // is the last one.
         ((now_s / frame_s + 1e-3).floor() + 1.0) * frame_s - now_s
     }
 
-    /// A fault begins that the cell itself has; it ends with the fault.
+    /// Start a fault of the cell itself; it ends with the fault.
     pub(super) fn begin(&mut self, fault: Fault) {
         match fault {
             Fault::Drift => self.drifting_since_s = Some(self.pan.clock().now_s()),
@@ -90,12 +92,12 @@ impl Cell {
         }
     }
 
-    /// None of its faults is left.
+    /// End all of its faults.
     pub(super) fn end_faults(&mut self) {
         (self.drifting_since_s, self.frozen_steps) = (None, None);
     }
 
-    /// Measure the next frame and show it.
+    /// Measure the next frame and display it.
     pub(super) fn show(&mut self, faults: &Faults) -> Display {
         self.frames += 1;
         self.go_astray();
@@ -128,7 +130,8 @@ impl Cell {
         }
     }
 
-    /// The load has been at rest for as long as the balance wants to see it, between two bounds by the load's own chance.
+    /// Whether the load has been at rest for as long as the balance requires, a time drawn for each
+    /// load between two bounds.
     pub(super) fn is_stable(&self, faults: &Faults) -> bool {
         let quiet_s = self.pan.quiet_s();
         if quiet_s.is_infinite() || faults.has(Fault::Draught) {
@@ -139,7 +142,7 @@ impl Cell {
         quiet_s >= least_s + (most_s - least_s) * uniform(derive(self.settings.seed, &[1, changed_at_ms]))
     }
 
-    /// Take the load for nothing; what was taken, as the display writes it.
+    /// Tare; returns the tare as the display writes it.
     pub(super) fn tare(&mut self) -> (String, &'static str) {
         self.go_astray();
         self.tare_mg = self.gross_mg();
@@ -165,13 +168,13 @@ impl Cell {
         true
     }
 
-    /// Switched on with a load on the pan: the zero is near it, and nothing is tared.
+    /// Switched on with a load on the pan: the zero is near it, and there is no tare.
     pub(super) fn restart(&mut self) {
         self.go_astray();
         (self.zero_mg, self.tare_mg) = (self.gross_mg() + self.zero_mg - RESTARTED_MG, 0.0);
     }
 
-    /// Wander on to now; from anywhere at first.
+    /// Update the wander to now; the first value is drawn from its stationary distribution.
     fn go_astray(&mut self) {
         let &Settings { wander_mg, wander_s, seed, .. } = &self.settings;
         let now_s = self.pan.clock().now_s();
@@ -206,12 +209,12 @@ impl Cell {
         if in_ounces {
             return (format!("{:.*}", decimals + 2, mass_mg / OUNCE_MG + 0.0), "oz");
         }
-        // Adding zero keeps -0 from being shown.
+        // Adding zero prevents -0 from being shown.
         (format!("{:.*}", decimals, mass_mg / unit_mg + 0.0), unit)
     }
 }
 
-/// Digits after the point that show this step.
+/// Digits after the decimal point needed to show this step.
 fn decimals(step: f64) -> usize {
     (0..10).find(|&places| (step * 10f64.powi(places)).round() >= 1.0).unwrap_or(9) as usize
 }
@@ -220,7 +223,7 @@ fn uniform(bits: u64) -> f64 {
     ((bits >> 11) as f64 + 0.5) / (1u64 << 53) as f64
 }
 
-/// A standard normal number (Box and Muller 1958).
+/// A standard normal deviate (Box and Muller 1958).
 fn normal(seed: u64) -> f64 {
     let (radius, angle) = (uniform(derive(seed, &[0])), uniform(derive(seed, &[1])));
     (-2.0 * libm::log(radius)).sqrt() * libm::cos(std::f64::consts::TAU * angle)

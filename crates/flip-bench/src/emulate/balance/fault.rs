@@ -1,51 +1,64 @@
-//! What an emulated balance can be made to do wrong.
+//! Faults of an emulated balance.
 
 use flip_core::domain::FieldError;
 use serde::{Deserialize, Serialize};
 
-/// A misbehaviour. Each says what happens and what a driver must make of it.
+/// A fault. Each variant states what happens and how a driver must respond.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Fault {
-    /// The reading creeps by 0.05 mg a second, flagged stable: whoever uses readings must compare them over time.
+    /// The reading creeps by 0.05 mg a second, flagged stable: users of readings must compare them
+    /// over time.
     Drift,
-    /// Air moves: readings scatter by 5 mg and are never flagged stable. A stable reading must not be made up.
+    /// Air moves: readings scatter by 5 mg and are never flagged stable. The driver must not invent
+    /// a stable reading.
     Draught,
-    /// Each answer comes behind a line that was printed before the question, and in front of one that was printed after it. The old line must not be taken
-    /// for the answer, nor either of them for the answer to a later question.
+    /// Each reply comes after a line printed before the request, and before one printed after it.
+    /// The old line must not be taken for the reply, nor either of them for the reply to a later
+    /// request.
     AutoPrint,
-    /// Answers break off in the middle, without an end: no number must be read from the piece.
+    /// Replies break off in the middle, without a terminator: no number must be read from the
+    /// fragment.
     PartialLine,
-    /// One byte of each answer is damaged or, in every other one, lost: no other number must be read from it.
+    /// One byte of each reply is damaged or, in every other one, lost: no other number must be read
+    /// from it.
     GarbledLine,
-    /// Nothing is heard and nothing is said: the driver must give up in time.
+    /// Nothing is received and nothing is sent: the driver must give up in time.
     Silence,
-    /// The plug is pulled: the driver must say so, and must not reconnect by itself.
+    /// The plug is pulled: the driver must report it, and must not reconnect by itself.
     Unplug,
-    /// Answers come late by the room's clock and are old by then: given up, they must not be taken for the answer to a later question.
+    /// Replies are late by wall-clock time, and stale by then: once given up, they must not be
+    /// taken for the reply to a later request.
     SlowReply,
-    /// Somebody switched the unit to ounces at the keypad: a number in ounces is no number of mg.
+    /// Someone switched the unit to ounces at the keypad: a number in ounces is no number of mg.
     UnitSwitched,
-    /// Somebody pressed the tare key, once: the reading falls to zero. The driver cannot tell; whoever weighs sees the reading fall.
+    /// Someone pressed the tare key, once: the reading falls to zero. The driver cannot tell; the
+    /// weighing loop sees the reading fall.
     KeypadTare,
-    /// Somebody lifts the vial: the reading falls by all that lies on the pan. Whoever weighs must stop.
+    /// Someone lifts the vial: the reading falls by the whole load on the pan. The weighing must
+    /// stop.
     VialLifted,
     /// The balance reports overload: no number.
     Overload,
     /// The balance reports underload: no number.
     Underload,
-    /// The balance is busy: asked again for a while, then refused.
+    /// The balance is busy: polled for a while, then refused.
     NotReady,
-    /// The balance adjusts itself: no number until a person has looked. Where the dialect cannot tell, it looks like [`Self::NotReady`].
+    /// The balance is adjusting itself: no number until a person has checked it. Where the dialect
+    /// cannot report this, it looks like [`Self::NotReady`].
     Adjusting,
-    /// The reading stays what it is, flagged stable, whatever lands on the pan. The driver cannot tell; whoever weighs sees no response to a shake.
+    /// The reading stays constant, flagged stable, whatever lands on the pan. The driver cannot
+    /// tell; the weighing loop sees no response to a shake.
     Stuck,
-    /// `NaN` stands where the number should: damaged, not a number to calculate with.
+    /// `NaN` in place of the number: damaged, not a number to calculate with.
     NotANumber,
-    /// The mains fail for a moment, once: nothing is heard and said for a tenth of a second of bench time, then the balance tells its serial number unasked where its
-    /// dialect does, has forgotten the tare, and shows 2 mg for whatever lies on the pan. What was tared is lost, and a driver that hears it must say so.
+    /// Mains power fails briefly, once: nothing is received or sent for a tenth of a second of
+    /// bench time; then the balance sends its serial number unsolicited where its dialect does, has
+    /// lost the tare, and shows 2 mg for any load on the pan. The tare is lost, and a driver that
+    /// notices must report it.
     Restart,
-    /// One digit of each number is another digit. Frames carry no checksum: the driver cannot tell; whoever weighs compares readings with one another.
+    /// One digit of each number is replaced by another. Frames carry no checksum, so the driver
+    /// cannot tell; the weighing loop compares readings with one another.
     WrongDigit,
 }
 
@@ -73,7 +86,7 @@ impl Fault {
         Self::WrongDigit,
     ];
 
-    /// As the command line names it.
+    /// Name used on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Drift => "drift",
@@ -110,7 +123,7 @@ impl std::str::FromStr for Fault {
     }
 }
 
-/// The faults that are on, each for ever or for so many answers.
+/// Active faults, each forever or for a number of replies.
 #[derive(Debug, Default)]
 pub(super) struct Faults(Vec<(Fault, Option<u32>)>);
 
@@ -128,7 +141,7 @@ impl Faults {
         self.0.iter().any(|(present, _)| *present == fault)
     }
 
-    /// One answer has been given, or withheld.
+    /// Count one reply, sent or withheld.
     pub(super) fn count_answer(&mut self) {
         for (_, left) in &mut self.0 {
             *left = left.map(|left| left.saturating_sub(1));

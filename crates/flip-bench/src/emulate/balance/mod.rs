@@ -1,16 +1,22 @@
-//! A balance that is not there: the four dialects over a pseudo-terminal or TCP, above a [`Pan`].
+//! An emulated balance: the four dialects over a pseudo-terminal or TCP, on top of a [`Pan`].
 //!
-//! It measures a frame every `frame_s`: the load cell follows the pan by its own exponential, noise and wander are added, and the sum is shown to the step of
-//! the display. The wander is what air, warmth and the table do to a balance within seconds, a stationary process of Ornstein and Uhlenbeck:
+//! It measures a frame every `frame_s`: the load cell follows the pan exponentially, noise and
+//! wander are added, and the sum is rounded to the display step. The wander models what air,
+//! temperature and the table do to a balance within seconds, as a stationary Ornstein-Uhlenbeck
+//! process:
 //!
 //! ```text
 //! x(t + dt) = a x(t) + wander sqrt(1 - a^2) N(0, 1)          a = exp(-dt / wander_s)
 //! ```
 //!
-//! Noise and wander together are fitted to an enclosed balance's readings with nothing moving (A&D HR-100A in the data pack, 578 s): root mean square of the
-//! difference of two readings 0.20, 0.33, 0.46 and 0.6 to 0.7 mg over 0.3, 1, 2 and 4 s, here 0.21, 0.31, 0.40 and 0.51. Over a minute that balance crept by
-//! 1.7 to 4.6 mg more, which is not here: [`Fault::Drift`] is. `examples/display_life.rs` prints both. The flag says stable when the load was at rest for 1.5 to 2.3 s, as on the balance whose step responses are in the data pack. Orders wait
-//! for a stable reading, and fail in the dialect's way when none comes. Under a clock that stands, equal questions get equal answers.
+//! Noise and wander together are fitted to an enclosed balance's readings with nothing moving (A&D
+//! HR-100A in the data pack, 578 s): root mean square of the difference of two readings 0.20, 0.33,
+//! 0.46 and 0.6 to 0.7 mg over 0.3, 1, 2 and 4 s, here 0.21, 0.31, 0.40 and 0.51. Over a minute
+//! that balance crept by another 1.7 to 4.6 mg, which is not modelled here, except as
+//! [`Fault::Drift`]. `examples/display_life.rs` prints both. The stable flag is set when the load
+//! was at rest for 1.5 to 2.3 s, as on the balance whose step responses are in the data pack.
+//! Commands wait for a stable reading, and fail in the dialect's way when none comes. Under a
+//! virtual clock, equal requests get equal replies.
 
 mod aandd;
 mod cell;
@@ -38,38 +44,40 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use talk::Conversation;
 
-/// From the mains to the first answer, s of bench time: less than most motions, so that no question need be lost.
+/// From power-on to the first reply, s of bench time: less than most motions, so that no request
+/// need be lost.
 const RESTART_S: f64 = 0.1;
 
-/// What an emulated balance is like.
+/// Settings of an emulated balance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
-    /// What it speaks. Default MT-SICS.
+    /// Its dialect. Default MT-SICS.
     pub dialect: Dialect,
     /// Step of the display, mg. Default 1.
     pub readability_mg: f64,
     /// Unit of the display. Default g.
     pub unit: Unit,
-    /// Most that it weighs, mg. Default 220 000.
+    /// Capacity, mg. Default 220 000.
     pub capacity_mg: f64,
     /// SD of one frame's noise, mg. Default 0.1 (measured, enclosed: 0.08-0.15).
     pub noise_mg: f64,
-    /// SD by which readings wander, mg. Default 0.5.
+    /// SD of the wander, mg. Default 0.5.
     pub wander_mg: f64,
-    /// For how long they remember where they wandered, s. Default 6.
+    /// Correlation time of the wander, s. Default 6.
     pub wander_s: f64,
     /// Time constant of the load cell, s. Default 0.16 (measured, 28 steps).
     pub settling_tau_s: f64,
-    /// Time from frame to frame, s. Default 0.19 (measured).
+    /// Frame interval, s. Default 0.19 (measured).
     pub frame_s: f64,
-    /// The stable flag comes when the load was at rest for a time between these, s. Default 1.5 and 2.3 (measured).
+    /// The stable flag is set when the load was at rest for a time between these, s. Default 1.5
+    /// and 2.3 (measured).
     pub flag_after_s: [f64; 2],
-    /// How long commands that want a stable reading wait for it, s of bench time. Default 40.
+    /// How long commands wait for a stable reading, s of bench time. Default 40.
     pub stable_timeout_s: f64,
-    /// By how much an answer is late under [`Fault::SlowReply`], ms by the room's clock. Default 3000.
+    /// Delay of a reply under [`Fault::SlowReply`], wall-clock ms. Default 3000.
     pub slow_reply_ms: u64,
-    /// Noise and the flag's chance follow from it. Default 0.
+    /// Seed of the noise and of the flag's timing. Default 0.
     pub seed: u64,
 }
 
@@ -94,7 +102,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// The same settings if a balance can be like that.
+    /// Returns the settings if they are valid for a balance.
     ///
     /// # Errors
     /// The first field that is out of bounds.
@@ -113,22 +121,22 @@ impl Settings {
     }
 }
 
-/// Where an emulated balance is plugged in.
+/// How an emulated balance is connected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Socket {
     /// A new pseudo-terminal.
     Pty,
-    /// A TCP port; 0 takes a free one.
+    /// A TCP port; 0 picks a free one.
     Tcp(SocketAddr),
 }
 
-/// What the conversation and the handle share.
+/// State shared by the conversation and the handle.
 struct Shared {
     settings: Settings,
     pan: Pan,
     cell: Mutex<Cell>,
     faults: Mutex<Faults>,
-    /// Bench time at which a balance that was switched on has come up, s.
+    /// Bench time at which a balance that was powered on is ready.
     rises_s: Mutex<Option<f64>>,
     closing: AtomicBool,
 }
@@ -146,7 +154,7 @@ impl Shared {
         self.rises_s.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// It is being switched on: it hears and says nothing.
+    /// Whether it is powering up: it neither receives nor sends anything.
     fn is_down(&self) -> bool {
         self.rises().is_some_and(|rises_s| self.pan.clock().now_s() < rises_s)
     }
@@ -161,15 +169,15 @@ pub struct Balance {
     shared: Arc<Shared>,
     port: Port,
     socket: Socket,
-    /// What lay on the pan before somebody lifted it, mg.
+    /// Load on the pan before it was lifted, mg.
     lifted_mg: f64,
 }
 
 impl Balance {
-    /// Plug it in above this pan.
+    /// Connect it on top of this pan.
     ///
     /// # Errors
-    /// The pseudo-terminal or the port cannot be had.
+    /// The pseudo-terminal or the port is not available.
     pub fn start(settings: Settings, pan: Pan, socket: Socket) -> std::io::Result<Self> {
         let cell = Mutex::new(Cell::new(settings.clone(), pan.clone()));
         let shared = Arc::new(Shared {
@@ -184,7 +192,7 @@ impl Balance {
         Ok(Self { shared, port, socket, lifted_mg: 0.0 })
     }
 
-    /// What a driver opens.
+    /// The address a driver opens.
     pub fn address(&self) -> &str {
         self.port.address()
     }
@@ -194,29 +202,29 @@ impl Balance {
         &self.shared.pan
     }
 
-    /// What the balance takes for nothing, mg.
+    /// Current tare, mg.
     pub fn tare_mg(&self) -> f64 {
         self.shared.cell().tare_mg()
     }
 
-    /// Misbehave from now on.
+    /// Inject this fault.
     pub fn inject(&mut self, fault: Fault) {
         self.begin(fault, None);
     }
 
-    /// Misbehave in the next `answers` answers; what happens once happens once.
+    /// Inject this fault for the next `answers` replies; one-off faults happen once.
     pub fn inject_for(&mut self, fault: Fault, answers: u32) {
         self.begin(fault, Some(answers));
     }
 
-    /// Behave again: faults end and a lifted vial is put back. A pulled plug stays out.
+    /// Clear all faults; a lifted vial is put back. A pulled plug stays out.
     pub fn clear(&mut self) {
         self.shared.faults().clear();
         self.shared.cell().end_faults();
         self.shared.pan.add_mg(std::mem::take(&mut self.lifted_mg));
     }
 
-    /// Put the plug back in after [`Fault::Unplug`]; a pseudo-terminal has another address then.
+    /// Reconnect after [`Fault::Unplug`]; a pseudo-terminal then has another address.
     ///
     /// # Errors
     /// As [`Self::start`].

@@ -1,9 +1,9 @@
-//! MT-SICS as a balance speaks it.
+//! MT-SICS on the balance's side.
 
 use super::cell::Display;
 use super::request::{Outcome, Request};
 
-/// Answers to the questions about itself.
+/// Replies to queries about itself.
 const WORDS: [(&str, &str); 5] = [
     ("I1", r#"I1 A "01" "2.30" "2.20" "" """#),
     ("I2", r#"I2 A "FLIP-E223 Emulated 220.0000 g""#),

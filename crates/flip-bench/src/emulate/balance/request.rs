@@ -1,50 +1,50 @@
-//! What an emulated balance understands and answers, whatever its dialect.
+//! Requests and outcomes of an emulated balance, independent of the dialect.
 
 use super::cell::Display;
 use super::{aandd, mt_sics, ohaus, sbi};
 use crate::hardware::balance::Dialect;
 
-/// What was asked.
+/// A request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Request {
-    /// A reading as it is.
+    /// A reading at once.
     Now,
-    /// A reading when it is stable.
+    /// A reading once stable.
     WhenStable,
-    /// Take the load for nothing, when stable or at once.
+    /// Tare, once stable or at once.
     Tare { at_once: bool },
-    /// Set the zero point, when stable or at once.
+    /// Set the zero point, once stable or at once.
     Zero { at_once: bool },
-    /// What the tare is.
+    /// Query the tare.
     TareValue,
-    /// Forget the tare.
+    /// Clear the tare.
     ClearTare,
-    /// Who are you?
+    /// Identification query.
     Words(&'static str),
     /// Not a command of this balance.
     Unknown,
-    /// Nothing to do and nothing to say.
+    /// Nothing to do and nothing to reply.
     Nothing,
 }
 
-/// What comes of it.
+/// The outcome of a request.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Outcome {
     /// The display.
     Shows(Display),
-    /// The load, which is the tare now.
+    /// The load, which is now the tare.
     Tared(String, &'static str),
-    /// Done; the reading was stable, or not.
+    /// Done; whether the reading was stable.
     Done { stable: bool },
     /// No stable reading in time.
     NotStable,
     /// The load is too large for a zero point.
     OutOfRange,
-    /// Words and unknown commands carry their answer in the request.
+    /// Text queries and unknown commands carry their reply in the request.
     AsAsked,
 }
 
-/// The command that these bytes, without their end, are.
+/// Parse a command, without its terminator.
 pub(super) fn understand(dialect: Dialect, command: &str) -> Request {
     match dialect {
         Dialect::MtSics => mt_sics::understand(command),
@@ -54,7 +54,7 @@ pub(super) fn understand(dialect: Dialect, command: &str) -> Request {
     }
 }
 
-/// The line that says so, without its end; `None`: nothing is said.
+/// The reply line, without its terminator; `None`: no reply.
 pub(super) fn say(dialect: Dialect, request: Request, outcome: &Outcome, tared: bool) -> Option<String> {
     match dialect {
         Dialect::MtSics => mt_sics::say(request, outcome),
@@ -64,7 +64,7 @@ pub(super) fn say(dialect: Dialect, request: Request, outcome: &Outcome, tared: 
     }
 }
 
-/// The line that a balance says when it is switched on, without its end; none is known but of MT-SICS.
+/// The line that a balance sends on power-up, without its terminator; known only for MT-SICS.
 pub(super) fn announcement(dialect: Dialect) -> Option<&'static str> {
     match understand(dialect, "I4") {
         Request::Words(words) if dialect == Dialect::MtSics => Some(words),

@@ -1,4 +1,4 @@
-//! SBI as a balance speaks it: frames with an identification, orders without an answer.
+//! SBI on the balance's side: frames with an identification, commands without a reply.
 
 use super::cell::Display;
 use super::request::{Outcome, Request};

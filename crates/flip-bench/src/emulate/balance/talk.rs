@@ -10,9 +10,9 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-/// Bench time that an answer takes which needs no measurement, s.
+/// Bench time of a reply that needs no measurement, s.
 const ANSWER_S: f64 = 0.02;
-/// Longest command that is kept while its end has not come, bytes.
+/// Maximum length of an incomplete command that is kept, bytes.
 const COMMAND_BYTES_MAX: usize = 128;
 
 pub(super) struct Conversation {
@@ -53,7 +53,7 @@ impl Conversation {
         Self { shared, heard: Vec::new(), printed: None, answers: 0 }
     }
 
-    /// What a balance that was switched on says by itself.
+    /// Send the unsolicited power-up line.
     fn come_up(&mut self, tell: &mut dyn FnMut(&[u8])) {
         if self.shared.is_down() || self.shared.rises().take().is_none() {
             return;
@@ -133,7 +133,8 @@ impl Conversation {
         self.shared.pan.clock().wait_s(wait_s);
     }
 
-    /// Show frame after frame until one is stable or has no mass, or the balance's own patience ends.
+    /// Display frame after frame until one is stable or has no mass, or the balance's own timeout
+    /// ends.
     fn when_stable(&self) -> Outcome {
         let clock = self.shared.pan.clock();
         let until_s = clock.now_s() + self.shared.settings.stable_timeout_s;
@@ -155,7 +156,7 @@ impl Conversation {
         }
     }
 
-    /// Say the line as the faults let it through.
+    /// Send the line, with the active faults applied.
     fn tell_with_faults(&mut self, line: &str, tell: &mut dyn FnMut(&[u8])) {
         self.answers += 1;
         let mut bytes = format!("{line}\r\n").into_bytes();
@@ -179,7 +180,7 @@ impl Conversation {
         tell(&bytes);
     }
 
-    /// Put another digit in place of one, where there is one.
+    /// Replace one digit with another, if there is one.
     fn change_digit(&self, bytes: &mut [u8]) {
         let chance = derive(self.shared.settings.seed, &[3, self.answers]);
         let mut digits: Vec<&mut u8> = bytes.iter_mut().filter(|byte| byte.is_ascii_digit()).collect();
@@ -197,7 +198,7 @@ impl Conversation {
     }
 }
 
-/// The first whole command: up to CR or LF, or an escape sequence, which needs no end.
+/// The first complete command: up to CR or LF, or an escape sequence, which needs no terminator.
 fn take_command(heard: &mut Vec<u8>) -> Option<String> {
     let end = match heard.as_slice() {
         [0x1b, letter, ..] if letter.is_ascii_uppercase() => 2,

@@ -1,11 +1,11 @@
-//! What goes wrong with a depth camera and before it.
+//! Faults of a depth camera and of the scene before it.
 
 use super::{Cone, Noise, Optics, Pose, Scene, Surface, frames, upload};
 use crate::hardware::camera::{Frame, Upload};
 use flip_core::domain::seed::derive;
 use std::str::FromStr;
 
-/// One fault of the menu.
+/// One fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CameraFault {
     /// Most of the powder has no depth.
@@ -18,9 +18,9 @@ pub enum CameraFault {
     PileMissing,
     /// The powder ends before the rim.
     BaseNotCovered,
-    /// Every frame is the first.
+    /// Every frame repeats the first.
     FrozenFrames,
-    /// Somebody pushes the camera half way through.
+    /// Someone pushes the camera half way through.
     CameraMoved,
     /// The camera hangs askew.
     Tilted,
@@ -28,12 +28,12 @@ pub enum CameraFault {
     FewFrames,
     /// One frame has another size than the others.
     WrongSize,
-    /// The last upload breaks off.
+    /// The last upload is truncated.
     TruncatedFile,
 }
 
 impl CameraFault {
-    /// The menu.
+    /// All faults, by name.
     pub const ALL: [(&'static str, Self); 11] = [
         ("holes", Self::Holes),
         ("heavy_noise", Self::HeavyNoise),
@@ -59,7 +59,8 @@ impl FromStr for CameraFault {
     }
 }
 
-/// Ten frames of the scene with this fault; a [`CameraFault::TruncatedFile`] shows in [`faulty_uploads`] alone.
+/// Ten frames of the scene with this fault; a [`CameraFault::TruncatedFile`] shows only in
+/// [`faulty_uploads`].
 pub fn faulty_frames(fault: CameraFault, scene: &Scene, optics: &Optics, seed: u64) -> Vec<Frame> {
     let (mut scene, mut pose, mut noise) = (scene.clone(), Pose::default(), Noise::default());
     match fault {

@@ -1,6 +1,8 @@
-//! A depth camera over a pile that is not there: rendered frames of a known surface, with the noise, holes and edges of passive stereo.
+//! An emulated depth camera over a virtual pile: rendered frames of a known surface, with the
+//! noise, holes and edges of passive stereo.
 //!
-//! Millimetres throughout; the scene's axis is the base's, z is up from the top of the base. The same scene and seed give the same frames.
+//! Millimetres throughout; the scene's axis is the base's, z is up from the top of the base. The
+//! same scene and seed yield the same frames.
 
 mod encode;
 mod faults;
@@ -20,7 +22,7 @@ use flip_core::domain::seed::derive;
 use flip_core::domain::timestamp::Timestamp;
 use render::Picture;
 
-/// What stands before the camera.
+/// The scene before the camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     /// The pile.
@@ -29,9 +31,9 @@ pub struct Scene {
     pub base_diameter_mm: f64,
     /// Height of the base's top over the bench, mm.
     pub base_height_mm: f64,
-    /// How high what ran over the rim lies against the foot of the base, mm.
+    /// Height of the powder that spilled over the rim, at the foot of the base, mm.
     pub overflow_mm: f64,
-    /// The funnel, unless there is none.
+    /// The funnel, if there is one.
     pub funnel: Option<Funnel>,
 }
 
@@ -46,31 +48,31 @@ pub struct Funnel {
     pub off_centre_mm: [f64; 2],
 }
 
-/// Where the camera stands and how it is turned.
+/// Position and orientation of the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
-    /// From the camera to the point that it looks at, mm.
+    /// Distance from the camera to its aim point, mm.
     pub distance_mm: f64,
-    /// Height over the base of the point that it looks at, mm.
+    /// Height of the aim point over the base, mm.
     pub aim_height_mm: f64,
-    /// How far it looks down, degrees from level.
+    /// Downward viewing angle, degrees from horizontal.
     pub elevation_deg: f64,
-    /// Turn about its optical axis, degrees.
+    /// Rotation about its optical axis, degrees.
     pub roll_deg: f64,
-    /// Turn about the vertical, degrees: the pile moves sideways in the frame.
+    /// Rotation about the vertical, degrees: the pile moves sideways in the frame.
     pub yaw_deg: f64,
 }
 
 /// The camera itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Optics {
-    /// As it states them.
+    /// As reported by the camera.
     pub intrinsics: Intrinsics,
-    /// Length of one step of depth as it states it, mm.
+    /// Depth step reported by the camera, mm.
     pub unit_mm: f64,
-    /// True over stated depth, less one: an error that the frames do not show.
+    /// True over reported depth, minus one: an error that does not show in the frames.
     pub scale_error: f64,
-    /// Farthest depth that it sees, mm.
+    /// Maximum depth it sees, mm.
     pub range_mm: f64,
 }
 
@@ -83,14 +85,15 @@ impl Scene {
 }
 
 impl Default for Pose {
-    /// 200 mm away, 30 degrees down: tip, apex and the near flank are all seen.
+    /// 200 mm away, 30 degrees down: tip, apex and the near flank are all visible.
     fn default() -> Self {
         Self { distance_mm: 200.0, aim_height_mm: 25.0, elevation_deg: 30.0, roll_deg: 0.0, yaw_deg: 0.0 }
     }
 }
 
 impl Default for Optics {
-    /// 848 x 480 with a view of 89 degrees across, 0.1 mm a step, range 500 mm: about those of a D405 (its own values differ by device).
+    /// 848 x 480 with a horizontal field of view of 89 degrees, 0.1 mm per step, range 500 mm:
+    /// about those of a D405 (actual values vary by device).
     fn default() -> Self {
         let coefficients = [-0.055, 0.062, -0.0004, 0.0006, -0.02];
         let model = Distortion::InverseBrownConrady;
@@ -102,7 +105,7 @@ impl Default for Optics {
 }
 
 impl Optics {
-    /// The same view with fewer pixels: for tests whose subject is not accuracy.
+    /// The same view with fewer pixels: for tests that are not about accuracy.
     pub fn coarse() -> Self {
         let mut optics = Self::default();
         let lens = &mut optics.intrinsics;
@@ -112,10 +115,10 @@ impl Optics {
     }
 }
 
-/// When the first frame of a series is taken, ms; frames follow at thirty a second.
+/// When the first frame of a series is taken, ms; frames follow at thirty per second.
 const BEGAN_UNIX_MS: i64 = 1_795_248_000_000;
 
-/// Frames of a scene at rest: one picture, and for each frame noise of its own.
+/// Frames of a scene at rest: one picture, with separate noise for each frame.
 pub fn frames(scene: &Scene, pose: &Pose, optics: &Optics, noise: &Noise, seed: u64, count: usize) -> Vec<Frame> {
     let picture = Picture::of(scene, pose, optics);
     let flaws = noise.flaws(&picture, derive(seed, &[0]));

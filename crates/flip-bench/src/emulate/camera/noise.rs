@@ -1,4 +1,4 @@
-//! What passive stereo does to an exact picture.
+//! The effect of passive stereo on an exact picture.
 
 use super::Optics;
 use super::render::Picture;
@@ -7,20 +7,22 @@ use flip_core::domain::seed::derive;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-/// How bad the depth is.
+/// Noise of the depth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Noise {
-    /// Standard deviation of depth from frame to frame at 200 mm, mm; it grows with the square of depth. Default 0.5.
+    /// Standard deviation of depth from frame to frame at 200 mm, mm; it grows with the square of
+    /// depth. Default 0.5.
     pub frame_mm: f64,
-    /// Standard deviation of depth errors that every frame shares at 200 mm, mm: patches as wide as the matching window. Default 0.15.
+    /// Standard deviation of depth errors common to all frames at 200 mm, mm: patches as wide as
+    /// the matching window. Default 0.15.
     pub fixed_mm: f64,
-    /// Share of the pixels that each frame misses at random. Default 0.02.
+    /// Fraction of the pixels missing at random in each frame. Default 0.02.
     pub missing: f64,
-    /// Share of the powder where nothing matches in any frame: it has no texture. Default 0.05.
+    /// Fraction of the powder without texture, where nothing matches in any frame. Default 0.05.
     pub textureless: f64,
-    /// Pixels on either side of a step in depth where depth is missing or between the two. Default 2.
+    /// Pixels on either side of a depth step where depth is missing or in between. Default 2.
     pub edge_pixels: usize,
-    /// Standard deviation of each colour, of 255. Default 3.
+    /// Standard deviation of each colour channel, out of 255. Default 3.
     pub colour: f64,
 }
 
@@ -31,22 +33,23 @@ impl Default for Noise {
 }
 
 impl Noise {
-    /// None at all.
+    /// No noise.
     pub const NONE: Self =
         Self { frame_mm: 0.0, fixed_mm: 0.0, missing: 0.0, textureless: 0.0, edge_pixels: 0, colour: 0.0 };
 }
 
-/// Side of a patch of fixed errors, pixels, and of one without texture.
+/// Side of a patch of fixed errors, and of one without texture, pixels.
 const PATCH_PIXELS: f64 = 8.0;
 const BLANK_PIXELS: f64 = 14.0;
-/// A step in depth between neighbours that counts as an edge, mm.
+/// A depth step between neighbours that counts as an edge, mm.
 const EDGE_MM: f64 = 3.0;
-/// Bilinear values of uniform nodes in -0.5..0.5 have this standard deviation: sqrt(1/12) * 2/3.
+/// Standard deviation of bilinear interpolation between uniform nodes in -0.5..0.5: sqrt(1/12) *
+/// 2/3.
 const BUMP_SD: f64 = 0.192;
 
-/// What every frame of a series has in common.
+/// Flaws common to all frames of a series.
 pub(super) struct Flaws {
-    /// Fixed error in standard deviations, pixel by pixel.
+    /// Fixed error in standard deviations, per pixel.
     error: Vec<f64>,
     blank: Vec<bool>,
     /// Pixels near an edge, and the depth on its other side, mm.
@@ -59,7 +62,7 @@ impl Noise {
         let (fixed, blank) = ([offset(0), offset(1)], [offset(2), offset(3)]);
         let at = |k: usize| [(k % picture.width) as f64, (k / picture.width) as f64];
         let field = |k: usize, [a, b]: [f64; 2], side: f64| bump([at(k)[0] / side + a, at(k)[1] / side + b]) / BUMP_SD;
-        // The level that a share of a field with nearly normal values passes.
+        // The threshold exceeded by a given fraction of a nearly normal field.
         let level = match self.textureless > 0.0 {
             true => flip_core::stats::normal::quantile(1.0 - self.textureless.min(0.999)),
             false => f64::INFINITY,
@@ -100,7 +103,7 @@ impl Noise {
     }
 }
 
-/// A standard normal number; they come in pairs (Box and Muller 1958).
+/// A standard normal deviate; they come in pairs (Box and Muller 1958).
 fn normal(rng: &mut Pcg64Mcg, spare: &mut Option<f64>) -> f64 {
     if let Some(kept) = spare.take() {
         return kept;

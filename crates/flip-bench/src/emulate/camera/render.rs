@@ -1,13 +1,15 @@
-//! One exact picture: for every pixel the depth along the optical axis and the colour, by following its ray.
+//! Ray tracing of one exact picture: for every pixel, the depth along the optical axis and the
+//! colour.
 
 use super::surface::bump;
 use super::{Funnel, Optics, Pose, Scene};
 
 type Vector = [f64; 3];
 
-/// How far from the base powder that ran over lies, mm.
+/// Extent of spilled powder from the base, mm.
 const SKIRT_MM: f64 = 18.0;
-/// Height of the spout over its tip, and of the funnel over its spout, mm; radius of the funnel's mouth, mm.
+/// Height of the spout over its tip, and of the funnel over its spout, mm; radius of the funnel's
+/// mouth, mm.
 const SPOUT_MM: f64 = 25.0;
 const MOUTH_MM: [f64; 2] = [30.0, 32.0];
 
@@ -23,11 +25,11 @@ pub(super) struct Picture {
     pub height: usize,
     pub depth_mm: Vec<f64>,
     pub colour: Vec<[f64; 3]>,
-    /// Whether a pixel shows powder: what has little texture.
+    /// Whether a pixel shows powder, which has little texture.
     pub powder: Vec<bool>,
 }
 
-/// Right, down and forward of the camera, and where it is.
+/// Right, down and forward vectors of the camera, and its position.
 struct Eye {
     at: Vector,
     axes: [Vector; 3],
@@ -46,13 +48,13 @@ impl Eye {
         Self { at, axes: [mix(cr, sr), mix(-sr, cr), forward] }
     }
 
-    /// The ray of a direction; its parameter is depth, because the forward part has length 1.
+    /// The ray in a direction; its parameter is depth, because the forward component has length 1.
     fn ray(&self, [x, y]: [f64; 2]) -> Vector {
         std::array::from_fn(|k| x * self.axes[0][k] + y * self.axes[1][k] + self.axes[2][k])
     }
 }
 
-/// What a ray meets: how far, what colour, whether it is powder.
+/// Intersection of a ray: distance, colour, whether it is powder.
 type Hit = (f64, [f64; 3], bool);
 
 impl Picture {
@@ -73,7 +75,7 @@ impl Picture {
     }
 }
 
-/// As through a lens: the mean of three by three pixels.
+/// Lens blur: the mean of three by three pixels.
 fn blurred(sharp: &[[f64; 3]], width: usize) -> Vec<[f64; 3]> {
     let pass = |from: &[[f64; 3]], step: usize| -> Vec<[f64; 3]> {
         let at = |k: usize| [from[k.saturating_sub(step)], from[k], from[(k + step).min(from.len() - 1)]];
@@ -91,7 +93,7 @@ fn along(eye: Vector, ray: Vector, t: f64) -> Vector {
     std::array::from_fn(|k| eye[k] + t * ray[k])
 }
 
-/// Pile, base, what ran over and the bench: one height over every place.
+/// Pile, base, spilled powder and the bench, as one height field.
 fn ground(scene: &Scene, eye: Vector, ray: Vector) -> Option<Hit> {
     if ray[2] >= -1e-6 {
         return None;
@@ -122,7 +124,7 @@ fn ground(scene: &Scene, eye: Vector, ray: Vector) -> Option<Hit> {
     (at[1] < 600.0).then_some((floor_t, shaded(BENCH, [at[0] / 3.0, at[1] / 3.0], 10.0), false))
 }
 
-/// Height of whatever is at a place, over the base's top.
+/// Height of the scene at a point, relative to the base's top.
 fn height(scene: &Scene, radius: f64, at: [f64; 2]) -> f64 {
     let r = at[0].hypot(at[1]);
     if r < radius {
@@ -145,7 +147,7 @@ fn struck(scene: &Scene, radius: f64, eye: Vector, ray: Vector, t: f64) -> Hit {
     let at = along(eye, ray, t);
     let (place, r) = ([at[0], at[1]], at[0].hypot(at[1]));
     let top = height(scene, radius, place);
-    // Below the surface of this place: the side of the base.
+    // Below the surface at this point: the side of the base.
     let is_side = (r - radius).abs() < 0.05 && at[2] < -0.05 && at[2] > -scene.base_height_mm + scene.overflow_mm;
     let is_powder = !is_side && if r < radius { top > 0.02 } else { top > 0.3 - scene.base_height_mm };
     let light = 12.0 * (at[0] / radius);
@@ -182,7 +184,8 @@ fn funnel_hit(funnel: &Funnel, eye: Vector, ray: Vector) -> Option<Hit> {
     Some((t, shaded(FUNNEL.map(|c| c + light), [at[0], at[2]], 8.0), false))
 }
 
-/// Nearest meeting with the side of a frustum about the z axis: from, to, radius at either end.
+/// Nearest intersection with the side of a frustum about the z axis: from, to, radius at either
+/// end.
 fn frustum([low, high, r_low, r_high]: [f64; 4], eye: Vector, ray: Vector) -> Option<f64> {
     let widen = (r_high - r_low) / (high - low);
     // x^2 + y^2 = (r_low + widen (z - low))^2 along the ray.

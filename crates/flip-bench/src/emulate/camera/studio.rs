@@ -1,4 +1,4 @@
-//! Scenes drawn at random: piles, rigs, cameras and operators as they differ from day to day.
+//! Randomly drawn scenes: piles, rigs, cameras and operators as they vary from day to day.
 
 use super::{Cone, Noise, Optics, Pose, Scene, Surface};
 use crate::hardware::camera::Distortion;
@@ -7,31 +7,33 @@ use flip_core::stats::normal;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-/// One drawn scene, and by how much an operator's ruler and the camera's scale are off.
+/// One drawn scene, with the errors of the operator's ruler and of the camera's scale.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Studio {
-    /// What stands there.
+    /// The scene.
     pub scene: Scene,
     /// Its pile.
     pub cone: Cone,
-    /// How the camera hangs.
+    /// Pose of the camera.
     pub pose: Pose,
     /// Its lens, unit and scale error.
     pub optics: Optics,
     /// Its noise.
     pub noise: Noise,
-    /// Stated less true height of the tip, diameter of the base and height of the base, mm.
+    /// Stated minus true height of the tip, diameter of the base and height of the base, mm.
     pub ruler_mm: [f64; 3],
 }
 
-/// Standard deviation of each length that an operator measures, mm, and of the depth scale, as a share.
+/// Standard deviation of each length measured by an operator, mm, and of the depth scale, relative.
 const RULER_SD_MM: f64 = 0.1;
 const SCALE_SD: f64 = 0.007;
 
 impl Studio {
-    /// A pile of this angle in the default rig. Uniform: elevation 27 to 33 deg, roll -4 to 4, yaw -4 to 4, distance 190 to 210 mm, rounding up
-    /// to 0.15, apex up to 1 mm and spout up to 0.7 mm off centre, grains 0.2 to 0.6 mm, noise 0.3 to 1 mm, holes 2 to 10 % of the powder, any
-    /// of the four distortions, steps of 0.1 mm (three of four) or 1 mm. Normal: the ruler by 0.1 mm, the depth scale by 0.7 %.
+    /// A pile of this angle in the default rig. Uniform: elevation 27 to 33 deg, roll -4 to 4, yaw
+    /// -4 to 4, distance 190 to 210 mm, rounding up to 0.15, apex up to 1 mm and spout up to 0.7 mm
+    /// off centre, grains 0.2 to 0.6 mm, noise 0.3 to 1 mm, holes 2 to 10 % of the powder, any of
+    /// the four distortions, steps of 0.1 mm (three of four) or 1 mm. Normal: the ruler by 0.1 mm,
+    /// the depth scale by 0.7 %.
     pub fn drawn(tip_deg: f64, seed: u64) -> Self {
         let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[tip_deg.to_bits()]));
         let mut between = |low: f64, high: f64| low + (high - low) * rng.random::<f64>();

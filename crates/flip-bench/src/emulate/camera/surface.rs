@@ -1,4 +1,4 @@
-//! The surfaces that are photographed, as a height over every place of the base.
+//! The imaged surfaces, as height fields over the base.
 
 use flip_core::domain::seed::derive;
 
@@ -9,27 +9,27 @@ pub enum Surface {
     Bare,
     /// A cone of known angle.
     Cone(Cone),
-    /// Grains, as a simulation leaves them.
+    /// Grains, as left by a simulation.
     Heap(Heap),
 }
 
-/// A cone that covers its base, or a part of it.
+/// A cone that covers its base, or part of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cone {
-    /// atan(2 h / d) of its height and the diameter of what it covers, degrees.
+    /// atan(2 h / d) of its height and the diameter of the area it covers, degrees.
     pub tip_deg: f64,
-    /// Rounding of the apex, share of the radius: 0 is a point.
+    /// Rounding of the apex, fraction of the radius: 0 is a point.
     pub rounding: f64,
-    /// Where the apex lies, mm from the axis: a slanting cone that still ends at the rim.
+    /// Position of the apex, mm from the axis: a skewed cone that still ends at the rim.
     pub off_centre_mm: [f64; 2],
     /// Diameter of the grains that roughen it, mm; 0 is smooth.
     pub grain_mm: f64,
-    /// Radius that it covers, share of the base's.
+    /// Radius that it covers, fraction of the base's.
     pub cover: f64,
 }
 
 impl Cone {
-    /// Smooth, pointed, in the middle, covering its base.
+    /// Smooth, pointed, centred, covering its base.
     pub fn of_deg(tip_deg: f64) -> Self {
         Self { tip_deg, rounding: 0.0, off_centre_mm: [0.0; 2], grain_mm: 0.0, cover: 1.0 }
     }
@@ -39,7 +39,7 @@ impl Cone {
         base_radius_mm * self.cover * self.tip_deg.to_radians().tan()
     }
 
-    /// Share of the height that is lost at this share of the way from apex to rim.
+    /// Fraction of the height lost at this fraction of the way from apex to rim.
     ///
     /// ```text
     /// g(q) = (sqrt(q^2 + k^2) - k) / (sqrt(1 + k^2) - k)
@@ -49,8 +49,8 @@ impl Cone {
         (q.hypot(k) - k) / (1.0_f64.hypot(k) - k)
     }
 
-    /// Slope of the line through the flank between 20 % and 80 % of the height, by area and over all directions, degrees: what a cone fit of a
-    /// perfect picture would read.
+    /// Slope of a line through the flank between 20 % and 80 % of the height, averaged by area over
+    /// all directions, degrees: the result of a cone fit to a perfect picture.
     pub fn cone_deg(&self) -> f64 {
         let flank = (0..2000).map(|k| (f64::from(k) + 0.5) / 2000.0).filter(|q| (0.2..=0.8).contains(&self.lost(*q)));
         let [mut w, mut sq, mut sz, mut sqq, mut sqz] = [0.0; 5];
@@ -70,7 +70,7 @@ impl Cone {
         let [ex, ey] = self.off_centre_mm;
         let (dx, dy) = (x - ex, y - ey);
         let far = dx.hypot(dy).max(1e-9);
-        // From the apex through this place to the rim.
+        // From the apex through this point to the rim.
         let along = (ex * dx + ey * dy) / far;
         let rim = (along * along + radius * radius - ex * ex - ey * ey).sqrt() - along;
         let smooth = self.height_mm(base_radius) * (1.0 - self.lost(far / rim));
@@ -81,7 +81,7 @@ impl Cone {
     }
 }
 
-/// A number from -0.5 to 0.5 at each node of the unit grid, and between them by the bilinear rule.
+/// A number from -0.5 to 0.5 at each node of the unit grid, bilinear in between.
 pub(super) fn bump([x, y]: [f64; 2]) -> f64 {
     let node = |i: f64, j: f64| derive(i as i64 as u64, &[j as i64 as u64]) as f64 / u64::MAX as f64 - 0.5;
     let (i, j) = (x.floor(), y.floor());
@@ -100,7 +100,8 @@ pub struct Heap {
 }
 
 impl Heap {
-    /// Of grains with these centres (x, y from the axis of the base, z over its top) and one diameter, mm.
+    /// A heap of grains with these centres (x, y from the axis of the base, z over its top) and one
+    /// diameter, mm.
     pub fn of_grains(centres_mm: &[[f64; 3]], diameter_mm: f64) -> Self {
         let cell_mm = diameter_mm / 12.0;
         let reach = centres_mm.iter().fold(0.0_f64, |reach, c| reach.max(c[0].abs()).max(c[1].abs())) + diameter_mm;
@@ -131,7 +132,7 @@ impl Heap {
 }
 
 impl Surface {
-    /// Height over the base's top at a place on a base of this radius, mm.
+    /// Height over the base's top at a point on a base of this radius, mm.
     pub fn height_at(&self, at: [f64; 2], base_radius_mm: f64) -> f64 {
         match self {
             Self::Bare => 0.0,
@@ -140,7 +141,7 @@ impl Surface {
         }
     }
 
-    /// A height that the surface does not pass, mm.
+    /// Upper bound on the height of the surface, mm.
     pub(super) fn ceiling_mm(&self, base_radius_mm: f64) -> f64 {
         match self {
             Self::Bare => 0.0,

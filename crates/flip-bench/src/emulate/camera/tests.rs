@@ -8,7 +8,7 @@ fn pile(tip_deg: f64) -> Scene {
 fn the_depth_of_an_exact_picture_lies_on_the_surface() {
     let (scene, pose, optics) = (pile(35.0), Pose::default(), Optics::coarse());
     let frame = frames(&scene, &pose, &optics, &Noise::NONE, 1, 1).remove(0);
-    // From the camera's coordinates to the scene's, by the pose.
+    // From camera coordinates to scene coordinates, by the pose.
     let lens = optics.intrinsics;
     let (se, ce) = pose.elevation_deg.to_radians().sin_cos();
     let mut on_pile = 0;
@@ -20,7 +20,7 @@ fn the_depth_of_an_exact_picture_lies_on_the_surface() {
         if r < 28.0 && at[2] < 40.0 && at[2] > 1.0 {
             on_pile += 1;
             let surface = 35.0_f64.to_radians().tan() * (30.0 - r);
-            // Half a step of depth along the ray.
+            // Half a depth step along the ray.
             assert!((at[2] - surface).abs() < 0.15, "{at:?} {surface}");
         }
     }
@@ -41,7 +41,7 @@ fn the_same_seed_gives_the_same_frames_and_noise_is_as_large_as_it_says() {
     let squares: Vec<f64> = pairs.map(scaled).map(|d| d * d).collect();
     let sd = (squares.iter().sum::<f64>() / squares.len() as f64 / 2.0).sqrt();
     assert!((sd - 0.5).abs() < 0.02, "{sd}");
-    // Missing at random and without texture; some of the scene lies out of range.
+    // Missing at random and without texture; part of the scene is out of range.
     assert!((0.02..0.6).contains(&taken[0].invalid_share()));
 }
 

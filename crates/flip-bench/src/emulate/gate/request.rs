@@ -1,17 +1,17 @@
-//! Lines to the gate's board, as the board reads them.
+//! Lines to the gate's board, as the board parses them.
 
 use crate::hardware::gate::{Refusal, number, unframed};
 
-/// What a line orders.
+/// Command of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
-    /// Begin a session, closed.
+    /// Start a session, closed.
     Hello,
-    /// Open so far, thousandths.
+    /// Open by this much, thousandths.
     Open(u16),
     /// Close.
     Close,
-    /// Say how things stand.
+    /// Report the status.
     Status,
     /// Stay open.
     Beat,
@@ -22,11 +22,11 @@ pub enum Order {
 pub struct Request {
     /// Its number, from 1.
     pub seq: u16,
-    /// What it orders; or what is wrong with that, when the line itself could be read.
+    /// Its command, or what is wrong with the command when the line itself could be parsed.
     pub order: Result<Order, Refusal>,
 }
 
-/// A line to the board, without its end.
+/// Parse a line to the board, without its terminator.
 ///
 /// # Errors
 /// [`Refusal::Checksum`] or [`Refusal::Form`]

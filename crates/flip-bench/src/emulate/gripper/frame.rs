@@ -1,45 +1,45 @@
-//! Frames of Modbus RTU, taken apart and put together without the driver's library.
+//! Modbus RTU frames, parsed and built without the driver's library.
 
 const READ_HOLDING: u8 = 0x03;
 const READ_INPUT: u8 = 0x04;
 pub(super) const WRITE: u8 = 0x10;
 
-/// What a frame asks for.
+/// Request of a frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Request {
     /// Registers to read.
     Read {
         /// 3 or 4.
         function: u8,
-        /// Address of the first.
+        /// Address of the first register.
         first: u16,
-        /// How many.
+        /// Number of registers.
         count: u16,
     },
     /// Registers to write.
     Write {
-        /// Address of the first.
+        /// Address of the first register.
         first: u16,
         /// Their values.
         words: Vec<u16>,
     },
     /// A function that the gripper does not have.
     Other {
-        /// Which.
+        /// The function code.
         function: u8,
     },
 }
 
-/// A frame that says nothing.
+/// A frame that cannot be parsed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unreadable {
-    /// Its length is not that of its function.
+    /// Its length does not match its function.
     Length,
     /// Its checksum is wrong.
     Crc,
 }
 
-/// The slave that a whole frame is for, and what it asks.
+/// Parse a complete frame: the slave it is for, and its request.
 ///
 /// # Errors
 /// [`Unreadable`]
@@ -67,7 +67,7 @@ pub fn parse(frame: &[u8]) -> Result<(u8, Request), Unreadable> {
     }
 }
 
-/// `body` as a frame: with its checksum behind it, low byte first.
+/// `body` as a frame: followed by its checksum, low byte first.
 pub(super) fn framed(body: &[u8]) -> Vec<u8> {
     [body, &crc(body).to_le_bytes()].concat()
 }
@@ -78,7 +78,7 @@ fn crc(bytes: &[u8]) -> u16 {
     bytes.iter().fold(0xFFFF, |sum, byte| (0..8).fold(sum ^ u16::from(*byte), shift))
 }
 
-/// How many bytes the frame that begins here has; none if that is not yet known.
+/// Length in bytes of the frame that begins here; `None` if that is not yet known.
 pub(super) fn frame_length(bytes: &[u8]) -> Option<usize> {
     match *bytes {
         [_, WRITE, _, _, _, _, count, ..] => Some(9 + usize::from(count)),

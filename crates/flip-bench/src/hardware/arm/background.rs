@@ -1,4 +1,4 @@
-//! What goes on beside an arm's calls: renewals of its lease, and the newest of its states.
+//! Background work of an arm connection: renewing its lease and keeping its latest state.
 
 use super::proto::RenewResponse;
 use super::proto::{RenewRequest, State, StreamStateRequest};
@@ -10,28 +10,28 @@ use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 use tonic::Code;
 
-/// A state older than this says nothing about now.
+/// A state older than this no longer counts as current.
 const STATE_AGE_MAX: Duration = Duration::from_secs(1);
-/// How long the first state after connecting may take.
+/// How long to wait for the first state after connecting.
 const STATE_FIRST: Duration = Duration::from_secs(1);
-/// Pause before states are asked for again.
+/// Pause before resubscribing to states.
 const RESUBSCRIBE: Duration = Duration::from_millis(100);
-/// How long one renewal may take. The next do not wait for it.
+/// How long one renewal may take. Later renewals do not wait for it.
 const RENEWAL_MAX: Duration = Duration::from_secs(1);
-/// Renewals under way at most.
+/// Maximum number of renewals in flight.
 const RENEWALS_MAX: usize = 8;
 
-/// Why this side gave a lease up.
+/// Reason given when this side gave the lease up.
 pub(super) const UNATTENDED: &str = "nobody attended to it, so that its lease was given up: acquire it again";
 
-/// A value that two threads share.
+/// A value shared by two threads.
 type Shared<T> = Arc<Mutex<T>>;
 
 fn locked<T>(value: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     value.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Work that ends with its owner.
+/// A task that is aborted when its owner is dropped.
 struct Task(JoinHandle<()>);
 
 impl Drop for Task {
@@ -52,12 +52,12 @@ impl Attended {
         Self { last: Arc::new(Mutex::new(Instant::now())), idle }
     }
 
-    /// The owner called.
+    /// Record that the owner called.
     pub(super) fn now(&self) {
         *locked(&self.last) = Instant::now();
     }
 
-    /// The owner waits for an answer, which may take so long.
+    /// Record that the owner is waiting for an answer, which may take up to `limit`.
     pub(super) fn for_next(&self, limit: Duration) {
         *locked(&self.last) = Instant::now() + limit;
     }
@@ -67,7 +67,7 @@ impl Attended {
     }
 }
 
-/// Renewals of one lease. They cease when this is dropped.
+/// Renewals of one lease. They stop when this is dropped.
 pub(super) struct Renewals {
     ended: Shared<Option<DeviceError>>,
     _task: Task,
@@ -86,8 +86,9 @@ impl Renewals {
     }
 }
 
-/// Renew until the driver says that the lease is gone, or nobody attends to the arm any more. Each renewal goes out in its time, whether or not the one
-/// before has been answered; lost ones are of no matter: the driver's dead-man decides when it was too long.
+/// Renew until the driver reports that the lease is gone, or until the arm's owner has been idle
+/// for too long. Each renewal is sent on schedule, whether or not the previous one has been
+/// answered. Lost ones do not matter: the driver's dead-man decides when the gap was too long.
 async fn renew(
     remote: Remote,
     lease_id: String,
@@ -119,10 +120,10 @@ async fn renew(
     }
 }
 
-/// What came of one renewal.
+/// Outcome of one renewal.
 type Renewed = Result<Result<tonic::Response<RenewResponse>, tonic::Status>, tokio::time::error::Elapsed>;
 
-/// The newest state of the arm.
+/// The latest state of the arm.
 pub(super) struct States {
     seen: Shared<Seen>,
     _task: Task,
@@ -141,7 +142,7 @@ impl States {
         Self { seen, _task: task }
     }
 
-    /// The newest state, waiting shortly for the first.
+    /// The latest state; waits briefly for the first one.
     pub(super) fn newest(&self) -> Result<State, DeviceError> {
         loop {
             let seen = locked(&self.seen);
@@ -159,7 +160,7 @@ impl States {
     }
 }
 
-/// Read states for ever; where the stream ends, say so and ask for another.
+/// Read states forever; when the stream ends, record that and subscribe again.
 async fn watch(remote: Remote, seen: Shared<Seen>) {
     loop {
         let lost = match remote.client().stream_state(StreamStateRequest {}).await {

@@ -1,4 +1,4 @@
-//! What may be asked of an arm. Numbers out of these bounds never leave this process.
+//! Limits on what an arm may be commanded to do. Numbers outside them never leave this process.
 
 use super::proto;
 use super::remote::{DEVICE, forbidden};
@@ -7,24 +7,25 @@ use flip_core::domain::bench::{PitchLimits, Reach, SHAKE_MM_MAX};
 use flip_core::domain::bounded;
 use flip_core::domain::motion::MotionLimits;
 
-/// What the driver says, within what an action may be at all.
+/// The driver's limits, clipped to those of any action.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
-    /// Range of the pitch.
+    /// Pitch range.
     pub pitch: PitchLimits,
-    /// Largest speed of pitching, deg/s.
+    /// Maximum pitch rate, deg/s.
     pub pitch_deg_s_max: f64,
-    /// Largest amplitude of a shake, mm.
+    /// Maximum shake amplitude, mm.
     pub shake_mm_max: f64,
-    /// Of a shake.
+    /// Motion limits of a shake.
     pub motion: MotionLimits,
 }
 
 impl Limits {
-    /// What is left of the driver's own limits: pitch within -90 to 90 deg, shakes within those of an action.
+    /// Clip the driver's own limits: pitch to -90 to 90 deg, shakes to the limits of an action.
     ///
     /// # Errors
-    /// [`DeviceError::Garbled`] when they are missing, not finite, not positive, or leave no level spoon.
+    /// [`DeviceError::Garbled`] when they are missing, not finite, not positive, or do not allow a
+    /// level spoon.
     pub fn narrowed(theirs: Option<&proto::Limits>) -> Result<Self, DeviceError> {
         let garbled = || DeviceError::Garbled { device: DEVICE, got: format!("limits {theirs:?}") };
         let limits = theirs.ok_or_else(garbled)?;
@@ -56,7 +57,7 @@ impl Limits {
         })
     }
 
-    /// The same pitch if it may be asked for.
+    /// Returns the pitch if it is within limits.
     ///
     /// # Errors
     /// [`DeviceError::Forbidden`]
@@ -65,7 +66,7 @@ impl Limits {
         bounded("pitch_deg", asked, lower_deg, upper_deg, "deg").map_err(|error| forbidden(error.to_string()))
     }
 
-    /// The same amplitude if it may be asked for.
+    /// Returns the amplitude if it is within limits.
     ///
     /// # Errors
     /// [`DeviceError::Forbidden`]

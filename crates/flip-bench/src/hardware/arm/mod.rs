@@ -1,11 +1,14 @@
-//! The arm that holds the spoon, behind a driver process (`proto/flip/bench/v1/arm.proto`).
+//! Client for the arm that holds the spoon, which runs behind a driver process
+//! (`proto/flip/bench/v1/arm.proto`).
 //!
-//! Calls are synchronous and return when the motion is complete. A thread and a connection of their own renew the lease, so that the driver levels and
-//! retracts the spoon by itself when this process dies; it ceases when the owner has not called for [`Deadlines::idle`], so that a thread that hangs counts
-//! as dead too. Whoever may have to stop the arm takes a [`Stopper`] beforehand.
+//! Calls are synchronous and return when the motion is complete. A separate thread with its own
+//! connection renews the lease, so that the driver levels and retracts the spoon by itself if this
+//! process dies. It stops renewing when the owner has not called for [`Deadlines::idle`], so that a
+//! hung thread counts as dead too. Code that may have to stop the arm takes a [`Stopper`]
+//! beforehand.
 //!
-//! After an error it is unknown whether the spoon moved. A motion whose answer does not come is stopped; then as after every error: [`Arm::retract`], or
-//! drop the arm.
+//! After an error it is unknown whether the spoon moved. A motion that is not answered is stopped.
+//! Then, as after any error, call [`Arm::retract`] or drop the arm.
 
 mod background;
 mod limits;
@@ -30,22 +33,22 @@ use remote::{DEVICE, Remote, forbidden, latched, shortened};
 use std::time::{Duration, Instant};
 use tonic::transport::Channel;
 
-/// Between two looks at an arm that brings its spoon back.
+/// Poll interval while the arm brings its spoon back.
 const RETURNING_LOOK: Duration = Duration::from_millis(20);
 
-/// The contract that this client speaks.
+/// Version of the contract implemented by this client.
 pub const PROTOCOL_VERSION: u32 = 1;
 
-/// How long answers may take, by the clock of the room.
+/// Timeouts, in wall-clock time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Deadlines {
-    /// Calls that move nothing. Default 1 s.
+    /// For calls that move nothing. Default 1 s.
     pub call: Duration,
-    /// Motions. Default 30 s.
+    /// For motions. Default 30 s.
     pub motion: Duration,
-    /// Between renewals. Default 50 ms; the contract asks for 100 at most.
+    /// Interval between renewals. Default 50 ms; the contract requires at most 100.
     pub renewal: Duration,
-    /// Renewals cease when the owner has not called for so long. Default 30 s.
+    /// Renewals stop when the owner has not called for this long. Default 30 s.
     pub idle: Duration,
 }
 
@@ -60,10 +63,10 @@ impl Default for Deadlines {
     }
 }
 
-/// An arm. Dropping it gives control back, which levels and retracts the spoon.
+/// An arm. Dropping it releases control, which levels and retracts the spoon.
 pub struct Arm {
     remote: Remote,
-    /// For renewals alone.
+    /// Used only for renewals.
     urgent: Remote,
     url: String,
     deadlines: Deadlines,
@@ -74,12 +77,12 @@ pub struct Arm {
     control: Option<Control>,
 }
 
-/// What a client that has control knows.
+/// State kept while this client has control.
 struct Control {
     lease_id: String,
     sequence: u64,
     renewals: Renewals,
-    /// A motion found that the arm is latched.
+    /// Set when a motion found the arm latched.
     latched: Option<DeviceError>,
 }
 
@@ -91,11 +94,12 @@ impl Control {
 }
 
 impl Arm {
-    /// Connect to the driver at `url` (`http://host:port`) and ask who it is. Nothing moves, nobody's control is taken.
+    /// Connect to the driver at `url` (`http://host:port`) and request its description. Nothing
+    /// moves, and nobody loses control.
     ///
     /// # Errors
-    /// [`DeviceError::Lost`], [`DeviceError::Silent`]; [`DeviceError::Garbled`] for limits that mean nothing,
-    /// [`DeviceError::Forbidden`] for another version of the contract.
+    /// [`DeviceError::Lost`], [`DeviceError::Silent`]; [`DeviceError::Garbled`] for meaningless
+    /// limits, [`DeviceError::Forbidden`] for another version of the contract.
     pub fn connect(url: &str, tap: Tap, deadlines: Deadlines) -> Result<Self, DeviceError> {
         let remote = Remote::connect(url, tap, deadlines.call)?;
         let (description, limits) = described(&remote, deadlines)?;
@@ -115,17 +119,17 @@ impl Arm {
         })
     }
 
-    /// Who the arm said it is.
+    /// The arm's description, as last received.
     pub fn description(&self) -> &Description {
         &self.description
     }
 
-    /// What may be asked of it: the narrower of its own bounds and FLIP's.
+    /// What the arm may be commanded to do: the narrower of its own limits and FLIP's.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
 
-    /// Ask again who it is: why it is latched may have changed.
+    /// Request the description again: the reason for which it is latched may have changed.
     ///
     /// # Errors
     /// As [`Arm::connect`].
@@ -135,21 +139,21 @@ impl Arm {
         Ok(&self.description)
     }
 
-    /// The newest state that the arm sent: at rest it may be a tenth of a second old.
+    /// The latest state sent by the arm. At rest it may be a tenth of a second old.
     ///
     /// # Errors
-    /// [`DeviceError::Lost`] when none came for a second.
+    /// [`DeviceError::Lost`] when none has arrived for a second.
     pub fn state(&self) -> Result<State, DeviceError> {
         self.attended.now();
         self.states.newest()
     }
 
-    /// The owner is well and waits for something else: counts as a call.
+    /// Signal that the owner is alive and waiting for something else; counts as a call.
     pub fn attend(&self) {
         self.attended.now();
     }
 
-    /// A way to stop the arm from any thread, on a connection of its own.
+    /// A handle that stops the arm from any thread, on its own connection.
     ///
     /// # Errors
     /// [`DeviceError::Lost`]
@@ -160,7 +164,8 @@ impl Arm {
     /// Take control, and keep it until [`Arm::release`], drop, or a fault.
     ///
     /// # Errors
-    /// [`DeviceError::Forbidden`] while somebody else has control, [`DeviceError::Latched`] while the arm is latched.
+    /// [`DeviceError::Forbidden`] while another client has control, [`DeviceError::Latched`] while
+    /// the arm is latched.
     pub fn acquire(&mut self) -> Result<(), DeviceError> {
         self.attended.now();
         if self.control.as_ref().is_some_and(|control| control.ended().is_none()) {
@@ -176,12 +181,14 @@ impl Arm {
         Ok(())
     }
 
-    /// Give control back: the driver levels and retracts the spoon first. Nothing happens where there is no control.
+    /// Release control: the driver levels and retracts the spoon first. Does nothing without
+    /// control.
     ///
     /// # Errors
     /// A device failed: the arm is latched, or its dead-man acts.
     pub fn release(&mut self) -> Result<(), DeviceError> {
-        // Renewals go on until this returns; if the call never arrives, their end lets the dead-man act.
+        // Renewals go on until this returns; if the call never arrives, the dead-man acts once they
+        // end.
         let Some(control) = self.control.take() else { return Ok(()) };
         self.attended.for_next(self.deadlines.motion);
         let request = proto::ReleaseRequest { lease_id: control.lease_id.clone() };
@@ -193,14 +200,15 @@ impl Arm {
     /// Bring the level spoon over the vial.
     ///
     /// # Errors
-    /// A device failed or must not do this; the spoon may stand anywhere.
+    /// A device failed or must not do this; the spoon may be anywhere.
     pub fn approach(&mut self) -> Result<Executed, DeviceError> {
         self.fresh_motion("Approach", |mut client, ticket| async move {
             client.approach(proto::ApproachRequest { ticket: Some(ticket) }).await
         })
     }
 
-    /// Level the spoon and bring it away from the vial, from wherever it is. The one motion that is also tried when states no longer come.
+    /// Level the spoon and move it away from the vial, from any position. The only motion that is
+    /// also attempted when states no longer arrive.
     ///
     /// # Errors
     /// As [`Arm::approach`].
@@ -213,7 +221,8 @@ impl Arm {
     /// Turn the spoon to this pitch, degrees, positive is tip down.
     ///
     /// # Errors
-    /// As [`Arm::approach`]; [`DeviceError::Forbidden`] before anything is sent for a pitch out of [`Limits`].
+    /// As [`Arm::approach`]; [`DeviceError::Forbidden`], before anything is sent, for a pitch
+    /// outside [`Limits`].
     pub fn pitch(&mut self, pitch_deg: f64) -> Result<Executed, DeviceError> {
         let pitch_deg = self.limits.pitch_deg(pitch_deg)?;
         self.fresh_motion(&format!("Pitch to {pitch_deg} deg"), move |mut client, ticket| async move {
@@ -262,10 +271,11 @@ impl Arm {
         })
     }
 
-    /// `person` has looked at the arm and says that it may move: it levels and retracts the spoon and can be acquired again.
+    /// Clear the latch, on the word of `person`, who has checked the arm and confirms that it may
+    /// move. It levels and retracts the spoon and can then be acquired again.
     ///
     /// # Errors
-    /// The cause lasts, or the motion failed: the arm stays latched.
+    /// The cause persists, or the motion failed: the arm stays latched.
     pub fn recover(&mut self, person: &str) -> Result<(), DeviceError> {
         self.attended.for_next(self.deadlines.motion);
         let request = proto::RecoverRequest { person: person.chars().take(100).collect() };
@@ -273,7 +283,7 @@ impl Arm {
         self.remote.ask(format!("Recover, says {person}"), self.deadlines.motion, call).map(drop)
     }
 
-    /// A motion that needs somebody to see where the arm is.
+    /// Run a motion that requires a current state of the arm.
     fn fresh_motion<F>(
         &mut self,
         what: &str,
@@ -286,8 +296,8 @@ impl Arm {
         self.motion(what, call)
     }
 
-    /// Ask for a motion under the next sequence number. Where the connection breaks, ask once more under the same number: the
-    /// driver answers again and moves nothing twice.
+    /// Request a motion under the next sequence number. If the connection breaks, send the request
+    /// once more under the same number: the driver repeats its answer and moves nothing twice.
     fn motion<F>(
         &mut self,
         what: &str,
@@ -326,7 +336,8 @@ impl Arm {
         answer
     }
 
-    /// Why the arm refused or failed, if it is latched: that says more than that its lease has ended.
+    /// If the arm is latched, the reason why it refused or failed: more informative than that its
+    /// lease has ended.
     fn explained(&self, error: DeviceError) -> DeviceError {
         if !matches!(error, DeviceError::Forbidden { .. } | DeviceError::Faulted { .. }) {
             return error;
@@ -345,7 +356,7 @@ impl Arm {
                         _ => latched(cause),
                     };
                 }
-                // It brings the spoon back first, and is latched then, or not.
+                // It brings the spoon back first, and only then is it latched or not.
                 Ok(_) if self.is_returning() && Instant::now() < until => std::thread::sleep(RETURNING_LOOK),
                 _ => return error,
             }
@@ -356,18 +367,19 @@ impl Arm {
         self.states.newest().is_ok_and(|state| matches!(state.mode(), Mode::Returning | Mode::Latched))
     }
 
-    /// Nobody knows whether the spoon still moves: after Stop it does not, and this lease can but bring it back.
+    /// It is unknown whether the spoon still moves. After Stop it does not, and this lease can only
+    /// bring it back.
     fn stop_unanswered(&self) {
         let request = proto::StopRequest { reason: "a motion was not answered".to_owned() };
         let call = |mut client: ArmClient<Channel>| async move { client.stop(request).await };
-        // The tap hears of a failure; the dead-man acts where the driver cannot be reached.
+        // The tap records a failure; if the driver cannot be reached, the dead-man acts.
         let _ = self.remote.ask("Stop".to_owned(), self.deadlines.call, call);
     }
 }
 
 impl Drop for Arm {
     fn drop(&mut self) {
-        // Nobody is left to hear of a failure: the dead-man acts on it.
+        // There is nobody left to report a failure to: the dead-man acts on it.
         let _ = self.release();
     }
 }
@@ -383,7 +395,7 @@ fn described(remote: &Remote, deadlines: Deadlines) -> Result<(Description, Limi
     Ok((description, limits))
 }
 
-/// The answer, if its numbers can be those of this motion.
+/// The answer, if its numbers are plausible for this motion.
 pub fn checked(executed: Executed, sequence: u64) -> Result<Executed, DeviceError> {
     let lengths = [executed.amplitude_mm, executed.peak_speed_m_s, executed.duration_s];
     let sound = lengths.iter().all(|number| number.is_finite() && *number >= 0.0) && executed.pitch_deg.is_finite();

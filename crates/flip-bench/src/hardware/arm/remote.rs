@@ -1,4 +1,5 @@
-//! A connection to the driver process: asynchronous within, synchronous to whoever asks, from any thread.
+//! A connection to the driver process: asynchronous inside, synchronous to its callers, usable from
+//! any thread.
 
 use super::proto::arm_client::ArmClient;
 use crate::hardware::DeviceError;
@@ -11,18 +12,20 @@ use tokio::runtime::{Builder, Handle};
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Response, Status};
 
-/// As messages name it.
+/// Name used in messages.
 pub(super) const DEVICE: &str = "the arm";
-/// Longest text of a driver that is passed on, characters.
+/// Longest driver text that is passed on, characters.
 const TEXT_MAX: usize = 200;
-/// A connection over which nothing comes is asked for a sign of life so often, and given up after so long again.
+/// Keep-alive: interval between pings on an idle connection, and how long to wait for the reply
+/// before giving up.
 const ALIVE: Duration = Duration::from_secs(1);
-/// Priority of the thread that renews the lease: before all that computes, behind what the system needs.
+/// Nice value of the thread that renews the lease: ahead of all computation, behind system threads.
 const FIRST: i32 = -15;
-/// How much later than the deadline an answer of our own thread may come.
+/// How far past the deadline our own thread may answer.
 const GRACE: Duration = Duration::from_millis(500);
 
-/// A thread for what waits. It may be dropped anywhere, also where waiting is not allowed.
+/// A runtime thread for waiting on calls. It may be dropped anywhere, even where blocking is not
+/// allowed.
 pub(super) struct Runtime(Option<tokio::runtime::Runtime>);
 
 impl Drop for Runtime {
@@ -36,7 +39,7 @@ impl Drop for Runtime {
 /// One connection. Clones share it.
 #[derive(Clone)]
 pub(super) struct Remote {
-    /// Kept for as long as somebody may ask.
+    /// Kept alive while anyone may still make a call.
     runtime: Arc<Runtime>,
     handle: Handle,
     client: ArmClient<Channel>,
@@ -44,12 +47,12 @@ pub(super) struct Remote {
 }
 
 impl Remote {
-    /// Connect, with a thread of its own.
+    /// Connect, with a dedicated thread.
     pub(super) fn connect(url: &str, tap: Tap, limit: Duration) -> Result<Self, DeviceError> {
         Self::connect_by(Builder::new_multi_thread().thread_name("arm"), url, tap, limit)
     }
 
-    /// Connect, with a thread that goes before others where the system allows it.
+    /// Connect, with a thread of higher priority where the system allows it.
     pub(super) fn connect_first(url: &str, limit: Duration) -> Result<Self, DeviceError> {
         let mut builder = Builder::new_multi_thread();
         Self::connect_by(builder.thread_name("arm lease").on_thread_start(go_first), url, Tap::none(), limit)
@@ -80,7 +83,7 @@ impl Remote {
         Ok(Self { runtime, handle, client: ArmClient::new(channel), tap })
     }
 
-    /// Make one call and wait for its answer; both go to the tap.
+    /// Make one call and wait for its answer; both are recorded by the tap.
     pub(super) fn ask<A, F>(
         &self,
         what: String,
@@ -113,13 +116,14 @@ impl Remote {
     }
 }
 
-/// Renewals are a few bytes a second, and late ones end a dose. Without the right to it the thread stays as it is.
+/// Raise the priority of this thread: renewals are a few bytes a second, and late ones end a dose.
+/// Without permission the thread's priority is unchanged.
 fn go_first() {
     let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), FIRST);
 }
 
-/// What `work` gives on the thread behind `handle`; `None` when the limit has passed. The caller may be on any thread, also on
-/// one that runs asynchronous code.
+/// Run `work` on the thread behind `handle` and return its result; `None` when the limit has
+/// passed. The caller may be on any thread, including one that runs asynchronous code.
 fn wait<A: Send + 'static>(
     handle: &Handle,
     limit: Duration,
@@ -128,16 +132,16 @@ fn wait<A: Send + 'static>(
     let (say, hear) = sync_channel(1);
     handle.spawn(async move {
         if let Ok(answer) = tokio::time::timeout(limit, work).await {
-            // Whoever asked may have given up.
+            // The caller may have given up.
             let _ = say.send(answer);
         }
     });
     hear.recv_timeout(limit + GRACE).ok()
 }
 
-/// What a status means to whoever asked.
+/// The error that a status means to the caller.
 pub(super) fn refusal(status: &Status) -> DeviceError {
-    // A status with a source was made by this side's transport; the driver never sent it.
+    // A status with a source came from the local transport; the driver never sent it.
     if status.source().is_some() {
         return lost(root(status));
     }
@@ -155,12 +159,12 @@ pub(super) fn refusal(status: &Status) -> DeviceError {
     }
 }
 
-/// A driver's text as it is passed on.
+/// A driver's text, shortened for passing on.
 pub(super) fn shortened(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(TEXT_MAX).collect()
 }
 
-/// The innermost cause of an error: what the system said.
+/// The innermost cause of an error: the system's message.
 fn root(error: &dyn std::error::Error) -> String {
     let mut inner = error;
     while let Some(cause) = inner.source() {

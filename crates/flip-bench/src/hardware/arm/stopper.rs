@@ -1,4 +1,4 @@
-//! Stop, from any thread, whatever the arm's owner is doing.
+//! Stop the arm from any thread, whatever its owner is doing.
 
 use super::proto::{StopRequest, arm_client::ArmClient};
 use super::remote::Remote;
@@ -6,9 +6,9 @@ use crate::hardware::DeviceError;
 use std::time::Duration;
 use tonic::transport::Channel;
 
-/// Stops the arm on a connection of its own. Clones share it.
+/// Stops the arm over its own connection. Clones share it.
 ///
-/// This is a message and no emergency stop: that one is wired.
+/// This is a message, not an emergency stop: that one is wired.
 #[derive(Clone)]
 pub struct Stopper {
     remote: Remote,
@@ -20,12 +20,14 @@ impl Stopper {
         Ok(Self { remote: beside.beside(url, limit)?, limit })
     }
 
-    /// Stop now; returns when the spoon stands still. It is not level yet: [`Arm::retract`](super::Arm::retract), or drop the arm.
+    /// Stop now; returns when the spoon is at rest. It is not level yet: call
+    /// [`Arm::retract`](super::Arm::retract), or drop the arm.
     ///
     /// # Errors
-    /// The driver did not answer, or cannot be reached: its dead-man acts if the connection is gone.
+    /// The driver did not answer, or cannot be reached: if the connection is gone, its dead-man
+    /// acts.
     pub fn stop(&self, reason: &str) -> Result<(), DeviceError> {
-        // The first call after a broken connection may find that out; the second makes a new one.
+        // After a broken connection the first call may only discover that; the second reconnects.
         match self.once(reason) {
             Err(DeviceError::Lost { .. }) => self.once(reason),
             answer => answer,

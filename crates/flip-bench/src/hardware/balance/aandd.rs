@@ -10,17 +10,19 @@
 //! > ?TN, ?SN      < words
 //! ```
 //!
-//! Frames do not say which command they answer, nor whether auto-print or stream mode sent them: the driver takes the last of several.
+//! Frames do not identify the command they answer, nor whether auto-print or stream mode sent them:
+//! the driver takes the last of several.
 //!
-//! Not verified on a device: everything here is from memory, the error numbers and the questions for model and serial number above all.
+//! Not verified on a device: everything here is from memory, above all the error numbers and the
+//! queries for model and serial number.
 
 use super::reply::{Condition, Reply, Said, Unreadable, foreign, is_standby, printable, weight};
 use super::value::Decimal;
 use super::{Command, Commands, Wants};
 
-/// Bytes of the sign and number: more on balances with more digits.
+/// Bytes of sign and number; more on balances with more digits.
 const NUMBER_BYTES: std::ops::RangeInclusive<usize> = 9..=11;
-/// And of one whose last digit stands in brackets.
+/// The same with the last digit in brackets.
 const BRACKETED_BYTES: std::ops::RangeInclusive<usize> = 9..=13;
 /// Bytes of the unit.
 const UNIT_BYTES: usize = 3;
@@ -39,7 +41,7 @@ pub(super) const COMMANDS: Commands = Commands {
     software: None,
 };
 
-/// One line of an A&D balance, without its end.
+/// Parse one line of an A&D balance, without its terminator.
 ///
 /// # Errors
 /// [`Unreadable`]
@@ -70,7 +72,7 @@ pub fn parse(line: &[u8]) -> Result<Reply, Unreadable> {
     }
 }
 
-/// The mass behind a header of so many bytes.
+/// The mass behind a header of `before` bytes.
 fn mass(rest: &str, before: usize, stable: bool) -> Result<Said, Unreadable> {
     if let Some((kind, number)) = rest.split_once(',').filter(|(kind, _)| ["GS", "NT", "G", "N"].contains(kind)) {
         return loose_mass(number, before + kind.len() + 1, stable);
@@ -85,7 +87,7 @@ fn mass(rest: &str, before: usize, stable: bool) -> Result<Said, Unreadable> {
     weight(number, rest[end..].trim_start().as_bytes(), stable, before + end)
 }
 
-/// The same of an indicator, whose columns are narrower: the unit begins with the first letter.
+/// The same for an indicator, whose columns are narrower: the unit begins at the first letter.
 fn loose_mass(rest: &str, before: usize, stable: bool) -> Result<Said, Unreadable> {
     let unit = rest.find(|c: char| c.is_ascii_alphabetic()).ok_or(Unreadable)?;
     let number = rest[..unit].trim_end();

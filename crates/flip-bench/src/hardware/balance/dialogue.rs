@@ -1,4 +1,4 @@
-//! Questions and answers over one wire: which line answers what, and how to get back into step.
+//! Request and reply over one wire: matching lines to commands, and resynchronising.
 
 use super::reply::{Condition, Reply, Said};
 use super::{Command, DEVICE, Dialect, Wants, faulted, garbled};
@@ -6,38 +6,40 @@ use crate::hardware::DeviceError;
 use crate::hardware::line::Line;
 use std::time::{Duration, Instant};
 
-/// How long the driver listens on after an answer while lines come unasked.
+/// How long the driver keeps listening after a reply when the balance also sends unsolicited lines.
 const CHATTER: Duration = Duration::from_millis(300);
-/// How long it listens on after every other answer: what follows at once says that the line before it came unasked.
+/// How long it keeps listening after any other reply: a line that follows at once means that the
+/// one before it was unsolicited.
 const GLANCE: Duration = Duration::from_millis(1);
-/// Most lines that are looked at for one answer.
+/// Maximum number of lines read for one reply.
 const LINES_MAX: usize = 64;
 
 /// A wire to a balance.
 pub(super) struct Dialogue {
     line: Line,
     dialect: Dialect,
-    /// How long an answer may take.
+    /// Reply timeout.
     limit: Duration,
-    /// Lines may come unasked.
+    /// The balance may send unsolicited lines.
     chatty: bool,
-    /// An answer may be under way that nobody waits for.
+    /// A reply that is no longer waited for may be in flight.
     behind: bool,
-    /// The balance has answered the question whose answer is no reading, be it by refusing it.
+    /// The balance has answered the barrier command (whose reply cannot be a reading), even if by
+    /// refusing it.
     keeps_step: bool,
-    /// Answers to its question for the serial number that may still come.
+    /// Replies to the serial-number query that may still arrive.
     owed: u32,
-    /// It told its serial number unasked, as it does when it is switched on.
+    /// It sent its serial number unsolicited, as it does on power-up.
     restarted: bool,
 }
 
-/// What came after that question.
+/// What followed the barrier command.
 enum After {
-    /// Its answer.
+    /// Its reply.
     Words,
-    /// The balance does not know it, and says so.
+    /// A refusal: the balance does not know the command.
     Refusal,
-    /// Lines, none of which answers it.
+    /// Lines, none of which is its reply.
     Lines,
     /// Nothing.
     Nothing,
@@ -48,28 +50,28 @@ impl Dialogue {
         Self { line, dialect, limit, chatty: true, behind: true, keeps_step: false, owed: 0, restarted: false }
     }
 
-    /// The balance answers the question whose answer is no reading.
+    /// Whether the balance answers the barrier command.
     pub(super) fn keeps_step(&self) -> bool {
         self.keeps_step
     }
 
-    /// One question and its answer, with the line that it was read from.
+    /// Send one command; returns the reply with the raw line it was parsed from.
     pub(super) fn ask(&mut self, command: Command, limit: Duration) -> Result<(Reply, Vec<u8>), DeviceError> {
         self.prepare()?;
         self.send(command)?;
         let answer = self.answer(command, limit);
         self.behind = answer.is_err();
-        // Answers keep their order: what was asked for before this will not come any more.
+        // Replies keep their order: those to earlier commands can no longer arrive.
         self.owed = if answer.is_ok() { 0 } else { self.owed };
         answer
     }
 
-    /// Whether it was switched on again since this was last forgotten, as far as its dialect tells.
+    /// Whether it was power-cycled since the flag was last cleared, as far as its dialect shows.
     pub(super) fn restarted(&self) -> bool {
         self.restarted
     }
 
-    /// Whatever it did before does not matter any more.
+    /// Clear the power-cycle flag.
     pub(super) fn forget_restart(&mut self) {
         self.restarted = false;
     }
@@ -80,7 +82,7 @@ impl Dialogue {
         self.line.send(command.bytes)
     }
 
-    /// A line came: is it one that nobody asked for and that says that the balance was switched on?
+    /// Check whether a received line is unsolicited and means that the balance was power-cycled.
     fn note(&mut self, reply: &Reply) {
         let told = announced(self.dialect);
         if told.is_none() || reply.to.as_deref() != told || !matches!(reply.said, Said::Text(_)) {
@@ -92,7 +94,8 @@ impl Dialogue {
         }
     }
 
-    /// Throw away what came unasked, but look at it first; whether anything did.
+    /// Discard unsolicited input after checking it for a power cycle; returns whether there was
+    /// any.
     fn discard(&mut self) -> Result<bool, DeviceError> {
         let mut bytes = self.line.discard_input()?;
         if bytes.last().is_some_and(|last| !matches!(last, b'\r' | b'\n')) {
@@ -110,13 +113,13 @@ impl Dialogue {
         Ok(!bytes.is_empty())
     }
 
-    /// Give an order that is not answered.
+    /// Send a command that is not answered.
     pub(super) fn tell(&mut self, command: Command) -> Result<(), DeviceError> {
         self.prepare()?;
         self.send(command)
     }
 
-    /// Nothing that is under way or has come may be taken for the next answer.
+    /// Make sure that nothing in flight or already received can be taken for the next reply.
     fn prepare(&mut self) -> Result<(), DeviceError> {
         if self.behind {
             self.catch_up()?;
@@ -128,8 +131,9 @@ impl Dialogue {
         Ok(())
     }
 
-    /// Answers keep their order: what was under way has come when the question whose answer is no reading is answered, or refused. A balance that was
-    /// never heard to answer it must have been quiet for as long as an answer may take.
+    /// Replies keep their order: once the barrier command is answered or refused, everything that
+    /// was in flight has arrived. A balance that has never answered it must have been quiet for one
+    /// reply timeout.
     fn catch_up(&mut self) -> Result<(), DeviceError> {
         self.discard()?;
         let Some(barrier) = self.dialect.commands().barrier else { return self.wait_for_quiet() };
@@ -169,7 +173,8 @@ impl Dialogue {
         Ok(after)
     }
 
-    /// A refusal does not say what it refuses: the first may be that of an earlier question.
+    /// Drain refusals. A refusal does not identify its command: the first may belong to an earlier
+    /// one.
     fn hear_refusals_out(&mut self) -> Result<(), DeviceError> {
         let mut until = Instant::now() + CHATTER;
         for _ in 0..LINES_MAX {
@@ -196,7 +201,7 @@ impl Dialogue {
         Err(faulted("it never stops sending: switch auto-print and stream mode off".to_owned()))
     }
 
-    /// The first line that can be the answer, or the last one where lines come unasked.
+    /// The first line that can be the reply, or the last one where unsolicited lines occur.
     fn answer(&mut self, command: Command, limit: Duration) -> Result<(Reply, Vec<u8>), DeviceError> {
         let mut found = self.next_for(command, limit)?;
         let mut until = Instant::now() + if self.chatty { CHATTER } else { GLANCE };
@@ -228,7 +233,8 @@ impl Dialogue {
         Err(DeviceError::Silent { device: DEVICE })
     }
 
-    /// The next line that is not our own command: some wires and balances send back what they hear.
+    /// The next line that is not an echo of our own command: some wires and balances echo what they
+    /// receive.
     fn receive(&mut self, command: Command, limit: Duration) -> Result<Vec<u8>, DeviceError> {
         let until = Instant::now() + limit;
         loop {
@@ -240,17 +246,18 @@ impl Dialogue {
     }
 }
 
-/// The balance cannot do what it was asked, whatever that was.
+/// Whether the balance refuses a command, whichever that was.
 fn is_refusal(said: &Said) -> bool {
     matches!(said, Said::Condition(Condition::Unknown | Condition::Fault(_)))
 }
 
-/// The question that a balance answers unasked when it is switched on: MT-SICS tells its serial number. Of the other dialects no such line is known.
+/// The query that a balance answers unsolicited on power-up: MT-SICS sends its serial number. No
+/// such line is known for the other dialects.
 fn announced(dialect: Dialect) -> Option<&'static str> {
     (dialect == Dialect::MtSics).then_some("I4")
 }
 
-/// This line may answer this question.
+/// Whether this line may be the reply to this command.
 fn is_for(command: Command, reply: &Reply) -> bool {
     match (command.answer, reply.to.as_deref()) {
         (Some(answer), Some(to)) => answer == to,

@@ -1,40 +1,41 @@
-//! Who is this balance? Every question of that kind is optional: what a balance does not know it refuses, or says nothing.
+//! Identification of the balance. Every such query is optional: a balance refuses those it does not
+//! know, or does not answer.
 
 use super::reply::{Reply, Said};
 use super::{Balance, Command, DEVICE, Dialect, seconds};
 use crate::hardware::DeviceError;
 use serde::{Deserialize, Serialize};
 
-/// Who a balance says it is, as far as its dialect tells.
+/// Identity of a balance, as far as its dialect reports it.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Identity {
-    /// From the dialect.
+    /// Maker, from the dialect.
     pub maker: String,
     /// Model.
     pub model: Option<String>,
     /// Serial number.
     pub serial: Option<String>,
-    /// Version of its software.
+    /// Software version.
     pub software: Option<String>,
 }
 
 impl Identity {
-    /// The balance said nothing of itself.
+    /// Whether the balance reported nothing about itself.
     pub fn is_unknown(&self) -> bool {
         self.model.is_none() && self.serial.is_none() && self.software.is_none()
     }
 }
 
-/// What a question for words brought.
+/// Outcome of a text query.
 enum Told {
     Words(String),
-    /// Another answer: the balance does not know the question.
+    /// Another reply: the balance does not know the query.
     Refused,
     Nothing,
 }
 
 impl Balance {
-    /// Who the balance says it is; unknown where it refuses every question of that kind.
+    /// Query the identity; unknown where the balance refuses every such query.
     ///
     /// # Errors
     /// [`DeviceError::Silent`] if it answers none of them, else as [`Self::immediate`].
@@ -59,13 +60,14 @@ impl Balance {
         Ok(Identity { maker: maker(self.settings.dialect).to_owned(), model, serial, software })
     }
 
-    /// Its serial number, where it tells one.
+    /// Serial number, where the balance reports one.
     pub(super) fn serial_number(&mut self) -> Result<Option<String>, DeviceError> {
         let told = self.commands.serial.map_or(Ok(Told::Nothing), |command| self.words(command))?;
         Ok(if let Told::Words(words) = told { Some(words) } else { None })
     }
 
-    /// The words that answer a question. A balance that answers no such question is asked each of them once: silence costs seconds.
+    /// Send a text query and return the reply. A balance that does not answer such a query is asked
+    /// only once: silence costs seconds.
     fn words(&mut self, command: Command) -> Result<Told, DeviceError> {
         if self.silent_to.contains(&command.bytes) && !self.dialogue.keeps_step() {
             return Ok(Told::Nothing);
@@ -78,7 +80,7 @@ impl Balance {
         match answer {
             Ok((Reply { said: Said::Text(text), .. }, _)) if !text.is_empty() => Ok(Told::Words(text)),
             Ok(_) => Ok(Told::Refused),
-            // Another kind of line came, as often as it was asked: no answer that could be read.
+            // Every attempt returned another kind of line: no reply could be parsed.
             Err(DeviceError::Garbled { .. }) => Ok(Told::Refused),
             Err(DeviceError::Silent { .. }) => {
                 self.silent_to.push(command.bytes);
@@ -89,7 +91,7 @@ impl Balance {
     }
 }
 
-/// By its dialect.
+/// Maker implied by the dialect.
 pub(super) fn maker(dialect: Dialect) -> &'static str {
     match dialect {
         Dialect::MtSics => "Mettler-Toledo or compatible",

@@ -1,19 +1,27 @@
-//! A balance on a serial port or a TCP connection.
+//! Driver for a balance on a serial port or a TCP connection.
 //!
-//! One driver for all dialects: a dialect is a table of commands and a function that reads one line. What the driver promises, whatever is plugged in:
+//! One driver for all dialects: a dialect is a table of commands and a function that parses one
+//! line. The driver guarantees, for any balance:
 //!
-//! * A number is returned only from an undamaged frame, in mg, g or kg, that came after the question. Everything else is an error that says what to do.
-//! * Nothing stale: what came unasked is discarded before each question. After an answer that failed to come, and before the first question, the driver asks
-//!   for something that cannot be taken for a reading (the serial number, the version) and waits until that answer has come, because answers keep their
-//!   order; a refusal is an answer. A&D has no such question that is known for sure, and some balances answer none: there the wire must have been quiet for
-//!   as long as an answer may take.
-//! * Lines that come unasked (auto-print, the print key) look like answers in most dialects. When the driver has seen one, it listens on for
-//!   0.3 s after each answer and takes the last line, which is at least as new as the answer.
-//! * A balance that was switched on anew after it was tared, as far as its dialect tells, gives no number any more until it is tared again.
-//! * Frames carry no checksum. A frame of another width than the first ones is damaged. A frame in another unit or with other decimals than the last is asked
-//!   for again and believed when it comes twice. One wrong digit cannot be noticed, so use parity where the balance has it.
+//! * A number is returned only from an undamaged frame, in mg, g or kg, that arrived after the
+//!   request. Everything else is an error that says what to do.
+//! * No stale readings: unsolicited input is discarded before each request. After a missing reply,
+//!   and before the first request, the driver sends a query whose reply cannot be mistaken for a
+//!   reading (the serial number, the version) and waits for that reply, because replies keep their
+//!   order; a refusal counts as a reply. A&D has no such query that is known for sure, and some
+//!   balances answer none: there the wire must have been quiet for one reply timeout.
+//! * Unsolicited lines (auto-print, the print key) look like replies in most dialects. Once the
+//!   driver has seen one, it keeps listening for 0.3 s after each reply and takes the last line,
+//!   which is at least as new as the reply.
+//! * A balance that was power-cycled after taring, as far as its dialect shows, yields no readings
+//!   until it is tared again.
+//! * Frames carry no checksum. A frame whose width differs from that of the first ones is damaged.
+//!   A frame with another unit or other decimals than the last is requested again and accepted if
+//!   it comes twice. A single wrong digit cannot be detected, so use parity where the balance has
+//!   it.
 //!
-//! Reading is repeated once after a damaged answer, taring and zeroing never are: whether they happened is read off the display.
+//! Reading is retried once after a damaged reply; taring and zeroing never are: whether they took
+//! effect is read off the display.
 
 pub mod aandd;
 mod dialogue;
@@ -48,18 +56,19 @@ use value::{Fit, Unit};
 use wait::Patience;
 use window::Window;
 
-/// As messages name it.
+/// Name used in messages.
 const DEVICE: &str = "the balance";
-/// Bench time between two questions to a balance that is not ready or not stable, s.
+/// Bench time between two polls of a balance that is not ready or not stable, s.
 const PAUSE_S: f64 = 0.05;
 
-/// Bench time that a balance gets to carry out an order which it does not answer, s: a tare that came later would shift what is weighed by then.
+/// Bench time allowed for carrying out an unacknowledged command, s: a tare that took effect later
+/// would shift what has been weighed by then.
 const SILENT_ORDER_S: f64 = 2.0;
 
-/// Why a net mass ends.
+/// Why a net mass is no longer valid.
 const RESTARTED: &str = "it was switched on anew after it was tared (it told its serial number unasked): what it shows is no net mass, weigh the vial";
 
-/// One question and how its answer is known; `None`: by what it says alone.
+/// One command and how its reply is recognised; `None`: by content alone.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Command {
     bytes: &'static [u8],
@@ -68,13 +77,14 @@ pub(crate) struct Command {
 }
 
 impl Command {
-    /// This line is the command itself, come back.
+    /// Whether this line is the echo of the command.
     pub(crate) fn is_echoed_by(self, line: &[u8]) -> bool {
         line == self.bytes.trim_ascii_end()
     }
 }
 
-/// What kind of answer a question wants; lines of another kind that come meanwhile are passed over where they can be known.
+/// Kind of reply that a command expects; lines of another kind that arrive meanwhile are skipped
+/// where they can be recognised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Wants {
     Reading,
@@ -82,19 +92,19 @@ pub(crate) enum Wants {
     Words,
 }
 
-/// What a dialect can be asked.
+/// Commands of a dialect.
 #[derive(Debug)]
 pub(crate) struct Commands {
     immediate: Command,
     stable: Option<Command>,
     tare: Command,
     zero: Command,
-    /// The same without the balance waiting until it is stable, where the dialect can say that.
+    /// The same without waiting for stability, where the dialect has such a command.
     tare_at_once: Option<Command>,
     zero_at_once: Option<Command>,
-    /// Taring and zeroing are answered.
+    /// Taring and zeroing are acknowledged.
     acknowledges: bool,
-    /// A question whose answer cannot be taken for a reading.
+    /// A query whose reply cannot be mistaken for a reading.
     barrier: Option<Command>,
     model: &'static [Command],
     serial: Option<Command>,
@@ -104,17 +114,17 @@ pub(crate) struct Commands {
 /// One reading.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Sample {
-    /// Bench time at which it came, s.
+    /// Bench time of arrival, s.
     pub t_s: f64,
     /// mg
     pub mass_mg: f64,
-    /// The balance says so.
+    /// The balance's stability flag.
     pub stable: bool,
-    /// The line that it was read from, control characters escaped.
+    /// The line that it was parsed from, control characters escaped.
     pub raw: String,
 }
 
-/// Unit and decimals: the same in every undamaged frame until somebody changes the display.
+/// Unit and decimals: the same in every undamaged frame until someone changes the display.
 type Form = (Unit, i32);
 
 /// An open balance.
@@ -125,21 +135,21 @@ pub struct Balance {
     clock: Clock,
     /// Of the last frame.
     form: Option<Form>,
-    /// Of every frame, known from the first two that had the same form.
+    /// Of every frame; known once the first two had the same form.
     width: Option<usize>,
-    /// What it showed lately, for balances that flag no reading stable.
+    /// Recent readings, for balances that never flag one stable.
     window: Window,
     /// Scatter of readings at rest, mg.
     noise_mg: f64,
-    /// Optional questions that it did not answer.
+    /// Optional queries that it did not answer.
     silent_to: Vec<&'static [u8]>,
-    /// What it weighs is less a tare that it was told to take.
+    /// Readings are net: a tare was commanded.
     tared: bool,
-    /// Its serial number at the tare, where it tells one.
+    /// Serial number at the tare, where the balance reports one.
     serial: Option<String>,
 }
 
-/// A reading is either a mass, or the balance's reason why there is none.
+/// Either a mass, or the balance's reason for having none.
 enum Seen {
     Mass(Sample),
     None(Condition),
@@ -169,17 +179,18 @@ impl Balance {
         })
     }
 
-    /// The same balance where readings at rest scatter by so much, mg: by FLIP's own window a display finer than that would never stand.
+    /// The same balance with this scatter of readings at rest, mg: by FLIP's own window a display
+    /// with finer steps would never be stable.
     #[must_use]
     pub fn with_noise_mg(self, noise_mg: f64) -> Self {
         Self { noise_mg, ..self }
     }
 
-    /// What the display shows now. A balance that is not ready is asked again until `timeout_s` has passed.
+    /// The current display. A balance that is not ready is polled until `timeout_s` has passed.
     ///
     /// # Errors
-    /// [`DeviceError`]: overload, underload, a foreign unit, a fault and not ready are [`DeviceError::Faulted`], a running adjustment is
-    /// [`DeviceError::Forbidden`].
+    /// [`DeviceError`]: overload, underload, a foreign unit, a fault and not ready are
+    /// [`DeviceError::Faulted`], a running adjustment is [`DeviceError::Forbidden`].
     pub fn immediate(&mut self) -> Result<Sample, DeviceError> {
         let patience = Patience::new(&self.clock, self.settings.timeout_s);
         loop {
@@ -191,16 +202,19 @@ impl Balance {
         }
     }
 
-    /// A reading that is flagged stable, or the last one, flagged unstable, after `timeout_s` of bench time.
+    /// A reading that is flagged stable, or, after `timeout_s` of bench time, the last one, flagged
+    /// unstable.
     ///
     /// # Errors
-    /// As [`Self::immediate`]. A balance that does not answer at all is [`DeviceError::Silent`] long before `timeout_s`.
+    /// As [`Self::immediate`]. A balance that does not answer at all is [`DeviceError::Silent`]
+    /// long before `timeout_s`.
     pub fn stable(&mut self, timeout_s: f64) -> Result<Sample, DeviceError> {
         let patience = Patience::new(&self.clock, timeout_s);
         if let (StableBy::Command, Some(command)) = (self.settings.stable_by, self.commands.stable) {
             match self.look(command, seconds(timeout_s) + seconds(self.settings.timeout_s))? {
                 Seen::Mass(sample) => return Ok(sample),
-                // Ohaus answers alike when it waited in vain and when it does not know the command.
+                // Ohaus gives the same reply when it waited in vain and when it does not know the
+                // command.
                 Seen::None(condition) if condition.passes() || condition == Condition::Unknown => {}
                 Seen::None(condition) => return Err(refusal(condition)),
             }
@@ -208,11 +222,13 @@ impl Balance {
         self.poll_until_stable(&patience)
     }
 
-    /// Take what lies on the pan for nothing, and see that the display then shows it; returns that reading.
+    /// Tare with the present load, and verify that the display then shows zero; returns that
+    /// reading.
     ///
     /// # Errors
-    /// [`DeviceError::Faulted`] if the reading is not stable, or does not come to zero within `stable_timeout_s`; else as [`Self::immediate`]. The balance may
-    /// have tared, or may yet: tare again before anything is weighed.
+    /// [`DeviceError::Faulted`] if the reading is not stable, or does not come to zero within
+    /// `stable_timeout_s`; else as [`Self::immediate`]. The balance may have tared, or may yet:
+    /// tare again before weighing anything.
     pub fn tare(&mut self) -> Result<Sample, DeviceError> {
         self.tared = false;
         self.dialogue.forget_restart();
@@ -222,7 +238,8 @@ impl Balance {
         Ok(zero)
     }
 
-    /// It is the balance that was tared, and has not been switched on anew since, as far as it tells.
+    /// Check that this is the balance that was tared, and that it has not been power-cycled since,
+    /// as far as it reports.
     ///
     /// # Errors
     /// [`DeviceError::Faulted`] if it is not; else as [`Self::identify`].
@@ -245,7 +262,8 @@ impl Balance {
         }
     }
 
-    /// Set the zero point, with an empty pan, and see that the display shows it; returns that reading.
+    /// Set the zero point, with an empty pan, and verify that the display shows it; returns that
+    /// reading.
     ///
     /// # Errors
     /// As [`Self::tare`]; a balance with a vial on it may refuse.
@@ -307,7 +325,7 @@ impl Balance {
             .to_owned()
     }
 
-    /// Whether the balance did it; not where it does not know that order.
+    /// Whether the balance carried the command out; `false` where it does not know the command.
     fn order_at_once(&mut self, command: Command, verb: &str) -> Result<bool, DeviceError> {
         match self.dialogue.ask(command, seconds(self.settings.timeout_s)) {
             Ok((Reply { said: Said::Condition(Condition::Unknown), .. }, _)) | Err(DeviceError::Silent { .. }) => {
@@ -317,7 +335,8 @@ impl Balance {
         }
     }
 
-    /// Give an order; where the dialect answers orders, hear the answer. One that is damaged counts as none: the display tells.
+    /// Send a command and, where the dialect acknowledges commands, wait for the acknowledgement. A
+    /// damaged one is ignored: the display shows the outcome.
     fn order(&mut self, command: Command, verb: &str) -> Result<(), DeviceError> {
         if !self.commands.acknowledges {
             self.dialogue.tell(command)?;
@@ -328,20 +347,21 @@ impl Balance {
         obeyed(self.dialogue.ask(command, limit), verb)
     }
 
-    /// What "shows nothing" means: two of the display's last places, but at least 0.5 mg for a display of tenths, whose noise is that of the room.
+    /// Largest reading that counts as zero: two of the display's last places, but at least 0.5 mg
+    /// for a display of tenths, whose noise comes from its surroundings.
     fn zero_mg_max(&self) -> f64 {
         (2.0 * self.step_mg()).max(0.5)
     }
 
-    /// Step of the display, mg: that of the settings, or the last place that was shown.
+    /// Display step, mg: from the settings, or the last place shown.
     fn step_mg(&self) -> f64 {
         let last_place_mg = || self.form.map_or(0.0, |(unit, decimals)| value::place_mg(unit, decimals));
         self.settings.readability_mg.unwrap_or_else(last_place_mg)
     }
 
-    /// One reading from an undamaged frame in the form of the last, or the reason why there is none.
+    /// One reading from an undamaged frame in the form of the last, or the reason for having none.
     fn look(&mut self, command: Command, limit: Duration) -> Result<Seen, DeviceError> {
-        // One for a damaged frame, one for a form that is new.
+        // One for a damaged frame, one for a new form.
         let mut retries = 2;
         loop {
             match self.look_once(command, limit) {
@@ -381,7 +401,8 @@ impl Balance {
         (decimals == weight.number.decimals()).then_some(unit)
     }
 
-    /// The unit in which the number's last place is the display's step, where no frame will ever carry one.
+    /// The unit in which the number's last place is the display step, where no frame ever carries
+    /// one.
     fn unit_by_step(&self, weight: &Weight) -> Option<Unit> {
         let step_mg = self.settings.readability_mg.filter(|_| self.settings.stable_by == StableBy::Window)?;
         let steps = |unit: &Unit| weight.number.is_in_steps_of(step_mg, *unit) != Fit::OtherPlace;
@@ -390,13 +411,13 @@ impl Balance {
 }
 
 impl Condition {
-    /// It may be over in a moment: worth asking again.
+    /// Whether the condition may be over in a moment, so that a retry is worthwhile.
     fn passes(&self) -> bool {
         matches!(self, Self::NotReady | Self::NotStable | Self::NoUnit)
     }
 }
 
-/// What a caller hears instead of a number.
+/// The error returned instead of a number.
 fn refusal(condition: Condition) -> DeviceError {
     faulted(match condition {
         Condition::Overload => "overload: take something off the pan".to_owned(),
@@ -424,7 +445,8 @@ fn refusal(condition: Condition) -> DeviceError {
     })
 }
 
-/// What an order's answer says. One that is damaged counts as none: the display tells.
+/// Interpret the acknowledgement of a command. A damaged one is ignored: the display shows the
+/// outcome.
 fn obeyed(answer: Result<(Reply, Vec<u8>), DeviceError>, verb: &str) -> Result<(), DeviceError> {
     match answer {
         Ok((Reply { said: Said::Condition(Condition::NotReady), .. }, _)) => {
@@ -442,7 +464,7 @@ fn obeyed(answer: Result<(Reply, Vec<u8>), DeviceError>, verb: &str) -> Result<(
     }
 }
 
-/// A display that steps by so much shows no other numbers.
+/// A display with steps of `step_mg` shows no other numbers.
 fn in_steps_of(step_mg: f64, weight: &Weight, unit: Unit, raw: &[u8]) -> Result<(), DeviceError> {
     let why = match weight.number.is_in_steps_of(step_mg, unit) {
         Fit::Fits => return Ok(()),
@@ -460,7 +482,7 @@ fn garbled(raw: &[u8]) -> DeviceError {
     DeviceError::Garbled { device: DEVICE, got: shown(raw) }
 }
 
-/// A limit from settings or a caller.
+/// A limit from the settings or a caller.
 fn seconds(limit_s: f64) -> Duration {
     Duration::try_from_secs_f64(limit_s).unwrap_or(Duration::ZERO)
 }

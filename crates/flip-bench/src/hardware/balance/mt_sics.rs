@@ -9,10 +9,13 @@
 //! > I4            < I4 A "B123456789"
 //! ```
 //!
-//! Answers name their command, so that answers to others are told apart. Lines that the balance sends by itself (print key, `SIR`) look like the answer to
-//! `SI`: the driver takes the last of several. `@` is never sent: it may forget the tare. A balance may know no more than `S`, `SI`, `T` and `Z`.
+//! Replies name their command, so that replies to other commands can be told apart. Lines that the
+//! balance sends unsolicited (print key, `SIR`) look like the reply to `SI`: the driver takes the
+//! last of several. `@` is never sent: it may clear the tare. A balance may support only `S`, `SI`,
+//! `T` and `Z`.
 //!
-//! Source: frames as in the weighing notes (reference manual of MT-SICS by way of public drivers), tested against an independent simulator.
+//! Source: frames as in the weighing notes (MT-SICS reference manual, via public drivers), tested
+//! against an independent simulator.
 
 use super::reply::{Condition, Reply, Said, Unreadable, foreign, is_standby, printable, weight};
 use super::value::Decimal;
@@ -20,7 +23,7 @@ use super::{Command, Commands, Wants};
 
 /// Width of the number in a frame, bytes.
 const NUMBER_BYTES: usize = 10;
-/// And of one whose last digit stands in brackets.
+/// The same with the last digit in brackets.
 const BRACKETED_BYTES: std::ops::RangeInclusive<usize> = 10..=12;
 
 pub(super) const COMMANDS: Commands = Commands {
@@ -40,7 +43,7 @@ pub(super) const COMMANDS: Commands = Commands {
     software: Some(Command { bytes: b"I3\r\n", answer: Some("I3"), wants: Wants::Words }),
 };
 
-/// One line of MT-SICS, without its end.
+/// Parse one line of MT-SICS, without its terminator.
 ///
 /// # Errors
 /// [`Unreadable`]
@@ -91,7 +94,7 @@ fn mass(command: &str, stable: bool, rest: &str) -> Result<Said, Unreadable> {
     weight(number, unit.as_bytes(), stable, command.len() + 3 + end)
 }
 
-/// The quoted parts of an answer, with a blank between.
+/// The quoted parts of a reply, separated by a space.
 fn unquoted(rest: &str) -> String {
     rest.split('"').skip(1).step_by(2).map(str::trim).filter(|part| !part.is_empty()).collect::<Vec<_>>().join(" ")
 }

@@ -7,21 +7,23 @@
 //! > V, PSN        < words                         (older ones: ES, or nothing)
 //! ```
 //!
-//! The number stands to the right in 10 to 12 bytes; behind unit and `?` a legend may follow: `NET`, `N`, `G`, `B`. Some say `ST`, `US`, `S` or `U` in
-//! front instead of `?` behind. Frames do not say which command they answer, nor whether auto-print sent them: the driver takes the last of several.
-//! Frames of the Navigator (`*`, signs in front) are refused.
+//! The number is right-aligned in 10 to 12 bytes; a legend may follow the unit and `?`: `NET`, `N`,
+//! `G`, `B`. Some balances put `ST`, `US`, `S` or `U` in front instead of `?` behind. Frames do not
+//! identify the command they answer, nor whether auto-print sent them: the driver takes the last of
+//! several. Frames of the Navigator (`*`, signs in front) are refused.
 //!
-//! Not verified on a device: frames are those of the weighing notes (manuals of Courier, Explorer and Scout), the error numbers and `OK!` are from memory.
+//! Not verified on a device: frames follow the weighing notes (manuals of Courier, Explorer and
+//! Scout); the error numbers and `OK!` are from memory.
 
 use super::reply::{Condition, Reply, Said, Unreadable, foreign, is_standby, printable, weight};
 use super::value::Decimal;
 use super::{Command, Commands, Wants};
 
-/// Where the number may end, bytes.
+/// Possible end columns of the number, bytes.
 const NUMBER_BYTES: std::ops::RangeInclusive<usize> = 10..=12;
-/// And one whose last digit stands in brackets.
+/// The same with the last digit in brackets.
 const BRACKETED_BYTES: std::ops::RangeInclusive<usize> = 10..=14;
-/// Words in front of a number, and whether they mean that it is stable.
+/// Header words in front of a number, and whether they mean stable.
 const HEADERS: [(&str, bool); 4] = [("ST", true), ("US", false), ("S", true), ("U", false)];
 
 pub(super) const COMMANDS: Commands = Commands {
@@ -38,7 +40,7 @@ pub(super) const COMMANDS: Commands = Commands {
     software: Some(Command { bytes: b"V\r\n", answer: None, wants: Wants::Words }),
 };
 
-/// One line of an Ohaus balance, without its end.
+/// Parse one line of an Ohaus balance, without its terminator.
 ///
 /// # Errors
 /// [`Unreadable`]
@@ -59,14 +61,15 @@ pub fn parse(line: &[u8]) -> Result<Reply, Unreadable> {
     if let Some((at, stable)) = header(text) {
         return Ok(Reply { to: None, said: mass(text, at, Some(stable))? });
     }
-    // A frame begins with blanks or its number; words begin with a letter.
+    // A frame begins with spaces or its number; text begins with a letter.
     if text.starts_with(|first: char| first.is_ascii_alphabetic()) {
         return Ok(Reply::text(text));
     }
     Ok(Reply { to: None, said: mass(text, 0, None).or_else(|_| foreign(text))? })
 }
 
-/// Where the number's columns begin behind a header word, and whether it means that the number is stable. Padded with zeros it is a frame of A&D's.
+/// Where the number's columns begin after a header word, and whether the header means stable.
+/// Zero-padded, it is an A&D frame.
 fn header(text: &str) -> Option<(usize, bool)> {
     let (word, stable) = HEADERS
         .into_iter()
@@ -78,7 +81,8 @@ fn header(text: &str) -> Option<(usize, bool)> {
     (is_number && !digits.starts_with("00")).then_some((at, stable))
 }
 
-/// The mass whose columns begin at byte `from`; whether it is stable is told by what stood before them, or by `?` behind.
+/// The mass whose columns begin at byte `from`; stability comes from the header before them, or
+/// from a `?` behind.
 fn mass(text: &str, from: usize, told: Option<bool>) -> Result<Said, Unreadable> {
     let columns = &text[from..];
     let blanks = columns.len() - columns.trim_start().len();

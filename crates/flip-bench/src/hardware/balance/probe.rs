@@ -1,8 +1,10 @@
-//! Which balance is this? Asks in every dialect for a reading, at every usual setting of the port, and keeps what came.
+//! Find out which balance is connected: request a reading in every dialect, at every usual port
+//! setting, and record the replies.
 //!
-//! Nothing is sent that tares, zeroes, adjusts or sets anything. The order is that in which a wrong guess does least: words that other dialects refuse or
-//! ignore come first, escape sequences after them. At a wrong speed a balance hears noise, which it drops. Who the balance is is asked when its dialect is
-//! known; it need not answer.
+//! Nothing is sent that tares, zeroes, adjusts or sets anything. The order is the one in which a
+//! wrong guess does least harm: words that other dialects refuse or ignore come first, escape
+//! sequences after them. At a wrong baud rate a balance receives noise, which it drops. Its
+//! identity is queried once the dialect is known; it need not answer.
 
 use super::identity::maker;
 use super::reply::{Condition, Said, is_standby};
@@ -14,41 +16,42 @@ use serde::Serialize;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// How long an answer may take at a setting that balances leave the factory with, and everywhere once something came.
+/// Reply timeout at factory settings, and everywhere once anything was received.
 const ANSWER: Duration = Duration::from_millis(500);
-/// How long it may take at another setting, beside the time that so many bits need on the wire.
+/// Reply timeout at any other setting, in addition to the transmission time of the bits.
 const GLANCE: Duration = Duration::from_millis(220);
-/// A question and a frame, with their start, parity and stop bits.
+/// Bits of a command and a frame, with their start, parity and stop bits.
 const FRAME_BITS: u32 = 300;
-/// How long the whole probe may take, however many settings are to be tried.
+/// Time limit of the whole probe, however many settings are to be tried.
 const PROBE: Duration = Duration::from_secs(90);
-/// Lines that are read after one question.
+/// Lines read after one command.
 const LINES_MAX: usize = 8;
 
-/// The order of asking.
+/// Order in which dialects are tried.
 const ORDER: [Dialect; 4] = [Dialect::MtSics, Dialect::Ohaus, Dialect::Aandd, Dialect::Sbi];
 
-/// Speeds of balances, bits per second, the likeliest first.
+/// Baud rates of balances, likeliest first.
 const SPEEDS: [u32; 8] = [9600, 19_200, 2400, 4800, 1200, 38_400, 57_600, 115_200];
-/// Data bits and parities of balances, the likeliest first.
+/// Data bits and parities of balances, likeliest first.
 const FRAMINGS: [(u8, Parity); 4] = [(8, Parity::None), (7, Parity::Even), (8, Parity::Odd), (7, Parity::Odd)];
 
-/// What was found out.
+/// Result of a probe.
 #[derive(Debug, Clone, Serialize)]
 pub struct Probe {
-    /// The dialect in which the balance gave a reading, or said why there is none.
+    /// The dialect in which the balance returned a reading, or a reason for having none.
     pub dialect: Option<Dialect>,
-    /// Who it says it is.
+    /// The identity it reported.
     pub identity: Option<Identity>,
-    /// How the port was set when it answered.
+    /// The port settings at which it answered.
     pub serial: Option<Serial>,
-    /// Everything that passed, whether or not it was understood.
+    /// The complete traffic, understood or not.
     pub transcript: Vec<Exchange>,
-    /// What a person should know.
+    /// Notes for the operator.
     pub notes: Vec<String>,
 }
 
-/// How ports of balances are usually set, the likeliest first: as they leave the factory, then every usual speed and framing.
+/// Usual port settings of balances, likeliest first: factory settings, then every usual baud rate
+/// and framing.
 pub fn usual_settings() -> Vec<Serial> {
     let others = SPEEDS.iter().flat_map(|&baud| FRAMINGS.map(|(data_bits, parity)| Serial { baud, data_bits, parity }));
     let mut usual = Vec::new();
@@ -63,16 +66,16 @@ pub fn usual_settings() -> Vec<Serial> {
 /// What a probe is about to try.
 #[derive(Debug, Clone, Copy)]
 pub struct Attempt {
-    /// From 1.
+    /// Number of the attempt, from 1.
     pub number: usize,
-    /// Of so many.
+    /// Total number of attempts.
     pub of: usize,
-    /// With this setting.
+    /// The setting it tries.
     pub serial: Serial,
 }
 
-/// Ask at each of these settings in each dialect, until one answers; for a TCP address once, whatever the settings. `progress` hears of each setting before
-/// it is tried.
+/// Try each of these settings in each dialect until the balance answers; a TCP address is tried
+/// once, whatever the settings. `progress` is called before each setting.
 pub fn probe(port: &str, settings: &[Serial], tap: Tap, mut progress: impl FnMut(Attempt)) -> Probe {
     let (tap, transcript) = recording(tap);
     let is_tcp = port.starts_with("tcp://");
@@ -100,13 +103,14 @@ pub fn probe(port: &str, settings: &[Serial], tap: Tap, mut progress: impl FnMut
     found
 }
 
-/// The port is there and does not take this setting: a pseudo-terminal knows no parity, an adapter not every speed.
+/// Whether the port exists but does not accept this setting: a pseudo-terminal has no parity, and
+/// an adapter does not support every baud rate.
 fn is_setting(error: &DeviceError) -> bool {
     let words = error.to_string();
     words.contains("did not apply") || words.contains("Invalid argument")
 }
 
-/// Each reason once, with the settings that it stands for.
+/// Each reason once, with the settings it applies to.
 fn refusals(refused: &[(Serial, DeviceError)]) -> Vec<String> {
     let mut causes: Vec<String> = refused.iter().map(|(_, error)| error.to_string()).collect();
     causes.sort();
@@ -117,7 +121,7 @@ fn refusals(refused: &[(Serial, DeviceError)]) -> Vec<String> {
     causes.iter().map(|cause| format!("not tried, {}: {cause}", listed(&with(cause)))).collect()
 }
 
-/// Hand on what passes, and keep it.
+/// A tap that forwards the traffic and records it.
 fn recording(tap: Tap) -> (Tap, Arc<Mutex<Vec<Exchange>>>) {
     let kept = Arc::new(Mutex::new(Vec::new()));
     let keep = kept.clone();
@@ -151,7 +155,7 @@ fn probe_at(port: &str, serial: &Serial, tap: &Tap, found: &mut Probe) -> Result
     Ok(())
 }
 
-/// The words that answer the first of these questions which is answered with words.
+/// The text reply to the first of these queries that gets one.
 fn first_words(line: &mut Line, dialect: Dialect, commands: &[Command]) -> Result<Option<String>, DeviceError> {
     for command in commands {
         let text = words(line, dialect, *command)?;
@@ -162,7 +166,7 @@ fn first_words(line: &mut Line, dialect: Dialect, commands: &[Command]) -> Resul
     Ok(None)
 }
 
-/// The words that answer a question in this dialect.
+/// The text reply to a query in this dialect.
 fn words(line: &mut Line, dialect: Dialect, command: Command) -> Result<Option<String>, DeviceError> {
     let mut text = None;
     hear(line, dialect, command, &mut { ANSWER }, |said| {
@@ -174,7 +178,8 @@ fn words(line: &mut Line, dialect: Dialect, command: Command) -> Result<Option<S
     Ok(text)
 }
 
-/// The answer is a reading in this dialect, or a reason for none that no other dialect gives in these words.
+/// Whether the reply is a reading in this dialect, or a reason for having none that no other
+/// dialect words this way.
 fn weighs(line: &mut Line, dialect: Dialect, command: Command, wait: &mut Duration) -> Result<bool, DeviceError> {
     let mut weighs = false;
     hear(line, dialect, command, wait, |said| {
@@ -188,7 +193,8 @@ fn weighs(line: &mut Line, dialect: Dialect, command: Command, wait: &mut Durati
     Ok(weighs)
 }
 
-/// Ask, and look at what comes until something suits or nothing comes. Where something comes, answers are waited for longer from then on.
+/// Send a command and read lines until one fits or nothing more arrives. Once anything was
+/// received, later replies are waited for longer.
 fn hear(
     line: &mut Line,
     dialect: Dialect,
@@ -256,7 +262,8 @@ fn texts(found: &Probe, direction: Direction) -> impl Iterator<Item = &str> {
         .map(|exchange| exchange.text.as_str())
 }
 
-/// `9600, 19200 bits/s 8N1, 8O1; 2400 bits/s 7E1`: framings by the speeds that they were tried with.
+/// `9600, 19200 bits/s 8N1, 8O1; 2400 bits/s 7E1`: framings grouped by the baud rates they were
+/// tried with.
 fn listed(settings: &[Serial]) -> String {
     let mut parts: Vec<(String, Vec<String>)> = Vec::new();
     for framing in framings(settings) {

@@ -1,26 +1,26 @@
-//! What a balance can say, whatever its dialect.
+//! Parsed balance replies, independent of the dialect.
 
 use super::value::{Decimal, Unit};
 
-/// One line, understood.
+/// One parsed line.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reply {
-    /// Which command it answers, where the dialect says so: `S`, `T`, `I4`.
+    /// The command it answers, where the dialect names it: `S`, `T`, `I4`.
     pub to: Option<String>,
-    /// What it says.
+    /// Its content.
     pub said: Said,
 }
 
-/// What one line says.
+/// Content of one line.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Said {
     /// A mass on the display.
     Weight(Weight),
     /// A command was carried out.
     Done,
-    /// The balance has no number to give, and why.
+    /// Why the balance has no number.
     Condition(Condition),
-    /// Words: a name, a serial number, or a line that is printed for people.
+    /// Text: a name, a serial number, or a line printed for people.
     Text(String),
 }
 
@@ -29,11 +29,12 @@ pub enum Said {
 pub struct Weight {
     /// The number as shown.
     pub number: Decimal,
-    /// Its unit; `None` where the dialect leaves the unit out while the mass is not stable.
+    /// Its unit; `None` where the dialect omits the unit while the mass is not stable.
     pub unit: Option<Unit>,
-    /// The balance says that the mass is stable.
+    /// The balance's stability flag.
     pub stable: bool,
-    /// Bytes of the line up to the number's last digit: the same in every undamaged frame of one balance.
+    /// Bytes of the line up to the number's last digit: the same in every undamaged frame of one
+    /// balance.
     pub width: usize,
 }
 
@@ -42,13 +43,13 @@ pub struct Weight {
 pub enum Condition {
     /// More on the pan than the balance can weigh.
     Overload,
-    /// Less than nothing on the pan: it is lifted or not in place.
+    /// Negative load: the pan is lifted or not in place.
     Underload,
-    /// Not now: the balance is busy with something.
+    /// The balance is busy.
     NotReady,
     /// The balance waited for a stable mass in vain.
     NotStable,
-    /// A number without a unit, as some dialects send it while it is not stable, before any came with one.
+    /// A number without a unit, as some dialects send while unstable, before any arrived with one.
     NoUnit,
     /// An adjustment is running.
     Adjusting,
@@ -56,13 +57,13 @@ pub enum Condition {
     Standby,
     /// The balance does not know the command, or cannot carry it out.
     Unknown,
-    /// The display shows a unit that FLIP does not weigh in.
+    /// The display shows a unit that FLIP does not support.
     ForeignUnit(String),
-    /// A fault of its own, in its own words.
+    /// A fault, in the balance's own words.
     Fault(String),
 }
 
-/// A line that no frame of the dialect allows.
+/// A line that matches no frame of the dialect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("no frame of this dialect")]
 pub struct Unreadable;
@@ -77,7 +78,7 @@ impl Reply {
     }
 }
 
-/// A mass in this unit, or the refusal of a unit that FLIP does not know.
+/// A mass in this unit, or a refusal of a unit that FLIP does not know.
 pub(super) fn weight(number: Decimal, unit: &[u8], stable: bool, width: usize) -> Result<Said, Unreadable> {
     if let Some(unit) = Unit::named(unit) {
         return Ok(Said::Weight(Weight { number, unit: Some(unit), stable, width }));
@@ -88,7 +89,8 @@ pub(super) fn weight(number: Decimal, unit: &[u8], stable: bool, width: usize) -
     Ok(Said::Condition(Condition::ForeignUnit(String::from_utf8_lossy(unit).into_owned())))
 }
 
-/// A frame whose number cannot be read, as `12:07.50 lb:oz` has one, still says its unit: refused by name where it is none that FLIP weighs in.
+/// A frame whose number cannot be parsed, such as `12:07.50 lb:oz`, still names its unit: a unit
+/// that FLIP does not support is refused by name.
 pub(super) fn foreign(frame: &str) -> Result<Said, Unreadable> {
     let words = || frame.split_ascii_whitespace();
     let is_foreign = |(number, unit): &(&str, &str)| {
@@ -99,19 +101,20 @@ pub(super) fn foreign(frame: &str) -> Result<Said, Unreadable> {
     Ok(Said::Condition(Condition::ForeignUnit(unit.to_owned())))
 }
 
-/// At most five letters, or what stands between them: `%`, `lb:oz`.
+/// At most five letters, or a symbol or compound: `%`, `lb:oz`.
 fn is_unit(name: &[u8]) -> bool {
     let starts = name.first().is_some_and(|byte| byte.is_ascii_alphabetic() || *byte == b'%');
     starts && name.len() <= 5 && name.iter().all(|byte| byte.is_ascii_alphabetic() || b"%/:".contains(byte))
 }
 
-/// A balance whose display is off says so in one of these ways, if it says anything.
+/// Whether this is one of the ways in which a balance reports that its display is off, if it
+/// reports anything.
 pub(super) fn is_standby(words: &str) -> bool {
     let words = words.trim().to_ascii_uppercase();
     ["OFF", "STANDBY", "STAND-BY", "STAND BY", "DISPLAY OFF"].contains(&words.as_str())
 }
 
-/// The line as text if it is printable ASCII.
+/// The line as text, if it is printable ASCII.
 pub(super) fn printable(line: &[u8]) -> Result<&str, Unreadable> {
     let text = std::str::from_utf8(line).map_err(|_| Unreadable)?;
     if text.bytes().all(|byte| (b' '..=b'~').contains(&byte)) { Ok(text) } else { Err(Unreadable) }

@@ -10,12 +10,13 @@
 //! > ESC x1_       < QUINTIX224-1S         model; x2_ serial number, x3_ software; not every balance answers
 //! ```
 //!
-//! Only frames without identification or with `N` are readings: blocks of gross, tare and net are read for their net. Blanks at a frame's end may be missing
-//! behind a unit. Frames do not say what they answer,
-//! nor whether auto-print sent them: the driver takes the last of several. With auto-print on, `ESC P` may switch it off. `ESC T` tares on old and new
-//! balances alike.
+//! Only frames without identification or with `N` are readings: from blocks of gross, tare and net,
+//! the net is taken. Trailing spaces after the unit may be missing. Frames do not identify the
+//! command they answer, nor whether auto-print sent them: the driver takes the last of several.
+//! With auto-print on, `ESC P` may switch it off. `ESC T` tares on old and new balances alike.
 //!
-//! Source: frames as in the weighing notes (interface descriptions of Entris II, Quintix, GC), tested against an independent simulator.
+//! Source: frames as in the weighing notes (interface descriptions of Entris II, Quintix, GC),
+//! tested against an independent simulator.
 
 use super::reply::{Condition, Reply, Said, Unreadable, Weight, foreign, is_standby, printable, weight};
 use super::value::Decimal;
@@ -27,7 +28,7 @@ const FRAME_BYTES: usize = 14;
 const NAME_BYTES: usize = 6;
 /// Bytes of sign and number.
 const NUMBER_BYTES: usize = 10;
-/// By so many bytes a number whose last digit stands in brackets, and its frame, may be longer.
+/// Extra bytes of a number whose last digit is in brackets, and of its frame.
 const BRACKET_BYTES: usize = 2;
 
 pub(super) const COMMANDS: Commands = Commands {
@@ -44,7 +45,7 @@ pub(super) const COMMANDS: Commands = Commands {
     software: Some(Command { bytes: b"\x1bx3_\r\n", answer: None, wants: Wants::Words }),
 };
 
-/// One line of SBI, without its end.
+/// Parse one line of SBI, without its terminator.
 ///
 /// # Errors
 /// [`Unreadable`]
@@ -62,18 +63,18 @@ pub fn parse(line: &[u8]) -> Result<Reply, Unreadable> {
     }
 }
 
-/// A line in its columns.
+/// A line split into its columns.
 struct Frame<'a> {
-    /// What the line is called; blank without identification.
+    /// The identification; blank if there is none.
     name: &'a str,
-    /// Sign, number and unit, filled up with blanks.
+    /// Sign, number and unit, padded with spaces.
     body: String,
-    /// Blanks were missing at its end.
+    /// Trailing spaces were missing.
     trimmed: bool,
 }
 
 impl<'a> Frame<'a> {
-    /// `None` if the line is too long for one.
+    /// `None` if the line is too long for a frame.
     fn of(text: &'a str) -> Option<Self> {
         let bytes = FRAME_BYTES + if text.contains(']') { BRACKET_BYTES } else { 0 };
         let (name, body) = match text.len() {
@@ -84,7 +85,7 @@ impl<'a> Frame<'a> {
         Some(Self { name, body: format!("{body:<FRAME_BYTES$}"), trimmed: body.len() < FRAME_BYTES })
     }
 
-    /// The mass; `None` if sign and number are not where they belong.
+    /// The mass; `None` if sign and number are not in their columns.
     fn mass(&self) -> Option<Result<Said, Unreadable>> {
         let end = match self.body.find(']') {
             Some(at) => Some(at + 1).filter(|end| (NUMBER_BYTES..=NUMBER_BYTES + BRACKET_BYTES).contains(end))?,
@@ -122,7 +123,8 @@ fn condition(body: &str) -> Option<Condition> {
     }
 }
 
-/// A damaged frame must not pass as words: those of a balance hold no sign before a number and no unit behind one.
+/// A damaged frame must not pass as text: a balance's texts have no sign before a number and no
+/// unit after one.
 fn looks_like_a_frame(text: &str) -> bool {
     text.starts_with(['+', '-', ' ']) || text.starts_with("N ")
 }

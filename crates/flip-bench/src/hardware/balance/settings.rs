@@ -1,4 +1,4 @@
-//! Which balance is plugged in, and where.
+//! Settings: which balance is connected, and where.
 
 use super::value::{STEPS, is_same};
 use super::{Commands, aandd, mt_sics, ohaus, reply::Reply, reply::Unreadable, sbi};
@@ -6,7 +6,7 @@ use crate::hardware::line::{Parity, Serial};
 use flip_core::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
-/// The language that a balance speaks.
+/// The command language of a balance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Dialect {
@@ -24,7 +24,7 @@ impl Dialect {
     /// Every dialect.
     pub const ALL: [Self; 4] = [Self::MtSics, Self::Ohaus, Self::Sbi, Self::Aandd];
 
-    /// As settings name it.
+    /// Name used in settings.
     pub fn name(self) -> &'static str {
         match self {
             Self::MtSics => "mt_sics",
@@ -34,7 +34,7 @@ impl Dialect {
         }
     }
 
-    /// How far FLIP's part of the dialect has been checked.
+    /// How far FLIP's implementation of the dialect has been verified.
     pub fn verified(self) -> &'static str {
         match self {
             Self::MtSics | Self::Sbi => "tested against an independent simulator, not verified on a device",
@@ -43,7 +43,7 @@ impl Dialect {
         }
     }
 
-    /// How the port is usually set when the balance is new.
+    /// Factory settings of the port.
     pub fn factory_serial(self) -> Serial {
         match self {
             Self::MtSics | Self::Ohaus => Serial::default(),
@@ -52,7 +52,7 @@ impl Dialect {
         }
     }
 
-    /// One line of this dialect, without its end.
+    /// Parse one line of this dialect, without its terminator.
     ///
     /// # Errors
     /// [`Unreadable`]
@@ -86,18 +86,19 @@ impl std::str::FromStr for Dialect {
     }
 }
 
-/// How a stable reading is waited for.
+/// How to wait for a stable reading.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum StableBy {
-    /// Ask for readings until one is flagged stable: can be given up at any moment.
+    /// Poll readings until one is flagged stable: can be given up at any moment.
     #[default]
     Polling,
-    /// The balance's own command, which answers when stable: one exchange, but the answer to a question that was given up comes later and has to be waited
-    /// for. A dialect without such a command polls.
+    /// The balance's own command, which answers when stable: one exchange, but if the wait is given
+    /// up the reply still arrives later and has to be waited for. A dialect without such a command
+    /// polls.
     Command,
-    /// FLIP's own window over the readings decides, whatever the balance flags: for balances that never flag one stable. Taring is asked for at once then,
-    /// where the dialect can.
+    /// FLIP's own window over the readings decides, whatever the balance flags: for balances that
+    /// never flag one stable. Taring is then requested immediately, where the dialect can.
     Window,
 }
 
@@ -105,23 +106,24 @@ pub enum StableBy {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// What it speaks.
+    /// Its dialect.
     pub dialect: Dialect,
-    /// A path, as `/dev/ttyUSB0`, or `tcp://host:port`.
+    /// A path such as `/dev/ttyUSB0`, or `tcp://host:port`.
     pub port: String,
-    /// How a serial port is set. Default: as the dialect's balances leave the factory.
+    /// Serial port settings. Default: the factory settings of the dialect's balances.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serial: Option<Serial>,
-    /// Step of the display, mg: 1, 2 or 5 in its last place. If given, frames with another one are taken for damaged. Default: whatever the balance shows.
+    /// Step of the display, mg: 1, 2 or 5 in its last place. If set, frames with another step are
+    /// treated as damaged. Default: as shown by the balance.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub readability_mg: Option<f64>,
-    /// How long one answer may take, s. Default 2.
+    /// Reply timeout, s. Default 2.
     #[serde(default = "two")]
     pub timeout_s: f64,
     /// How long taring and zeroing may wait for a stable reading, s. Default 20.
     #[serde(default = "twenty")]
     pub stable_timeout_s: f64,
-    /// How a stable reading is waited for. Default by polling.
+    /// How to wait for a stable reading. Default: by polling.
     #[serde(default)]
     pub stable_by: StableBy,
 }
@@ -135,14 +137,14 @@ fn twenty() -> f64 {
 }
 
 impl Settings {
-    /// Everything else at its default.
+    /// Settings with everything else at its default.
     pub fn new(dialect: Dialect, port: impl Into<String>) -> Self {
         let (timeout_s, stable_timeout_s) = (two(), twenty());
         let stable_by = StableBy::default();
         Self { dialect, port: port.into(), serial: None, readability_mg: None, timeout_s, stable_timeout_s, stable_by }
     }
 
-    /// The same settings if a balance can have them.
+    /// Returns the settings if they are valid.
     ///
     /// # Errors
     /// The first field that is out of bounds.

@@ -1,4 +1,4 @@
-//! Balances that know less, say less or write otherwise than most of their dialect.
+//! Balances that know less, report less or format differently than most of their dialect.
 
 use super::probe::{self, Probe};
 use super::{Balance, Dialect, Settings, StableBy};
@@ -11,7 +11,7 @@ use Dialect::{Aandd, MtSics, Ohaus, Sbi};
 use rustix::fs::{Mode, OFlags};
 use std::sync::{Arc, OnceLock};
 
-/// A balance that answers whole commands, without their ends, in some way.
+/// A balance that answers whole commands, without their terminators, by a function.
 struct Terse<F>(F);
 
 impl<F: FnMut(&str) -> Option<String> + Send + 'static> Talker for Terse<F> {
@@ -30,7 +30,8 @@ fn driver(port: &Port, dialect: Dialect, change: impl FnOnce(&mut Settings)) -> 
     Balance::open(&settings, Tap::none(), Clock::fast(4.0)).unwrap()
 }
 
-/// A balance with the least of its dialect: a reading, tare and zero. `other` is its answer to everything else.
+/// A balance with the minimum of its dialect: reading, tare and zero. `other` is its answer to
+/// everything else.
 fn least(dialect: Dialect, other: Option<&'static str>) -> Port {
     let (gross, mut tare) = (15_000_i64, 0);
     Port::pty(Terse(move |command: &str| {
@@ -87,7 +88,8 @@ fn a_probe_finds_a_balance_with_the_least_of_its_dialect() {
     }
 }
 
-/// MT-SICS readings that stand within 0.2 mg and are never flagged stable; `at_once` is whether it can tare at once.
+/// MT-SICS readings that stay within 0.2 mg and are never flagged stable; `at_once`: it can tare
+/// immediately.
 fn unflagged(at_once: bool) -> Port {
     let (mut asked, mut tare) = (0, 0);
     Port::pty(Terse(move |command: &str| {
@@ -152,7 +154,7 @@ fn our_own_window_holds_no_display_that_creeps_for_one_that_stands() {
     let mut asked = 0;
     let port = Port::pty(Terse(move |command: &str| {
         asked += 1;
-        // 1 mg more with each frame, however slowly they are asked for.
+        // 1 mg more with each frame, however slowly they are requested.
         (command != "I4").then(|| format!("S D {:>10} g", format!("8.{asked:03}0")))
     }))
     .unwrap();
@@ -183,7 +185,7 @@ fn our_own_command_that_comes_back_is_no_answer() {
     }
 }
 
-/// The first note of a probe, and what was found.
+/// The first note of a probe, and the result.
 fn noted(answer: impl FnMut(&str) -> Option<String> + Send + 'static) -> (String, Probe) {
     let port = Port::pty(Terse(answer)).unwrap();
     let found = probe::probe(port.address(), &[Serial::default()], Tap::none(), |_| {});
@@ -205,7 +207,7 @@ fn a_port_that_cannot_be_opened_is_told_with_its_own_advice() {
     let note = |port: &str| probe::probe(port, &probe::usual_settings(), Tap::none(), |_| {}).notes.join("\n");
     let nowhere = note("/dev/no-such-port");
     assert!(nowhere.contains("no such port") && !nowhere.contains("cable,"), "{nowhere}");
-    // Bound and dropped: nobody listens there.
+    // Bound and dropped: nothing listens there.
     let closed = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let refused = note(&format!("tcp://{closed}"));
     assert!(refused.contains("nothing listens") && refused.lines().count() == 1, "{refused}");

@@ -1,4 +1,4 @@
-//! Lines as manuals and notes show them, lines that are damaged, what is believed of several lines, and settings.
+//! Lines as in manuals and notes, damaged lines, which of several lines is accepted, and settings.
 
 use super::reply::{Condition, Reply, Said, Unreadable};
 use super::value::Unit;
@@ -167,7 +167,8 @@ fn damaged_lines_give_no_number() {
 
 #[test]
 fn no_bytes_make_a_parser_panic_and_no_frame_that_lost_some_gives_another_number() {
-    // Bytes from SplitMix64, half of them from the alphabet of frames, so that lines come close to being frames.
+    // Bytes from SplitMix64, half of them from the alphabet of frames, so that lines come close to
+    // being frames.
     let alphabet = b"STUSNZIDEOL +-.,0123456789 gmkg\"?";
     let mut drawn = 0_u64;
     let mut draw = |below: u64| {
@@ -197,7 +198,7 @@ fn no_bytes_make_a_parser_panic_and_no_frame_that_lost_some_gives_another_number
         let whole = mass(dialect, frame).0;
         for end in 0..frame.len() {
             if let Ok(Reply { said: Said::Weight(weight), .. }) = dialect.parse(&frame.as_bytes()[..end]) {
-                // Blanks at the end say nothing.
+                // Trailing spaces carry no information.
                 let read = weight.number.mg(weight.unit.unwrap_or(Unit::Gram));
                 assert!(
                     read == whole && weight.stable,
@@ -209,7 +210,8 @@ fn no_bytes_make_a_parser_panic_and_no_frame_that_lost_some_gives_another_number
     }
 }
 
-/// A balance that answers readings with these lines, one after the other, and the last for ever.
+/// A balance that answers requests for readings with these lines in turn, repeating the last
+/// forever.
 struct Scripted(std::collections::VecDeque<&'static str>);
 
 impl Talker for Scripted {
@@ -225,7 +227,7 @@ impl Talker for Scripted {
     }
 }
 
-/// What the driver makes of these answers: readings as long as `count`, mg, or the first error.
+/// What the driver makes of these replies: up to `count` readings, mg, or the first error.
 fn readings(dialect: Dialect, lines: &[&'static str], count: usize) -> Result<Vec<f64>, DeviceError> {
     let port = Port::pty(Scripted(lines.iter().copied().collect())).unwrap();
     let settings = Settings { timeout_s: 0.4, ..Settings::new(dialect, port.address()) };
@@ -265,11 +267,11 @@ fn a_moving_mass_without_a_unit_has_that_of_the_last_frame_or_none() {
     }
 }
 
-/// A balance with a tare that can be switched on anew and exchanged.
+/// A balance with a tare that can be power-cycled and swapped.
 #[derive(Clone)]
 struct Switched {
     serial: Arc<Mutex<&'static str>>,
-    /// It tells who it is before the next reading, or behind it.
+    /// It identifies itself before the next reading, or after it.
     tells: Arc<Mutex<Option<bool>>>,
 }
 
@@ -309,7 +311,7 @@ fn a_balance_that_was_switched_on_anew_after_the_tare_gives_no_number_until_it_i
         balance.tare().unwrap();
         assert_eq!((balance.is_the_same(), balance.immediate().map(|it| it.mass_mg)), (Ok(()), Ok(0.0)));
         *device.tells.lock().unwrap() = Some(before);
-        // What it says behind an answer may be heard with that answer or before the next question.
+        // What it sends after a reply may be received with that reply or before the next request.
         let told = balance.immediate().and_then(|_| balance.immediate()).unwrap_err();
         assert!(told.to_string().contains("switched on anew"), "{told}");
         assert!(balance.stable(1.0).is_err() && balance.is_the_same().is_err(), "and it stays so");

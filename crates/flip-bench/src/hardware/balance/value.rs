@@ -1,14 +1,15 @@
 //! Decimal text and unit to milligrams, without loss.
 //!
-//! A display shows a decimal number. Moving its point by the unit and reading the text once gives the nearest `f64`; multiplying a number that was read
-//! before would round twice (`100.0003 * 1000.0` is not `100000.3`).
+//! A display shows a decimal number. Shifting its decimal point according to the unit and parsing
+//! the text once yields the nearest `f64`; multiplying an already parsed number would round twice
+//! (`100.0003 * 1000.0` is not `100000.3`).
 
 use serde::{Deserialize, Serialize};
 
-/// Longest number that is believed, digits: every shorter one has an `f64` of its own.
+/// Longest number accepted, digits: every shorter one has an `f64` of its own.
 const DIGITS_MAX: usize = 15;
 
-/// Units that FLIP weighs in. Every other unit is refused by name.
+/// Units supported by FLIP. Every other unit is refused by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Unit {
     /// mg
@@ -23,7 +24,7 @@ pub enum Unit {
 }
 
 impl Unit {
-    /// The unit that a balance writes this way.
+    /// The unit that a balance writes as `name`.
     pub fn named(name: &[u8]) -> Option<Self> {
         match name {
             b"mg" => Some(Self::Milligram),
@@ -33,7 +34,7 @@ impl Unit {
         }
     }
 
-    /// Places by which the point moves on the way to mg.
+    /// Places by which the decimal point shifts when converting to mg.
     fn places(self) -> i32 {
         match self {
             Self::Milligram => 0,
@@ -43,21 +44,21 @@ impl Unit {
     }
 }
 
-/// Steps in the last place of a display.
+/// Display steps, in its last place.
 pub const STEPS: [i64; 3] = [1, 2, 5];
 
-/// Whether a number suits a display's step.
+/// Whether a number matches the step of a display.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fit {
     /// It does.
     Fits,
-    /// Its last place is none in which the display steps.
+    /// Its last place is not the one in which the display steps.
     OtherPlace,
     /// It lies between two steps.
     Between,
 }
 
-/// A number as it was shown, without blanks: `-12.340`.
+/// A number as shown, without spaces: `-12.340`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Decimal {
     text: String,
@@ -65,8 +66,10 @@ pub struct Decimal {
 }
 
 impl Decimal {
-    /// The number if this is a sign or none, blanks or none, and digits with at most one point: no exponent, no name of a number. A comma is a point: displays
-    /// are set to either and never group digits. The last digit may stand in brackets, as the auxiliary digit of a verified balance does.
+    /// Parse an optional sign, optional spaces, and digits with at most one decimal point: no
+    /// exponent, no names such as NaN. A comma counts as a point: displays are set to either and
+    /// never group digits. The last digit may be in brackets, like the auxiliary digit of a
+    /// verified balance.
     pub fn parse(text: &[u8]) -> Option<Self> {
         let (sign, rest) = match text.first()? {
             b'+' => ("", &text[1..]),
@@ -84,7 +87,7 @@ impl Decimal {
         Some(Self { text, decimals: i32::try_from(part.len()).ok()? })
     }
 
-    /// The number in steps of `step_mg`, as a display shows it that steps by 1, 2 or 5 in its last place.
+    /// Check the number against `step_mg`, for a display that steps by 1, 2 or 5 in its last place.
     pub fn is_in_steps_of(&self, step_mg: f64, unit: Unit) -> Fit {
         let last_place_mg = self.last_place_mg(unit);
         match STEPS.into_iter().find(|step| is_same(*step as f64 * last_place_mg, step_mg)) {
@@ -94,7 +97,7 @@ impl Decimal {
         }
     }
 
-    /// The number without its point: `-12340` of `-12.340`.
+    /// The number without its decimal point: `-12340` for `-12.340`.
     pub fn in_last_places(&self) -> i64 {
         // At most 15 digits.
         self.text.replace('.', "").parse().unwrap_or_default()
@@ -105,35 +108,35 @@ impl Decimal {
         nearest(&format!("{}e{}", self.text, unit.places())) + 0.0
     }
 
-    /// The last place that is shown, mg: 1 for `0.000 g`.
+    /// The last place shown, mg: 1 for `0.000 g`.
     pub fn last_place_mg(&self, unit: Unit) -> f64 {
         place_mg(unit, self.decimals)
     }
 
-    /// Digits after the point.
+    /// Digits after the decimal point.
     pub fn decimals(&self) -> i32 {
         self.decimals
     }
 }
 
-/// `12.0000` of `12.000[0]`.
+/// `12.0000` for `12.000[0]`.
 fn unbracketed(digits: &str) -> Option<String> {
     let Some((before, last)) = digits.split_once('[') else { return Some(digits.to_owned()) };
     let last = last.strip_suffix(']').filter(|last| last.len() == 1)?;
     Some(format!("{before}{last}"))
 }
 
-/// Equal but for the rounding of a setting that was written in decimal.
+/// Equal up to the rounding of a setting written in decimal.
 pub fn is_same(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-9 * b.abs()
 }
 
-/// One step in the last of so many decimals, mg.
+/// One step in the last of this many decimals, mg.
 pub fn place_mg(unit: Unit, decimals: i32) -> f64 {
     nearest(&format!("1e{}", unit.places() - decimals))
 }
 
-/// Text that [`Decimal::parse`] has let through is a number to `f64` as well.
+/// Text accepted by [`Decimal::parse`] always parses as `f64` as well.
 fn nearest(text: &str) -> f64 {
     text.parse().unwrap_or(f64::NAN)
 }

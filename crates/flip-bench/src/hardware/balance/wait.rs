@@ -1,9 +1,10 @@
-//! How long something is waited for.
+//! Time limits for waiting.
 
 use crate::hardware::clock::Clock;
 use std::time::{Duration, Instant};
 
-/// A limit in bench time; where the bench's clock stands because nobody waits, the room's time ends it as well.
+/// A limit in bench time; where the bench clock stands still because nobody waits, wall-clock time
+/// ends it as well.
 pub(super) struct Patience {
     clock: Clock,
     until_s: f64,

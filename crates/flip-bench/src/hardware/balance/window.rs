@@ -1,24 +1,26 @@
-//! Does the display stand by FLIP's own criterion? For balances that never flag a reading stable.
+//! Is the display stable by FLIP's own criterion? For balances that never flag a reading stable.
 
 use crate::hardware::settle::{Settling, Shown, settled};
 
-/// Readings further apart than this do not belong together, s: something may have moved between them.
+/// Readings further apart than this do not belong together, s: something may have moved between
+/// them.
 const GAP_S_MAX: f64 = 2.0;
-/// Readings that are kept: more than a window holds.
+/// Number of readings kept: more than a window holds.
 const READINGS_MAX: usize = 256;
 
-/// What was shown lately.
+/// Recent readings.
 #[derive(Debug, Default)]
 pub(super) struct Window {
     shown: Vec<Shown>,
-    /// A reading was flagged stable, ever.
+    /// Any reading so far was flagged stable.
     flagged: bool,
-    /// The display stood, ever.
+    /// The display was stable at any time so far.
     stood: bool,
 }
 
 impl Window {
-    /// One reading more; whether the display stands, in steps of `step_mg` or the balance's noise where that is larger.
+    /// Add one reading; returns whether the display is stable, in steps of `step_mg` or the
+    /// balance's noise where that is larger.
     pub(super) fn hear(&mut self, one: Shown, step_mg: f64) -> bool {
         if self.shown.len() >= READINGS_MAX || self.shown.last().is_some_and(|last| one.t_s - last.t_s > GAP_S_MAX) {
             self.forget();
@@ -30,12 +32,12 @@ impl Window {
         stands
     }
 
-    /// What comes next has nothing to do with what was shown.
+    /// Discard the readings: those that follow are unrelated to them.
     pub(super) fn forget(&mut self) {
         self.shown.clear();
     }
 
-    /// The display stood and no reading was ever flagged stable.
+    /// Whether the display was stable although no reading was ever flagged stable.
     pub(super) fn stands_unflagged(&self) -> bool {
         self.stood && !self.flagged
     }

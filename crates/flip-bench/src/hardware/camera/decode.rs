@@ -1,4 +1,4 @@
-//! Uploaded bytes become a frame, or a refusal that names the part.
+//! Decode uploaded bytes into a frame, or refuse them naming the part at fault.
 
 use super::{Distortion, Frame, Intrinsics};
 use flip_core::domain::timestamp::Timestamp;
@@ -9,20 +9,22 @@ use std::io::Cursor;
 /// The three parts of an uploaded frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Upload {
-    /// Depth: a PNG of 16 bit grey, or the bare Z16 values, little-endian, row by row.
+    /// Depth: a 16-bit grey PNG, or raw Z16 values, little-endian, row by row.
     pub depth: Vec<u8>,
-    /// Colour: a PNG of 8 bit RGB of the same size.
+    /// Colour: an 8-bit RGB PNG of the same size.
     pub colour: Vec<u8>,
-    /// JSON: `intrinsics` with `width`, `height`, `fx`, `fy`, `ppx`, `ppy`, `model` and five `coefficients`; `depth_unit_m`; `taken_at` (RFC 3339).
+    /// JSON: `intrinsics` with `width`, `height`, `fx`, `fy`, `ppx`, `ppy`, `model` and five
+    /// `coefficients`; `depth_unit_m`; `taken_at` (RFC 3339).
     pub description: Vec<u8>,
 }
 
-/// Bytes that a description may have.
+/// Maximum size of a description, bytes.
 const DESCRIPTION_BYTES_MAX: usize = 4096;
-/// Bytes of the signature that every PNG begins with.
+/// Signature with which every PNG begins.
 const PNG: [u8; 8] = [0x89, b'P', b'N', b'G', b'\r', b'\n', 0x1a, b'\n'];
 
-/// What a description may hold. Everything is required, but absence is reported by field instead of by position.
+/// Contents of a description. Everything is required, but a missing value is reported by field
+/// instead of by position.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Description {
@@ -45,10 +47,12 @@ struct Lens {
 }
 
 impl Upload {
-    /// The frame. Sizes are checked before anything of their size is kept; bytes that mean nothing are refused, never a reason to panic.
+    /// Decode the frame. Sizes are checked before anything of that size is allocated; meaningless
+    /// bytes are refused and never cause a panic.
     ///
     /// # Errors
-    /// `description`, `intrinsics.…`, `depth_unit_m`, `taken_at`, `depth` or `colour`, and what is wrong with it.
+    /// `description`, `intrinsics.…`, `depth_unit_m`, `taken_at`, `depth` or `colour`, and what is
+    /// wrong with it.
     pub fn decode(&self) -> Result<Frame, FieldError> {
         let (intrinsics, depth_unit_m, taken_at) = read_description(&self.description)?;
         let depth = match self.depth.starts_with(&PNG) {
@@ -63,7 +67,7 @@ impl Upload {
     }
 }
 
-/// The description that belongs to a frame, as [`Upload::description`] holds it.
+/// The description of a frame, in the format of [`Upload::description`].
 pub fn description(frame: &Frame) -> Vec<u8> {
     let Frame { intrinsics, depth_unit_m, taken_at, .. } = frame;
     serde_json::json!({"intrinsics": intrinsics, "depth_unit_m": depth_unit_m, "taken_at": taken_at}).to_string().into()
@@ -119,7 +123,7 @@ fn raw_depth(bytes: &[u8], intrinsics: &Intrinsics) -> Result<Vec<u16>, FieldErr
     Ok(bytes.as_chunks().0.iter().map(|pair| u16::from_le_bytes(*pair)).collect())
 }
 
-/// What a PNG must hold.
+/// Required format of a PNG.
 #[derive(Clone, Copy)]
 struct Kind {
     colour: png::ColorType,
@@ -137,7 +141,7 @@ impl Kind {
 fn image(field: &str, bytes: &[u8], intrinsics: &Intrinsics, kind: Kind) -> Result<Vec<u8>, FieldError> {
     let unreadable = |error: png::DecodingError| FieldError::new(field, format!("is not a readable PNG: {error}"));
     let wanted = kind.bytes * intrinsics.pixels();
-    // Room for one image of this size and the decoder's own rows; a small file cannot ask for more.
+    // Room for one image of this size and the decoder's own rows; a small file cannot request more.
     let limits = png::Limits { bytes: 2 * wanted + (1 << 20) };
     let mut reader = png::Decoder::new_with_limits(Cursor::new(bytes), limits).read_info().map_err(unreadable)?;
     let (width, height) = reader.info().size();

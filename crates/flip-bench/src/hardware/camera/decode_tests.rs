@@ -49,7 +49,7 @@ fn png_and_bare_depth_are_the_same_frame() {
     assert!((frame().invalid_share() - 1.0 / f64::from(WIDTH * HEIGHT)).abs() < 1e-12);
 }
 
-/// The field that is refused when the description is changed like this.
+/// The field that is refused after this change to the description.
 fn refused(change: impl FnOnce(&mut Value)) -> String {
     let mut upload = upload();
     let mut said: Value = serde_json::from_slice(&upload.description).unwrap();

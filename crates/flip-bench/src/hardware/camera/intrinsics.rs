@@ -1,20 +1,21 @@
-//! From pixels to directions and back, by the distortions that librealsense names.
+//! From pixels to directions and back, with the distortion models of librealsense.
 
 use flip_core::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
-/// Which lens distortion the five coefficients mean.
+/// Lens distortion model that the five coefficients belong to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Distortion {
-    /// Pixels are a pinhole's; the coefficients are not used.
+    /// Pinhole pixels; the coefficients are not used.
     None,
     /// Radial and tangential terms, both of the undistorted direction.
     BrownConrady,
-    /// Tangential terms of the direction after the radial ones. librealsense once put the same polynomial on the way back; this is what
-    /// its present version does.
+    /// Tangential terms of the direction after the radial ones. librealsense once used the same
+    /// polynomial for the way back; this is what its present version does.
     InverseBrownConrady,
-    /// The same polynomial as the inverse one. librealsense projects by it and declines to deproject; here it is inverted as the others.
+    /// The same polynomial as the inverse one. librealsense projects with it and declines to
+    /// deproject; here it is inverted like the others.
     ModifiedBrownConrady,
 }
 
@@ -26,7 +27,7 @@ impl Distortion {
         ("modified_brown_conrady", Self::ModifiedBrownConrady),
     ];
 
-    /// By name, as written here or as librealsense prints it (`Inverse Brown Conrady`).
+    /// Parse a name, as written here or as printed by librealsense (`Inverse Brown Conrady`).
     ///
     /// # Errors
     /// Any other name.
@@ -38,13 +39,13 @@ impl Distortion {
         })
     }
 
-    /// The name used in JSON.
+    /// Name used in JSON.
     pub fn name(self) -> &'static str {
         Self::NAMES.iter().find(|(_, known)| *known == self).map_or("none", |(name, _)| name)
     }
 }
 
-/// What a camera says of its lens and sensor.
+/// Lens and sensor parameters reported by a camera.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Intrinsics {
     /// Pixels in a row.
@@ -59,25 +60,28 @@ pub struct Intrinsics {
     pub ppx: f64,
     /// Row of the optical axis, pixels.
     pub ppy: f64,
-    /// What the coefficients mean.
+    /// Distortion model of the coefficients.
     pub model: Distortion,
     /// k1, k2, p1, p2, k3.
     pub coefficients: [f64; 5],
 }
 
-/// Bounds of the sides of a frame, pixels: the smallest mode of the D405 has 256 x 144, the largest 1280 x 720.
+/// Bounds on the sides of a frame, pixels: the smallest mode of the D405 is 256 x 144, the largest
+/// 1280 x 720.
 pub const SIDE_MIN: u32 = 64;
 /// See [`SIDE_MIN`].
 pub const SIDE_MAX: u32 = 2048;
 
-/// Steps of the fixed point that inverts a lens, `p <- p - (distorted(p) - wanted)`; real lenses need about ten.
+/// Steps of the fixed-point iteration that inverts a lens, `p <- p - (distorted(p) - wanted)`; real
+/// lenses need about ten.
 const STEPS: usize = 40;
 
 impl Intrinsics {
-    /// Checked.
+    /// Check the parameters.
     ///
     /// # Errors
-    /// A side, focal length, centre or coefficient outside what a camera can have; a distortion that cannot be inverted at the corners.
+    /// A side, focal length, centre or coefficient outside the range of a camera; a distortion that
+    /// cannot be inverted at the corners.
     pub fn checked(self) -> Result<Self, FieldError> {
         for (field, side) in [("intrinsics.width", self.width), ("intrinsics.height", self.height)] {
             bounded(field, f64::from(side), f64::from(SIDE_MIN), f64::from(SIDE_MAX), "pixels")?;
@@ -105,7 +109,7 @@ impl Intrinsics {
         }
     }
 
-    /// Where a direction lands after the lens, in the plane at depth 1.
+    /// Apply the lens distortion to a direction, in the plane at depth 1.
     ///
     /// ```text
     /// f = 1 + k1 r^2 + k2 r^4 + k3 r^6
@@ -139,19 +143,20 @@ impl Intrinsics {
         at
     }
 
-    /// The point at this pixel and depth. Depth is along the optical axis, not along the ray; lengths have the unit of `depth`.
+    /// The point at this pixel and depth. Depth is along the optical axis, not along the ray;
+    /// lengths have the unit of `depth`.
     pub fn deproject(&self, pixel: [f64; 2], depth: f64) -> [f64; 3] {
         let [x, y] = self.direction(pixel);
         [x * depth, y * depth, depth]
     }
 
-    /// The pixel that sees this point.
+    /// The pixel onto which this point projects.
     pub fn project(&self, [x, y, z]: [f64; 3]) -> [f64; 2] {
         let [x, y] = self.distorted([x / z, y / z]);
         [x * self.fx + self.ppx, y * self.fy + self.ppy]
     }
 
-    /// Pixels in a frame.
+    /// Number of pixels in a frame.
     pub fn pixels(&self) -> usize {
         self.width as usize * self.height as usize
     }
@@ -183,7 +188,8 @@ mod tests {
         }
     }
 
-    /// Worked by hand from the formulas of librealsense's rsutil.h at x = 0.4, y = -0.3: r2 = 0.25.
+    /// Computed by hand from the formulas of librealsense's rsutil.h at x = 0.4, y = -0.3: r2 =
+    /// 0.25.
     #[test]
     fn a_known_direction_lands_on_the_pixel_that_librealsense_computes() {
         let f = 1.0 - 0.055 * 0.25 + 0.062 * 0.0625 - 0.02 * 0.015_625;

@@ -1,7 +1,8 @@
-//! What a depth camera sees: frames as they are uploaded, checked and decoded.
+//! Depth camera frames: uploaded, checked and decoded.
 //!
-//! Frames come from whatever took them, so every frame says how it is to be read: intrinsics, distortion, unit of depth. Nothing of it is assumed; a
-//! D405 may be set to 0.1 mm or to 1 mm a step, and a factor of ten in a pile is not a detail.
+//! Frames may come from any source, so every frame carries what is needed to interpret it:
+//! intrinsics, distortion, unit of depth. None of this is assumed; a D405 may be set to 0.1 mm or
+//! to 1 mm per step, and a factor of ten in a pile is not a detail.
 
 mod decode;
 mod intrinsics;
@@ -11,10 +12,11 @@ pub use intrinsics::{Distortion, Intrinsics, SIDE_MAX, SIDE_MIN};
 
 use flip_core::domain::timestamp::Timestamp;
 
-/// Depth and colour at one moment, pixel on pixel.
+/// Depth and colour at one moment, pixel-aligned.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
-    /// Lens and sensor of both images: the D405 takes colour with the imager that depth refers to.
+    /// Lens and sensor of both images: the D405 captures colour with the imager that depth refers
+    /// to.
     pub intrinsics: Intrinsics,
     /// Length of one step of depth, m.
     pub depth_unit_m: f64,
@@ -22,7 +24,7 @@ pub struct Frame {
     pub depth: Vec<u16>,
     /// Red, green, blue, row by row.
     pub colour: Vec<[u8; 3]>,
-    /// When it was taken, by the camera's host.
+    /// When it was captured, by the clock of the camera's host.
     pub taken_at: Timestamp,
 }
 
@@ -32,7 +34,7 @@ impl Frame {
         self.depth_unit_m * 1e3
     }
 
-    /// Share of the pixels without depth, 0 to 1.
+    /// Fraction of the pixels without depth, 0 to 1.
     pub fn invalid_share(&self) -> f64 {
         self.depth.iter().filter(|depth| **depth == 0).count() as f64 / self.depth.len().max(1) as f64
     }

@@ -1,4 +1,5 @@
-//! The arm: does its driver keep `proto/flip/bench/v1/arm.proto`? First what moves nothing, then on a person's word the motions.
+//! Arm checks: does its driver conform to `proto/flip/bench/v1/arm.proto`? First the checks that
+//! move nothing, then, once a person has confirmed, the motions.
 
 use super::raw::{CALL, MOTION, Raw, Renewals, Watch, told};
 use super::{Bounds, Check, Findings, Found, Looked, dead_man, motions, refusals, stop};
@@ -9,15 +10,15 @@ use flip_core::domain::bench::PitchLimits;
 use std::time::{Duration, Instant};
 use tonic::Status;
 
-/// How long the arm is watched at rest.
+/// How long the arm is observed at rest.
 const REST: Duration = Duration::from_millis(500);
-/// States in a second at rest, by the contract.
+/// State rate at rest required by the contract, Hz.
 const REST_HZ: f64 = 10.0;
-/// A pitch this near counts as level, degrees, and a displacement this near as none, mm.
+/// Tolerance of level, degrees, and of zero displacement, mm.
 pub(super) const LEVEL_DEG: f64 = 0.5;
 pub(super) const AT_REST_MM: f64 = 0.2;
 
-/// Checks of what moves.
+/// Checks that involve motion.
 const MOVING: [&str; 12] = [
     "control",
     "one client",
@@ -33,7 +34,7 @@ const MOVING: [&str; 12] = [
     "recover",
 ];
 
-/// What the checks of motions share.
+/// Shared by the motion checks.
 pub(super) struct Subject<'a> {
     pub url: &'a str,
     pub raw: &'a Raw,
@@ -46,7 +47,7 @@ pub(super) struct Subject<'a> {
 
 pub(super) fn check(url: &str, looked: &Looked, bounds: &Bounds, tap: &Tap) -> Vec<Check> {
     let mut found = Findings::of("arm");
-    // FLIP's own client refuses a driver whose description means nothing.
+    // FLIP's own client refuses a driver with a meaningless description.
     let arm = match Arm::connect(url, tap.clone(), Deadlines::default()) {
         Ok(arm) => arm,
         Err(error) => {
@@ -147,7 +148,7 @@ pub(super) fn is_home(state: &State) -> bool {
         && state.shake_displacement_mm.abs() <= AT_REST_MM
 }
 
-/// Everything that moves, an end at home after each part.
+/// All motion checks; each part ends at home.
 fn moving(subject: &Subject<'_>, found: &mut Findings) {
     let lease = Lease::acquire(subject);
     let dead_man_ms = lease.as_ref().map_err(Clone::clone).map(|lease| lease.dead_man_ms);
@@ -168,7 +169,7 @@ fn moving(subject: &Subject<'_>, found: &mut Findings) {
     dead_man::check(subject, found);
 }
 
-/// Control of the arm. Dropping it gives it back, unless renewals were ended on purpose.
+/// Control of the arm. Dropping it releases control, unless renewals were ended on purpose.
 pub(super) struct Lease<'a> {
     raw: &'a Raw,
     pub id: String,
@@ -229,7 +230,7 @@ impl<'a> Lease<'a> {
         released.map(drop)
     }
 
-    /// Renew no more; when the last accepted renewal was sent.
+    /// Stop renewing; returns when the last accepted renewal was sent.
     pub(super) fn abandon(&mut self) -> Option<Instant> {
         self.renewals.take().map(Renewals::end)
     }
@@ -238,7 +239,7 @@ impl<'a> Lease<'a> {
 impl Drop for Lease<'_> {
     fn drop(&mut self) {
         if self.renewals.is_some() {
-            // Nobody is left to hear of a failure: the dead-man acts on it.
+            // There is nobody left to report a failure to: the dead-man acts on it.
             let request = proto::ReleaseRequest { lease_id: self.id.clone() };
             let _ = self.raw.ask("Release", MOTION, |mut client| async move { client.release(request).await });
         }

@@ -1,4 +1,4 @@
-//! The balance: does it weigh, in the unit and step that the bench file says, quickly and at rest?
+//! Balance checks: does it weigh in the unit and step given in the bench file, quickly and stably?
 
 use super::{Check, Findings, Found};
 use crate::hardware::DeviceError;
@@ -11,15 +11,15 @@ use crate::hardware::settle::{Settling, Shown, standing};
 use crate::hardware::wire::Tap;
 use std::collections::BTreeSet;
 
-/// How long the display is watched, s of bench time.
+/// How long the display is observed, s of bench time.
 const WATCH_S: f64 = 6.0;
-/// From one question to the next while waiting, s of bench time.
+/// Polling interval while waiting, s of bench time.
 const ASK_EVERY_S: f64 = 0.05;
-/// More readings than that say nothing more.
+/// Maximum number of readings; more add no information.
 const READINGS_MAX: usize = 600;
-/// Readings in a second below which dosing is slow, and below which it is not to be done.
+/// Reading rates, Hz: below the first dosing is slow, below the second it is not acceptable.
 const RATE_HZ: [f64; 2] = [4.0, 1.0];
-/// Largest creep of a balance that is warm, in a draught shield, mg/min.
+/// Maximum creep of a warmed-up balance in a draught shield, mg/min.
 const DRIFT_MG_MIN_MAX: f64 = 2.0;
 
 pub(super) fn check(file: &BenchFile, clock: &Clock, tap: &Tap) -> Vec<Check> {
@@ -71,7 +71,8 @@ fn reading(settings: &Settings, first: &Result<Sample, DeviceError>) -> Found {
     }
 }
 
-/// The driver refuses readings of another last place than the file's; whether that place steps by 1, 2 or 5 shows by the numbers.
+/// The driver refuses readings whose last place differs from the file's; whether that place steps
+/// by 1, 2 or 5 shows in the numbers.
 fn step(settings: &Settings, samples: &[Sample]) -> Found {
     let Some((place_mg, step)) = shown_step(settings, samples) else {
         let first = samples.first().map_or("", |sample| &sample.raw);
@@ -96,7 +97,8 @@ fn step(settings: &Settings, samples: &[Sample]) -> Found {
     }
 }
 
-/// The last place of the display, mg, and by how much it steps there; `None` for the latter where too few numbers were shown to tell.
+/// The last place of the display, mg, and its step in that place; `None` for the latter where too
+/// few different numbers were shown to tell.
 fn shown_step(settings: &Settings, samples: &[Sample]) -> Option<(f64, Option<i64>)> {
     let places: Vec<(f64, i64)> = samples.iter().filter_map(|sample| in_last_places(settings, sample)).collect();
     let place_mg = places.first()?.0;
@@ -104,12 +106,13 @@ fn shown_step(settings: &Settings, samples: &[Sample]) -> Option<(f64, Option<i6
     let changes = numbers.windows(2).filter(|pair| pair[0] != pair[1]).count();
     let distinct: BTreeSet<i64> = numbers.iter().copied().collect();
     let step = STEPS.into_iter().rev().find(|step| numbers.iter().all(|number| number % step == 0))?;
-    // Chance gives one number in five a last digit that a step of five would have, two in succession one time in 25.
+    // By chance one number in five has a last digit that fits a step of five, two in succession one
+    // time in 25.
     let is_known = distinct.len() >= 2 && (step == 1 || distinct.len() >= 3 || changes >= 3);
     Some((place_mg, Some(step).filter(|_| is_known)))
 }
 
-/// The last place of the display, mg, and the number in it.
+/// The last place of the display, mg, and the number in units of it.
 fn in_last_places(settings: &Settings, sample: &Sample) -> Option<(f64, i64)> {
     match settings.dialect.parse(sample.raw.as_bytes()).ok()?.said {
         Said::Weight(weight) => Some((weight.number.last_place_mg(weight.unit?), weight.number.in_last_places())),
@@ -117,7 +120,7 @@ fn in_last_places(settings: &Settings, sample: &Sample) -> Option<(f64, i64)> {
     }
 }
 
-/// Stable in time; then watched for a while: how often it answers, in which steps, how it scatters, how it creeps.
+/// Becomes stable in time; is then observed for a while: reading rate, step, scatter, creep.
 fn stands(file: &BenchFile, balance: &mut Balance, clock: &Clock, first: &Sample, found: &mut Findings) {
     found.add(
         "stable",
@@ -161,7 +164,7 @@ fn stable(file: &BenchFile, balance: &mut Balance, clock: &Clock) -> Found {
     )
 }
 
-/// Does a display at rest ever show another number? One that does can prove that it is not stuck.
+/// Does a display at rest ever change? If so, it can prove that it is not stuck.
 fn life(life_s: f64, shown: &[Shown], balance: &mut Balance, clock: &Clock) -> Found {
     if life_s <= 0.0 {
         return Found::warning(
@@ -189,7 +192,7 @@ fn life(life_s: f64, shown: &[Shown], balance: &mut Balance, clock: &Clock) -> F
     }
 }
 
-/// Readings as fast as they come, and the last that failed.
+/// Readings as fast as they arrive, and the last failure.
 fn watch(balance: &mut Balance, clock: &Clock) -> (Vec<Sample>, Option<DeviceError>) {
     let began_s = clock.now_s();
     let (mut samples, mut failure, mut failures) = (Vec::new(), None, 0);

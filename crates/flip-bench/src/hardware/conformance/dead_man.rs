@@ -1,4 +1,5 @@
-//! The dead-man: what the arm does when nobody renews its lease, and that only a person gets it going again.
+//! Dead-man checks: what the arm does when its lease is not renewed, and that only a person can get
+//! it going again.
 
 use super::arm::{Lease, Subject, is_home};
 use super::raw::{CALL, MOTION, told};
@@ -7,13 +8,14 @@ use crate::hardware::arm::proto::{self, Mode};
 use std::time::{Duration, Instant};
 use tonic::{Code, Status};
 
-/// Pitch from which the arm has to come back, degrees.
+/// Pitch from which the arm has to return, degrees.
 const TILTED_DEG: f64 = 20.0;
 
-/// For so long beyond its bound an arm is watched that has not begun to return: what comes next finds it latched, if it latches at all.
+/// How much longer an arm that has not begun to return is observed after its deadline: the next
+/// check finds it latched, if it latches at all.
 const LATE: Duration = Duration::from_secs(10);
 
-/// Nobody has control and the spoon is at home; so it is afterwards.
+/// Requires that nobody has control and that the spoon is at home; leaves it so.
 pub(super) fn check(subject: &Subject<'_>, found: &mut Findings) {
     let asked = "renewals end while the spoon is tilted over the vial";
     let mut lease = match tilted(subject) {

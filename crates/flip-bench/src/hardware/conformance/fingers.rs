@@ -1,13 +1,13 @@
-//! The gripper: does it answer, and does it hold a spoon? Nothing moves.
+//! Gripper checks: does it answer, and does it hold a spoon? Nothing moves.
 
 use super::{Check, Findings, Found};
 use crate::hardware::gripper::{Gripper, GripperStatus, fault_words};
 use crate::hardware::wire::Tap;
 use std::time::{Duration, Instant};
 
-/// Times that it is asked.
+/// Number of status requests.
 const ASKED: u32 = 20;
-/// An answer that takes longer was asked for twice, or nearly.
+/// A slower answer needed a retry, or nearly did.
 const QUICK: Duration = Duration::from_millis(200);
 
 pub(super) fn check(port: &str, tap: &Tap) -> Vec<Check> {
@@ -57,11 +57,11 @@ fn answers(gripper: &mut Gripper) -> Found {
 fn activated(status: &GripperStatus) -> Found {
     let came = format!("activated: {}, fault: {}", status.activated, fault_words(status.fault));
     let advice = "take the spoon out of the fingers, then activate the gripper; see its lamp for a fault";
-    // 5 and 9 are of the past and end by themselves.
+    // Faults 5 and 9 belong to the past and clear by themselves.
     Found::judged(status.activated && matches!(status.fault, 0 | 5 | 9), came, advice)
 }
 
-/// It may hold none while nobody weighs; what it says must be clear.
+/// It need not hold a spoon while nobody weighs, but its state must be unambiguous.
 fn spoon(status: &GripperStatus) -> Found {
     match (status.moving, status.holds()) {
         (true, _) => Found::failed("the fingers move, and nobody asked for it", "see who else commands the gripper"),

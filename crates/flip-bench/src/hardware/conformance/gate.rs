@@ -1,4 +1,4 @@
-//! The gate: does it speak FLIP's protocol, and does it close without anybody asking?
+//! Gate checks: does it speak FLIP's protocol, and does it close by itself?
 
 use super::{Check, Findings, Found, Looked};
 use crate::hardware::DeviceError;
@@ -6,9 +6,10 @@ use crate::hardware::gate::{Gate, GateStatus, Opening, State, Why};
 use crate::hardware::wire::Tap;
 use std::time::{Duration, Instant};
 
-/// Longest time for a gate to be closed again once heartbeats have ended: its watchdog, and the way of the slide.
+/// Maximum time for the gate to close once heartbeats have ended: its watchdog plus the slide's
+/// travel.
 const CLOSES: Duration = Duration::from_secs(4);
-/// How long heartbeats go out while the gate is opened and closed.
+/// How long heartbeats are sent while the gate is opened and closed.
 const OPEN: Duration = Duration::from_secs(10);
 const ASK_EVERY: Duration = Duration::from_millis(20);
 
@@ -51,7 +52,7 @@ fn watchdog(gate: &mut Gate) -> Found {
     let opened = gate.open_gate(Opening::FULL, Duration::ZERO);
     let began = Instant::now();
     let advice = "a gate that stays open empties the funnel when FLIP dies: look at board and sketch";
-    // The slide may be on its way back before it has arrived: what counts is that it closes.
+    // The slide may be on its way back before it has arrived: only closing matters.
     if let Err(error) = opened {
         return error.into();
     }

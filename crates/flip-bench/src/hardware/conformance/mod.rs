@@ -1,7 +1,10 @@
-//! Does a bench keep its word? A dry test of every device that a bench file names: nothing is poured, and everything that is wrong is listed.
+//! Conformance test of a bench: a dry test of every device in a bench file. Nothing is poured, and
+//! everything that is wrong is listed.
 //!
-//! Questions that move nothing are always asked. What moves is asked only on the word of a person who has looked ([`Looked`]). The arm is asked call by
-//! call, past the client that would refuse a bad number before it is sent: whether the driver refuses it is the question.
+//! Checks that move nothing always run. Checks that move something run only after a person has
+//! inspected the bench and confirmed it ([`Looked`]). The arm is tested call by call, bypassing the
+//! client, which would refuse a bad number before it is sent: whether the driver refuses it is the
+//! question.
 
 mod arm;
 mod balance;
@@ -23,55 +26,55 @@ use flip_core::domain::FieldError;
 use serde::Serialize;
 use std::time::Duration;
 
-/// What came of one check.
+/// Verdict of one check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// As it must be.
+    /// As required.
     Ok,
-    /// FLIP can work with it, and a person should know.
+    /// FLIP can work with it, but a person should know.
     Warning,
-    /// Nobody should weigh with this bench before it is put right.
+    /// Nobody should weigh with this bench until it is fixed.
     Failed,
-    /// It was not asked: `came` says why.
+    /// The check did not run: `came` gives the reason.
     Skipped,
 }
 
-/// One question to a device.
+/// One check of a device.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Check {
-    /// Which device, by its role.
+    /// The device, by its role.
     pub device: &'static str,
-    /// What is checked.
+    /// Name of the check.
     pub name: &'static str,
-    /// What was asked.
+    /// What was requested.
     pub asked: String,
-    /// What came, with the numbers that were measured.
+    /// The outcome, with the measured values.
     pub came: String,
-    /// What that means.
+    /// What the outcome means.
     pub verdict: Verdict,
-    /// What to do about it.
+    /// How to fix it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub advice: Option<String>,
 }
 
-/// Everything that was asked.
+/// All checks of a bench.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Report {
     /// No check failed.
     pub passed: bool,
-    /// In the order in which they were made.
+    /// In the order in which they ran.
     pub checks: Vec<Check>,
 }
 
 impl Report {
-    /// How many checks came out like this.
+    /// Number of checks with this verdict.
     pub fn count(&self, verdict: Verdict) -> usize {
         self.checks.iter().filter(|check| check.verdict == verdict).count()
     }
 }
 
-/// What a person has looked at and vouches for.
+/// What a person has inspected and vouches for.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Looked {
     by: String,
@@ -80,16 +83,17 @@ pub struct Looked {
 }
 
 impl Looked {
-    /// Nobody has looked: nothing moves.
+    /// Nobody has inspected the bench: nothing moves.
     pub fn nobody() -> Self {
         Self::default()
     }
 
-    /// This person has looked. `empty_spoon`: the spoon holds no powder, the vial is empty or away, and the arm's way is free. `empty_funnel`: nothing can
-    /// flow through the gate.
+    /// This person has inspected the bench. `empty_spoon`: the spoon holds no powder, the vial is
+    /// empty or away, and the arm's path is clear. `empty_funnel`: nothing can flow through the
+    /// gate.
     ///
     /// # Errors
-    /// `by` names nobody while something is vouched for.
+    /// `by` names nobody although something is vouched for.
     pub fn by(person: &str, empty_spoon: bool, empty_funnel: bool) -> Result<Self, FieldError> {
         if (empty_spoon || empty_funnel) && person.trim().is_empty() {
             return Err(FieldError::new("by", "must name the person who looked at spoon, vial and funnel"));
@@ -97,29 +101,30 @@ impl Looked {
         Ok(Self { by: person.trim().to_owned(), empty_spoon, empty_funnel })
     }
 
-    /// The spoon may move: it is empty, and so is the vial, or it is away.
+    /// The spoon may move: it is empty, and the vial is empty or away.
     pub(super) fn spoon_is_empty(&self) -> bool {
         self.empty_spoon
     }
 }
 
-/// How quick a bench must be.
+/// Time limits and rates that a bench must keep.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
-    /// From Stop until the spoon stands.
+    /// From Stop until the spoon is at rest.
     pub stop: Duration,
-    /// What the arm says of its dead-man.
+    /// Dead-man time reported by the arm.
     pub dead_man: Duration,
-    /// From the last renewal until the arm brings its spoon back.
+    /// From the last renewal until the arm starts bringing its spoon back.
     pub return_begins: Duration,
     /// Until the spoon is level and away.
     pub return_ends: Duration,
-    /// States in a second while the arm moves.
+    /// State rate while the arm moves, Hz.
     pub states_hz: f64,
 }
 
 impl Bounds {
-    /// As `proto/flip/bench/v1/arm.proto` demands, with 200 ms for a dead-man to be noticed.
+    /// As `proto/flip/bench/v1/arm.proto` requires, with 200 ms allowed for noticing that renewals
+    /// have ended.
     pub const CONTRACT: Self = Self {
         stop: Duration::from_millis(50),
         dead_man: Duration::from_millis(300),
@@ -129,7 +134,7 @@ impl Bounds {
     };
 }
 
-/// Ask every device of this file.
+/// Check every device in this file.
 pub fn check(file: &BenchFile, looked: &Looked, bounds: &Bounds, clock: &Clock, tap: &Tap) -> Report {
     let mut checks = balance::check(file, clock, tap);
     checks.extend(file.gripper.iter().flat_map(|gripper| fingers::check(&gripper.port, tap)));
@@ -138,7 +143,7 @@ pub fn check(file: &BenchFile, looked: &Looked, bounds: &Bounds, clock: &Clock, 
     Report { passed: checks.iter().all(|check| check.verdict != Verdict::Failed), checks }
 }
 
-/// What one question brought.
+/// Outcome of one check.
 struct Found {
     came: String,
     verdict: Verdict,
@@ -162,7 +167,7 @@ impl Found {
         Self { came: reason.into(), verdict: Verdict::Skipped, advice: None }
     }
 
-    /// Well if `good`, else failed.
+    /// Ok if `good`, else failed.
     fn judged(good: bool, came: impl Into<String>, advice: impl Into<String>) -> Self {
         if good { Self::ok(came) } else { Self::failed(came, advice) }
     }
@@ -191,7 +196,7 @@ impl Findings {
         self.checks.push(Check { device: self.device, name, asked: asked.into(), came, verdict, advice });
     }
 
-    /// These were not asked, all for one reason.
+    /// Mark these checks as skipped, all for one reason.
     fn skip(&mut self, names: &[&'static str], reason: &str) {
         names.iter().for_each(|name| self.add(name, "nothing", Found::skipped(reason)));
     }

@@ -1,4 +1,5 @@
-//! Motions as the contract describes them: what is executed, how it is seen, and that nothing is made twice.
+//! Motion checks against the contract: what is executed, how it is reported, and that no motion is
+//! executed twice.
 
 use super::arm::{AT_REST_MM, LEVEL_DEG, Lease, Subject};
 use super::raw::told;
@@ -9,15 +10,15 @@ use flip_core::domain::motion::Move;
 use std::time::{Duration, Instant};
 use tonic::{Code, Status};
 
-/// What is shaken, mm, where the arm can.
+/// Shake amplitude, mm, where the arm can.
 const SHAKE_MM: f64 = 8.0;
-/// Shares of a commanded amplitude within which the executed one needs no word.
+/// Ratios of executed to commanded amplitude that need no remark.
 const CLOSE: [f64; 2] = [0.9, 1.05];
-/// Beyond these the arm does something else than it was asked for.
+/// Beyond these ratios the arm does not do what it was commanded.
 const FAR: [f64; 2] = [0.5, 1.15];
-/// What moves in so long after a repeat was moved by it.
+/// Motion within this time after a repeated request counts as caused by it.
 const AFTER: Duration = Duration::from_millis(150);
-/// Fewest states that tell their rate.
+/// Fewest states from which their rate can be determined.
 const STATES_MIN: usize = 10;
 
 pub(super) fn check(subject: &Subject<'_>, lease: &mut Lease<'_>, found: &mut Findings) {
@@ -52,7 +53,7 @@ fn pitch(answer: &Result<Executed, Status>, wanted_deg: f64) -> Found {
     }
 }
 
-/// By the driver's clock, so that a slow reader does not count against it.
+/// Measured by the driver's clock, so that a slow reader does not count against it.
 fn state_rate(subject: &Subject<'_>, since: Instant) -> Found {
     let seen = subject.states.since(since);
     let moving: Vec<f64> =
@@ -96,7 +97,8 @@ fn shake(subject: &Subject<'_>, answer: &Result<Executed, Status>, asked_mm: f64
     }
 }
 
-/// The number of a motion that was made: the same request is answered as before, another is refused, and nothing moves.
+/// The sequence number of an executed motion: the same request gets the same answer, another one is
+/// refused, and nothing moves.
 fn repeats(subject: &Subject<'_>, lease: &Lease<'_>, number: u64, first: &Result<Executed, Status>) -> Found {
     let Ok(first) = first else { return Found::skipped("the shake was not made") };
     let asked_mm = SHAKE_MM.min(subject.limits.shake_mm_max);

@@ -1,4 +1,5 @@
-//! The contract's calls as they are, and the states that an arm sends: for whoever must know what a driver does, not what FLIP's client makes of it.
+//! Raw calls of the contract, and the states an arm sends: for checks that need the driver's own
+//! behaviour, not what FLIP's client makes of it.
 
 use crate::hardware::DeviceError;
 use crate::hardware::arm::proto::arm_client::ArmClient;
@@ -11,16 +12,16 @@ use tokio::time::timeout;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Response, Status};
 
-/// As messages name it.
+/// Name used in messages.
 const DEVICE: &str = "the arm";
-/// How long a connection, and an answer to what moves nothing, may take.
+/// Timeout for connecting, and for calls that move nothing.
 pub(super) const CALL: Duration = Duration::from_secs(2);
-/// How long a motion may take.
+/// Timeout for motions.
 pub(super) const MOTION: Duration = Duration::from_secs(30);
-/// Between renewals.
+/// Interval between renewals.
 const RENEWAL: Duration = Duration::from_millis(50);
 
-/// One connection to a driver, with threads of its own.
+/// One connection to a driver, with its own threads.
 pub(in crate::hardware) struct Raw {
     runtime: tokio::runtime::Runtime,
     client: ArmClient<Channel>,
@@ -38,7 +39,7 @@ impl Raw {
         Ok(Self { runtime, client: ArmClient::new(channel), tap: tap.clone() })
     }
 
-    /// Begin a call; its answer comes from [`Raw::wait`].
+    /// Begin a call; its answer is returned by [`Raw::wait`].
     pub(super) fn begin<A, F>(
         &self,
         what: &str,
@@ -81,7 +82,7 @@ impl Raw {
         self.wait(self.begin(what, limit, call))
     }
 
-    /// Watch where the arm is from now on.
+    /// Record the arm's states from now on.
     pub(in crate::hardware) fn watch(&self) -> Watch {
         let seen = Arc::<Mutex<Vec<Seen>>>::default();
         let (keep, mut client) = (seen.clone(), self.client.clone());
@@ -95,7 +96,7 @@ impl Raw {
         Watch { seen, task }
     }
 
-    /// Renew this lease until the answer is dropped.
+    /// Renew this lease until the returned value is dropped.
     pub(super) fn renew(&self, lease_id: &str) -> Renewals {
         let last = Arc::new(Mutex::new(Instant::now()));
         let (keep, mut client, lease_id) = (last.clone(), self.client.clone(), lease_id.to_owned());
@@ -113,31 +114,31 @@ impl Raw {
     }
 }
 
-/// A status in words, its code first.
+/// A status as text, code first.
 pub(super) fn told(status: &Status) -> String {
     format!("{:?}: {}", status.code(), status.message())
 }
 
-/// A state, and when it came.
+/// A state and its arrival time.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::hardware) struct Seen {
     pub at: Instant,
     pub state: State,
 }
 
-/// The states that came since it was made.
+/// The states received since this was made.
 pub(in crate::hardware) struct Watch {
     seen: Arc<Mutex<Vec<Seen>>>,
     task: JoinHandle<()>,
 }
 
 impl Watch {
-    /// Every state from that moment on.
+    /// All states from that moment on.
     pub(in crate::hardware) fn since(&self, from: Instant) -> Vec<Seen> {
         locked(&self.seen).iter().copied().filter(|seen| seen.at >= from).collect()
     }
 
-    /// The first state from that moment on of which this is so, waiting for it.
+    /// The first state from that moment on that satisfies `is_so`, waiting for it.
     pub(super) fn until(&self, from: Instant, limit: Duration, is_so: impl Fn(&State) -> bool) -> Option<Seen> {
         let until = Instant::now() + limit;
         loop {
@@ -163,7 +164,7 @@ pub(super) struct Renewals {
 }
 
 impl Renewals {
-    /// No more of them; when the last that was accepted was sent.
+    /// Stop renewing; returns when the last accepted renewal was sent.
     pub(super) fn end(self) -> Instant {
         self.task.abort();
         *locked(&self.last)

@@ -1,4 +1,4 @@
-//! What a driver must refuse: the client that FLIP weighs with never asks for it, another program might.
+//! Requests that a driver must refuse: FLIP's client never sends them, but another program might.
 
 use super::arm::{Lease, Subject};
 use super::raw::{CALL, MOTION, Raw, told};
@@ -7,17 +7,17 @@ use crate::hardware::arm::proto::{self, Executed};
 use std::time::{Duration, Instant};
 use tonic::{Code, Status};
 
-/// What moves in so long after a refusal was moved by it.
+/// Motion within this time after a refusal counts as caused by the request.
 const AFTER: Duration = Duration::from_millis(100);
-/// A pose that differs by more has changed, degrees and mm.
+/// A pose counts as changed if it differs by more than this, degrees and mm.
 const MOVED: f64 = 0.05;
 
-/// A motion by nobody; it asks for where the spoon is already.
+/// A motion without a lease; it commands the pose that the spoon already has.
 pub(super) fn without_lease(raw: &Raw) -> Found {
     let ticket = Some(proto::Ticket { lease_id: "nobody".to_owned(), sequence: 1, deadline_ms: 0 });
     let request = proto::PitchRequest { ticket, pitch_deg: 0.0 };
     let answer = raw.ask("Pitch to 0 deg, by nobody", CALL, |mut client| async move { client.pitch(request).await });
-    // A latched arm says that first.
+    // A latched arm reports that first.
     refused(answer, &[Code::PermissionDenied, Code::FailedPrecondition])
 }
 
@@ -51,7 +51,7 @@ pub(super) fn check(subject: &Subject<'_>, lease: &Lease<'_>, found: &mut Findin
 fn bad_numbers(subject: &Subject<'_>, lease: &Lease<'_>) -> Found {
     let began = Instant::now();
     let mut wrong = Vec::new();
-    // Beyond any driver's range, so that one with wider limits than FLIP's must refuse it too.
+    // Beyond any driver's range, so that even one with wider limits than FLIP's must refuse it.
     for pitch_deg in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 90.5, -90.5] {
         let request = proto::PitchRequest { ticket: lease.numbered(1), pitch_deg };
         let what = format!("Pitch to {pitch_deg} deg");
@@ -77,7 +77,7 @@ fn accepted(what: &str, answer: Result<Executed, Status>) -> Option<String> {
     }
 }
 
-/// The spoon was somewhere else since.
+/// Whether the spoon has been anywhere else since.
 pub(super) fn moved(subject: &Subject<'_>, since: Instant) -> bool {
     let seen = subject.states.since(since);
     let first = seen.first().map(|seen| seen.state);
@@ -91,7 +91,7 @@ pub(super) fn moved(subject: &Subject<'_>, since: Instant) -> bool {
     })
 }
 
-/// It must not be done, and for one of these reasons.
+/// The call must be refused, with one of these codes.
 pub(super) fn refused<A>(answer: Result<A, Status>, codes: &[Code]) -> Found {
     match answer {
         Ok(_) => Found::failed("it was carried out", format!("it must be refused with {codes:?}")),

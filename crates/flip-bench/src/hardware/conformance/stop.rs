@@ -1,4 +1,4 @@
-//! Stop: how long until the spoon stands, and what may be done afterwards.
+//! Stop checks: how long until the spoon is at rest, and what is allowed afterwards.
 
 use super::arm::{Lease, Subject, is_home};
 use super::raw::{CALL, MOTION, Raw, Seen, told};
@@ -8,14 +8,14 @@ use crate::hardware::arm::proto::{self, Mode};
 use std::time::{Duration, Instant};
 use tonic::Code;
 
-/// How long states are read after Stop.
+/// How long states are recorded after Stop.
 const AFTER: Duration = Duration::from_millis(400);
-/// Pitch from which a motion is certainly under way, degrees.
+/// Pitch change at which a motion is certainly under way, degrees.
 const UNDER_WAY_DEG: f64 = 2.0;
-/// A pitch that changes by less stands, degrees.
+/// A pitch that changes by less counts as at rest, degrees.
 const STANDS_DEG: f64 = 0.02;
 
-/// The spoon is over the vial, level; afterwards it is retracted.
+/// Requires the spoon over the vial, level; leaves it retracted.
 pub(super) fn check(subject: &Subject<'_>, lease: &mut Lease<'_>, found: &mut Findings) {
     let upper_deg = subject.limits.pitch.upper_deg;
     found.add(
@@ -62,7 +62,8 @@ fn stop(subject: &Subject<'_>, lease: &mut Lease<'_>, upper_deg: f64) -> Found {
     }
 }
 
-/// How long after `asked` the pitch last changed. States are dated by the driver's clock, which the promptest of them ties to ours.
+/// How long after `asked` the pitch last changed. States carry the driver's timestamps, which are
+/// mapped to our clock by the state with the least delay.
 fn stood_after(seen: &[Seen], asked: Instant) -> Duration {
     let (Some(first), Some(last)) = (seen.first(), seen.last()) else { return Duration::ZERO };
     let since_first = |at: Instant| at.saturating_duration_since(first.at).as_secs_f64();

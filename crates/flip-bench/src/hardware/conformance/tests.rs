@@ -1,4 +1,5 @@
-//! The dry test against an emulated laboratory: nothing to complain of when it is well, and the right complaint when it is not.
+//! The dry test against an emulated laboratory: no complaints when all is well, and the right
+//! complaint when it is not.
 
 use super::*;
 use crate::emulate::arm::{self as arms, Flow, FormulaSpoon};
@@ -8,7 +9,7 @@ use crate::emulate::gripper as grippers;
 use crate::emulate::lab::{Laboratory, Settings};
 use crate::emulate::port::{Port, Talker};
 
-/// What a busy machine keeps.
+/// Bounds that even a busy machine can keep.
 const PATIENT: Bounds = Bounds {
     stop: Duration::from_millis(2000),
     dead_man: Duration::from_millis(300),
@@ -83,7 +84,8 @@ fn what_is_wrong_with_a_balance_is_named() {
     assert_eq!(failed(&balance::check(&file, &clock, &Tap::none())), [("balance", "reading")]);
 }
 
-/// The checks of an MT-SICS balance that answers these commands so, and knows no other; `told` is added to its bench file.
+/// The checks of an MT-SICS balance that answers commands by this function and knows no others;
+/// `told` is appended to its bench file.
 fn checked(told: &str, mut answer: impl FnMut(&str) -> Option<String> + Send + 'static) -> Vec<Check> {
     struct Answers<F>(F);
     impl<F: FnMut(&str) -> Option<String> + Send + 'static> Talker for Answers<F> {
@@ -102,7 +104,8 @@ fn checked(told: &str, mut answer: impl FnMut(&str) -> Option<String> + Send + '
     balance::check(&BenchFile::parse(&text).unwrap(), &Clock::fast(4.0), &Tap::none())
 }
 
-/// Readings of a balance in these steps of its last place of 0.1 mg, going up and down by one, and its tare.
+/// Readings of a balance with this step in its last place of 0.1 mg, going up and down by one, and
+/// its tare.
 fn weighs_in(step: i64, status: char) -> impl FnMut(&str) -> Option<String> + Send {
     let (mut asked, mut tare) = (0, 0);
     move |command: &str| {
@@ -166,7 +169,7 @@ fn what_is_wrong_with_gripper_and_gate_is_named() {
     let file = lab.file();
     let (gripper, gate) = (file.gripper.unwrap().port, file.gate.unwrap().port);
     lab.fingers.cause(grippers::Fault::DroppedSpoon, 1);
-    // They close on nothing first, and a finger that moves by itself is worth a complaint as well.
+    // They close on nothing first, and a finger that moves by itself deserves a complaint as well.
     let spoon = || fingers::check(&gripper, &Tap::none()).pop().map(|it| it.verdict);
     let began = std::time::Instant::now();
     while spoon() != Some(Verdict::Warning) {

@@ -1,4 +1,5 @@
-//! What the gate and its driver say to each other. The sketch has it once more, in `gate_firmware/gate_protocol.h`.
+//! Protocol between the gate and its driver. The sketch implements it again in
+//! `gate_firmware/gate_protocol.h`.
 //!
 //! ```text
 //! request   <seq> HELLO | OPEN <permille> | CLOSE | STATUS | BEAT        *<sum> LF
@@ -12,9 +13,10 @@
 //! sum       four hexadecimal digits of CRC-16/CCITT-FALSE over what stands before `*`
 //! ```
 //!
-//! The device obeys a line once: a number that it has seen is answered with the reply that it gave, an older one is refused. So the driver may send a
-//! line again when its reply is lost. After a reset it refuses everything until HELLO, which always closes the gate: a line from before the reset cannot
-//! open it.
+//! The device obeys a line once: a repeated number gets the same reply again, an older one is
+//! refused. So the driver may send a line again when its reply is lost. After a reset it refuses
+//! everything until HELLO, which always closes the gate: a line from before the reset cannot open
+//! it.
 
 use crate::hardware::DeviceError;
 use crate::hardware::wire::shown;
@@ -22,16 +24,16 @@ use crate::hardware::wire::shown;
 /// Version of the protocol above.
 pub const VERSION: u16 = 1;
 
-/// What the slide does.
+/// State of the slide.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum State {
-    /// It is closed and its end stop says so.
+    /// Closed, confirmed by its end stop.
     Closed,
-    /// It stands open, as far as it was asked to.
+    /// Open, as far as requested.
     Open,
-    /// It is on its way.
+    /// On its way.
     Moving,
-    /// It should have arrived and its end stop does not say so.
+    /// It should have arrived, but its end stop does not confirm it.
     Stuck,
 }
 
@@ -40,16 +42,16 @@ pub enum State {
 pub enum Why {
     /// The board started.
     Reset,
-    /// It was asked to.
+    /// It was commanded to.
     Asked,
     /// Heartbeats ended.
     Beats,
 }
 
-/// What the gate says of itself.
+/// Status reported by the gate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GateStatus {
-    /// What the slide does.
+    /// State of the slide.
     pub state: State,
     /// How far it is open, 0 to 1000 thousandths.
     pub opening_permille: u16,
@@ -72,33 +74,33 @@ pub enum Refusal {
     Command,
     /// The argument is out of bounds.
     Argument,
-    /// A newer line was obeyed already.
+    /// A newer line has already been obeyed.
     Old,
-    /// The board was reset: say HELLO first.
+    /// The board was reset: send HELLO first.
     Hello,
 }
 
 /// A line from the device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reply {
-    /// Number of the request; 0 for what it says by itself.
+    /// Number of the request; 0 for unsolicited lines.
     pub seq: u16,
-    /// What it says.
+    /// Its content.
     pub said: Said,
 }
 
-/// What a line from the device says.
+/// Content of a line from the device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Said {
-    /// Done, and how things stand.
+    /// Done, with the current status.
     Ok(GateStatus),
-    /// It is ready, with the version of its protocol.
+    /// Ready, with its protocol version.
     Hi(u16, GateStatus),
     /// Refused.
     Err(Refusal),
 }
 
-/// A line from the device, without its end.
+/// Parse a line from the device, without its terminator.
 ///
 /// # Errors
 /// [`DeviceError::Garbled`]
@@ -158,17 +160,17 @@ fn refusal(reason: &str) -> Option<Refusal> {
     })
 }
 
-/// A number of the protocol: digits alone, up to 65535.
+/// Parse a number of the protocol: digits only, up to 65535.
 pub fn number(text: &str) -> Option<u16> {
     text.bytes().all(|byte| byte.is_ascii_digit()).then(|| text.parse().ok()).flatten()
 }
 
-/// `text` as a line of the protocol, with its checksum and its end.
+/// Format `text` as a line of the protocol, with checksum and terminator.
 pub fn framed(text: &str) -> String {
     format!("{text}*{:04X}\n", crc(text.as_bytes()))
 }
 
-/// The text of a line whose checksum is right.
+/// The text of a line, if its checksum is correct.
 pub fn unframed(line: &[u8]) -> Option<&str> {
     let line = std::str::from_utf8(line).ok()?;
     let (text, sum) = line.rsplit_once('*')?;

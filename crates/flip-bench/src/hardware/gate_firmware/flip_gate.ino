@@ -1,13 +1,16 @@
-// The slide gate under FLIP's funnel: an Arduino Uno (or one like it), a servo that moves the slide, and two end stops.
+// The slide gate under FLIP's funnel: an Arduino Uno or compatible, a servo that moves the slide,
+// and two end stops.
 //
 //   pin 9   servo
 //   pin 2   closed end stop, to ground when pressed
 //   pin 3   open end stop, to ground when pressed
 //
-// Opening the serial port resets the board (DTR), and a reset closes the gate. What this sketch cannot do is close a gate without supply: give
-// the slide a spring that does, and feed the servo from its own supply.
+// Opening the serial port resets the board (DTR), and a reset closes the gate. This sketch cannot
+// close a gate without power: fit the slide with a spring that does, and give the servo its own
+// supply.
 //
-// Copy this file and gate_protocol.h into a folder named flip_gate and load it with the Arduino IDE (library: Servo).
+// Copy this file and gate_protocol.h into a folder named flip_gate and load it with the Arduino IDE
+// (library: Servo).
 
 #include <Servo.h>
 #ifdef __AVR__
@@ -19,7 +22,7 @@
 const uint8_t SERVO_PIN = 9;
 const uint8_t CLOSED_STOP_PIN = 2;
 const uint8_t OPEN_STOP_PIN = 3;
-// Pulses of the servo at the ends of the slide: measure them on the gate that was built.
+// Servo pulse widths at the ends of the slide: measure them on the actual gate.
 const uint16_t CLOSED_US = 1000;
 const uint16_t OPEN_US = 2000;
 
@@ -44,7 +47,8 @@ void setup() {
   Serial.begin(115200);
   delay(flip_gate::SETTLE_MS);
 #ifdef __AVR__
-  // A loop that hangs resets the board, which closes the gate. Old bootloaders do not survive this: load a current one (Optiboot).
+  // A loop that hangs resets the board, which closes the gate. Old bootloaders do not survive this:
+  // load a current one (Optiboot).
   wdt_enable(WDTO_250MS);
 #endif
   gate.hello(millis(), stops());

@@ -1,8 +1,11 @@
-// The slide gate's protocol and watchdog, without anything of Arduino, so that the same file runs on the board and in FLIP's tests.
+// The slide gate's protocol and watchdog, independent of Arduino, so that the same file runs on the
+// board and in FLIP's tests.
 // The lines are described in crates/flip-bench/src/hardware/gate/protocol.rs.
 //
-// The gate is to be closed after a reset, after CLOSE, after HELLO, and when no heartbeat has come for 500 ms while it is to be open.
-// A line is obeyed once: the newest number is answered with the reply that it got, older ones are refused, and after a reset all are until HELLO.
+// The gate is to be closed after a reset, after CLOSE, after HELLO, and when no heartbeat has
+// arrived for 500 ms while it is to be open.
+// A line is obeyed once: the newest number gets the same reply again, older ones are refused, and
+// after a reset all are refused until HELLO.
 
 #ifndef FLIP_GATE_PROTOCOL_H
 #define FLIP_GATE_PROTOCOL_H
@@ -14,14 +17,15 @@
 namespace flip_gate {
 
 const uint16_t VERSION = 1;
-// Without a heartbeat for this long an open gate closes, ms.
+// An open gate closes after this long without a heartbeat, ms.
 const uint32_t WATCHDOG_MS = 500;
-// The slide takes this long from end to end, ms; a servo is led along, so that it does not throw powder.
+// Travel time of the slide from end to end, ms; the servo is ramped so that it does not throw
+// powder.
 const uint32_t TRAVEL_MS = 400;
-// After this long at its end an end stop must be pressed, ms.
+// Time after arrival by which an end stop must be pressed, ms.
 const uint32_t SETTLE_MS = 300;
 const uint16_t OPEN_PERMILLE = 1000;
-// Longest line to the board, and longest from it.
+// Maximum length of a line to the board, and of one from it.
 const uint8_t LINE_BYTES_MAX = 40;
 const uint8_t REPLY_BYTES_MAX = 64;
 
@@ -45,7 +49,7 @@ struct Stops {
 
 class Gate {
  public:
-  // Sends one line, with its end.
+  // Sends one line, with its terminator.
   typedef void (*Say)(const char* line);
 
   explicit Gate(Say say) : say_(say) { reset(0); }
@@ -72,11 +76,11 @@ class Gate {
     say_(reply_);
   }
 
-  // A character came.
+  // Process a received character.
   void hear(char c, uint32_t now_ms, Stops stops) {
     tick(now_ms, stops);
     if (c != '\n' && c != '\r') {
-      // What is too long is cut, so that its checksum is wrong.
+      // A line that is too long is cut, so that its checksum is wrong.
       if (length_ < LINE_BYTES_MAX) line_[length_++] = c;
       return;
     }
@@ -84,7 +88,7 @@ class Gate {
     length_ = 0;
   }
 
-  // Time passed: the slide moves on, and closes when heartbeats have ended.
+  // Advance the time: the slide moves on, and closes once heartbeats have stopped.
   void tick(uint32_t now_ms, Stops stops) {
     now_ms_ = now_ms;
     stops_ = stops;
@@ -96,14 +100,14 @@ class Gate {
     } else {
       position_ = static_cast<uint16_t>(target_ > from_ ? from_ + gone : from_ - gone);
     }
-    // Moved along, so that neither the product above nor the clock wraps while the slide rests.
+    // Advanced, so that neither the product above nor the clock wraps while the slide rests.
     if (position_ == target_ && now_ms - moved_ms_ > 10000) {
       from_ = target_;
       moved_ms_ = now_ms - 10000;
     }
   }
 
-  // Where the slide is to be now, thousandths.
+  // Commanded position of the slide now, thousandths.
   uint16_t position() const { return position_; }
 
  private:
@@ -182,7 +186,7 @@ class Gate {
     return NULL;
   }
 
-  // Where the text of a line ends, if its checksum is right.
+  // Finds where the text of a line ends, if its checksum is correct.
   bool text_end(uint8_t* end) const {
     if (length_ < 5 || line_[length_ - 5] != '*') return false;
     uint16_t sum = 0;
@@ -213,7 +217,7 @@ class Gate {
     return stops_.open ? "O" : "-";
   }
 
-  // Write the reply, which is kept for a line that comes again.
+  // Write the reply, which is kept in case the line is repeated.
   void answer(uint16_t seq, bool is_hello) {
     char kind[12];
     snprintf(kind, sizeof kind, is_hello ? "HI %u" : "OK", static_cast<unsigned>(VERSION));
@@ -237,7 +241,7 @@ class Gate {
 
   void say_error(const char* why) { refuse(0, why); }
 
-  // Put checksum and end behind a text that has room for them.
+  // Append checksum and terminator to a text that has room for them.
   static void finish(char* text) {
     const uint8_t length = static_cast<uint8_t>(strlen(text));
     snprintf(text + length, REPLY_BYTES_MAX - length, "*%04X\n", static_cast<unsigned>(checksum(text, length)));

@@ -1,4 +1,4 @@
-//! The gripper's wire: a serial port or a TCP connection whose every frame the tap hears.
+//! The gripper's wire: a serial port or a TCP connection whose frames are all recorded by the tap.
 
 use super::DEVICE;
 use crate::hardware::wire::Tap;
@@ -13,7 +13,7 @@ use tokio::net::TcpStream;
 use tokio_serial::SerialStream;
 
 const BAUD: u32 = 115_200;
-/// How long a connection may take.
+/// Connect timeout.
 const CONNECT: Duration = Duration::from_secs(3);
 
 trait Stream: AsyncRead + AsyncWrite + Unpin + Send {}
@@ -28,7 +28,8 @@ fn connect(address: &str) -> io::Result<TcpStream> {
     TcpStream::from_std(stream)
 }
 
-/// The stream under Modbus: tells the tap of every frame, and forgets what comes before a request. Clones are the same stream.
+/// The stream under Modbus: passes every frame to the tap, and discards input that arrived before a
+/// request. Clones are the same stream.
 #[derive(Clone)]
 pub(super) struct Wire {
     ends: Arc<Mutex<Ends>>,
@@ -37,7 +38,7 @@ pub(super) struct Wire {
 struct Ends {
     stream: Box<dyn Stream>,
     tap: Tap,
-    /// Bytes that came since the last request.
+    /// Bytes received since the last request.
     heard: Vec<u8>,
 }
 
@@ -51,7 +52,7 @@ impl Wire {
         Ok(Self { ends: Arc::new(Mutex::new(Ends { stream, tap, heard: Vec::new() })) })
     }
 
-    /// Bytes that came since the last request.
+    /// Bytes received since the last request.
     pub(super) fn heard(&self) -> Vec<u8> {
         self.ends().heard.clone()
     }
@@ -62,7 +63,7 @@ impl Wire {
 }
 
 impl Ends {
-    /// Take what has come.
+    /// Read available bytes.
     fn poll_take(&mut self, waker: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let before = into.filled().len();
         std::task::ready!(Pin::new(&mut self.stream).poll_read(waker, into))?;
@@ -104,7 +105,7 @@ impl AsyncWrite for Wire {
     }
 }
 
-/// Bytes as Modbus frames are written: `09 03 07 D0`.
+/// Bytes in Modbus notation: `09 03 07 D0`.
 pub(super) fn shown(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02X}")).collect::<Vec<_>>().join(" ")
 }

@@ -1,4 +1,5 @@
-//! Does it stop, and is the spoon level and away afterwards? A scripted bench misbehaves in every way at every call.
+//! Does it stop, and is the spoon level and away afterwards? A scripted bench fails in every way at
+//! every call.
 
 mod scripted;
 mod truth;
@@ -14,7 +15,7 @@ fn shaker(pitch_deg: f64, shake_mm: f64) -> Controller {
 }
 
 const ORDER: Order = Order { target_mg: 10.0, tolerance_lower_mg: 1.0, tolerance_upper_mg: 1.0, readability_mg: 1.0 };
-/// What is forecast has its own tests: here the scripted falls have to come.
+/// Forecasts have their own tests: here the scripted falls must happen.
 const BLIND: Settings = Settings { forecast: None, ..Settings::BENCH };
 
 fn weigh_on(bench: &mut Scripted, rules: &Rules) -> Weighed {
@@ -99,7 +100,7 @@ fn even_a_policy_that_never_ends_early_adds_nothing_once_the_target_shows() {
 #[test]
 fn masses_decide_how_a_dose_ends() {
     for (gives_mg, outcome, acts) in [
-        // Steps spent, an avalanche, one that comes late, and just enough.
+        // Steps used up, an avalanche, a late one, and just enough.
         (vec![0.1], Outcome::Under, 10),
         (vec![13.0], Outcome::Over, 1),
         (vec![2.0, 2.0, 2.0, 9.0], Outcome::Over, 4),
@@ -130,7 +131,8 @@ fn a_display_that_dies_hides_one_shake_and_a_person_is_called() {
         assert_eq!((weighed.outcome, weighed.must_look), (Outcome::Aborted, true), "{dies_at}");
         let cause = weighed.cause.unwrap();
         assert!(bench.is_safe() && cause.contains("the same number"), "{dies_at}");
-        // The fifth shake would have been the last: its dose is not called within because nothing showed that it is not.
+        // The fifth shake would have been the last: its dose is not reported as within just because
+        // nothing shows otherwise.
         assert_eq!((weighed.reading_mg, bench.mass_mg), (None, 2.0 * f64::from(dies_at + 1)));
         assert!(cause.contains(&format!("last showed {} mg", 2 * dies_at)), "{cause}");
         assert!((60..63).contains(&bench.count(Call::Life)) && bench.count(Call::Discard) == 0, "{dies_at}");
@@ -145,7 +147,7 @@ fn a_sound_display_is_waited_for_where_a_shake_changed_nothing_on_it_and_only_th
         assert_eq!((bench.count(Call::Life), weighed.must_look), (waits, false), "{gives_mg:?}");
         assert!(matches!(weighed.outcome, Outcome::Within | Outcome::Under), "{:?}", weighed.outcome);
     }
-    // Nobody waits where a display stands for minutes when all is well.
+    // No waiting where a display stays constant for minutes when all is well.
     let mut bench = Scripted { display: Display::dying_at(2), ..Scripted::giving(&[2.0]) };
     let settings = Settings { life_s: 0.0, ..BLIND };
     hear(&mut bench, &Rules::FLIP, &settings, |_| ControlFlow::Continue(()), &AtomicBool::new(false));
@@ -154,7 +156,8 @@ fn a_sound_display_is_waited_for_where_a_shake_changed_nothing_on_it_and_only_th
 
 #[test]
 fn what_a_shake_gave_is_not_forgotten_where_an_incline_came_before_the_sign_of_life() {
-    // 6 mg from the first shake, then an incline, and the display is waited for before the second shake.
+    // 6 mg from the first shake, then an incline, and the display is waited for before the second
+    // shake.
     let early = Display { is_early: true, ..Display::dying_at(99).unwrap() };
     let mut bench = Scripted { display: Some(early), ..Scripted::giving(&[6.0, 0.0, 0.0]) };
     let order = Order { target_mg: 20.0, ..ORDER };
@@ -225,7 +228,7 @@ fn a_device_that_fails_at_any_call_aborts_and_a_person_is_called() {
         for at in 0..times {
             for fault in [Fault::Silent, Fault::Panics] {
                 let weighed = check(call, at, fault);
-                // Powder that cannot be returned changes nothing about the dose.
+                // Powder that cannot be returned does not change the dose.
                 let outcome = if call == Call::Discard { Outcome::Within } else { Outcome::Aborted };
                 assert_eq!(weighed.outcome, outcome, "{fault:?} at {call:?} {at}");
                 let looks = fault == Fault::Silent || matches!(call, Call::Level | Call::Retract | Call::Discard);
@@ -252,7 +255,8 @@ fn a_reading_that_cannot_be_trusted_ends_the_dose_by_its_name() {
 
 #[test]
 fn a_balance_that_began_anew_in_the_dose_is_not_believed() {
-    // The vial on the display again, at the first reading and after any shake; and a balance that says at the end that it is another.
+    // The vial on the display again, at the first reading and after any shake; and a balance that
+    // turns out at the end to be another one.
     for at in 1..7 {
         let weighed = check(Call::Read, at, Fault::Untared);
         assert_eq!((weighed.outcome, weighed.must_look, weighed.reading_mg), (Outcome::Aborted, true, None), "{at}");
@@ -310,7 +314,7 @@ fn what_falls_while_the_spoon_is_levelled_is_told_and_judged() {
 
 #[test]
 fn a_stop_is_obeyed_before_the_next_motion_wherever_it_comes() {
-    // Pressed at the n-th thing that is heard: no more acts than had been carried out by then.
+    // Pressed at the n-th event: no more acts than had been carried out by then.
     for n in 0..13 {
         let mut bench = Scripted::giving(&[2.0]);
         let (stop, mut heard, mut acts) = (AtomicBool::new(false), 0, 0);
@@ -354,7 +358,7 @@ proptest! {
     fn over_spoons_with_heavy_tails_no_shake_is_let_through_that_might_pass_the_tolerance(
         gives in prop::collection::vec((0.0..1.0f64, 0.3..3.0f64), 30), target_mg in 3.0..20.0f64, tolerance_mg in 0.0..2.0f64, pitch_deg in 5.0..50.0f64, shake_mm in 0.9..16.0f64, fault_at in 0u32..60,
     ) {
-        // A Pareto tail of exponent 1.2: what comes is often small and sometimes an avalanche.
+        // A Pareto tail of exponent 1.2: falls are often small and sometimes an avalanche.
         let gives_mg: Vec<f64> = gives.iter().map(|(u, scale)| scale * (1.0 - 0.999 * u).powf(-1.0 / 1.2) - scale).collect();
         let mut bench = Scripted { fault: Some((Call::Read, fault_at, Fault::Unstable)), ..Scripted::giving(&gives_mg) };
         let order = Order { target_mg, tolerance_lower_mg: tolerance_mg, tolerance_upper_mg: tolerance_mg, readability_mg: 1.0 };

@@ -1,4 +1,4 @@
-//! A bench that does what it was told to beforehand, and notes what it is asked for.
+//! A bench that follows a script, and records the calls it gets.
 
 use crate::hardware::{Bench, DeviceError};
 use flip_core::domain::bench::{Action, Moment, Reach, Reading, Standing, Tare};
@@ -23,11 +23,11 @@ const NOTHING: Rest = Rest {
 /// The vial.
 const VIAL_MG: f64 = 12_000.0;
 
-/// What a bench is asked for.
+/// A call of the bench.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Call {
     Stand,
-    /// A second in which the display is watched for its mean.
+    /// One second of watching the display for its mean.
     Watch,
     Approach,
     Tare,
@@ -37,11 +37,11 @@ pub(super) enum Call {
     Level,
     Retract,
     Discard,
-    /// Is it the balance that was tared?
+    /// The check that it is the balance that was tared.
     Same,
 }
 
-/// How it goes wrong.
+/// A fault.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Fault {
     Silent,
@@ -51,18 +51,19 @@ pub(super) enum Fault {
     VialLifted,
     /// The reading jumps up.
     Draught,
-    /// The balance began anew and has forgotten the tare.
+    /// The balance restarted and lost the tare.
     Untared,
 }
 
-/// A display that shows another number only when the mass is another, or when it is watched.
+/// A display that changes only when the mass changes, or when it is watched.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Display {
     pub(super) shown_mg: f64,
     pub(super) lived_s: f64,
-    /// It stands still from this act on.
+    /// It is stuck from this act on.
     pub(super) dies_at: u32,
-    /// It shows what a shake gave while that is still falling, and nothing more of it later.
+    /// It shows the mass that had fallen while a shake's yield was still falling, and nothing more
+    /// of it later.
     pub(super) is_early: bool,
 }
 
@@ -72,11 +73,11 @@ impl Display {
     }
 }
 
-/// Each shake gives the next of these masses, the last one again and again, unless something is wrong.
+/// Each shake releases the next of these masses, repeating the last one, unless a fault is active.
 pub(super) struct Scripted {
-    /// None: it always shows the mass, and always lives.
+    /// `None`: it always shows the mass, and is always alive.
     pub(super) display: Option<Display>,
-    /// Pressed while a sign of life is waited for.
+    /// Set while the display is being watched for a change.
     pub(super) stops_in_life: Option<&'static AtomicBool>,
     pub(super) fault: Option<(Call, u32, Fault)>,
     pub(super) gives_mg: Vec<f64>,
@@ -109,7 +110,7 @@ impl Scripted {
         Self { fault: Some((call, at, fault)), ..Self::giving(&[2.0]) }
     }
 
-    /// Note the call; what goes wrong with it, if anything does.
+    /// Record the call; returns the fault it triggers, if any.
     fn called(&mut self, call: Call) -> Result<Option<Fault>, DeviceError> {
         let nth = self.count(call);
         self.calls.push(call);
@@ -166,7 +167,7 @@ impl Bench for Scripted {
         let fault = self.called(Call::Stand)?;
         let still = fault != Some(Fault::Unstable);
         let mut reading = self.shown(fault);
-        // Until it is tared the vial is on the display.
+        // Until it is tared, the display shows the vial.
         if self.count(Call::Tare) == 0 {
             reading.mass_mg += VIAL_MG;
         }

@@ -1,4 +1,5 @@
-//! What is said of a dose beside what is true of it: displays that wander, creep and round, over spoons by formula. No device, no grains, so that there can be many.
+//! Stated results versus true ones: displays that wander, creep and round, over spoons given by a
+//! formula. No device, no grains, so that there can be many doses.
 
 use super::*;
 use flip_core::domain::bench::Moment;
@@ -8,7 +9,8 @@ use flip_core::domain::seed::derive;
 const VIAL_MG: f64 = 12_000.37;
 const DOSES: u64 = 200;
 
-/// A balance: step of its display, SD of wander and of noise, for how long it remembers, s, and how it drifts, mg/min.
+/// A balance: step of its display, SD of wander and of noise, correlation time of the wander, s,
+/// and drift, mg/min.
 #[derive(Debug, Clone, Copy)]
 struct Like {
     step_mg: f64,
@@ -167,7 +169,8 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     all[all.len() / 2]
 }
 
-/// Of n statements that each hold with 95 %, fewer than this hold once in a thousand times (normal approximation of the binomial, 3.1 SD).
+/// Of n statements that each hold with 95 %, fewer than this hold with a probability of one in a
+/// thousand (normal approximation of the binomial, 3.1 SD).
 fn fewest_of_95_percent(n: u64) -> usize {
     let n = n as f64;
     (0.95 * n - 3.1 * (0.95 * 0.05 * n).sqrt()) as usize
@@ -187,7 +190,8 @@ fn the_uncertainty_holds_the_truth_and_is_no_tens_of_times_too_large() {
             let like = Like { step_mg, wander_mg, noise_mg, ..WANDERING };
             let (holds, u_mg, error_mg) = covered(like);
             assert!(holds >= fewest_of_95_percent(DOSES), "{like:?}: {holds} of {DOSES}");
-            // Twice the SD is 2.97 times the median of normal errors; that much three times over for what so few readings leave unknown.
+            // Twice the SD is 2.97 times the median of normal errors; three times that, for what so
+            // few readings leave unknown.
             assert!(u_mg <= 9.0 * error_mg, "{like:?}: {u_mg} mg where the error is {error_mg} mg");
         }
     }
@@ -206,7 +210,8 @@ fn a_drift_that_readings_can_prove_is_in_the_uncertainty() {
 fn a_dose_does_not_end_short_because_the_display_wandered_up() {
     let all = doses(WANDERING);
     let mean = |of: fn(&(f64, f64, f64)) -> f64| all.iter().map(of).sum::<f64>() / all.len() as f64;
-    // Half a step is what rounding leaves of "on target"; the reading itself is not biased (SD 0.5 mg over 200: four standard errors are 0.14 mg).
+    // Rounding leaves half a step of "on target"; the reading itself is unbiased (SD 0.5 mg over
+    // 200: four standard errors are 0.14 mg).
     let (short_mg, bias_mg) = (mean(|it| 10.0 - it.2), mean(|it| it.0 - it.2));
     assert!(short_mg <= 0.5 && bias_mg.abs() <= 0.15, "short by {short_mg} mg, bias of the reading {bias_mg} mg");
 }

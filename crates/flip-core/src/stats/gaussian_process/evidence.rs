@@ -1,4 +1,4 @@
-//! Choosing the hyperparameters: the most probable ones given the observations and a weak prior.
+//! Hyperparameter choice: the most probable ones given the observations and a weak prior.
 
 use super::{GaussianProcess, GaussianProcessError, Hyperparameters, factorise};
 use crate::stats::minimise::{Evaluated, minimise};
@@ -6,22 +6,25 @@ use crate::stats::summary;
 use nalgebra::{DMatrix, DVector};
 use std::f64::consts::TAU;
 
-/// Log-normal priors on the hyperparameters of standardised outputs (mean 0, SD 1): median and log SD.
+/// Log-normal priors on the hyperparameters of standardised outputs (mean 0, SD 1): median and log
+/// SD.
 ///
-/// With few observations the evidence alone picks absurd lengthscales; the prior holds them until data speak.
+/// With few observations the evidence alone picks absurd lengthscales; the prior constrains them
+/// until the data take over.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Prior {
-    /// Of each lengthscale, in units of the inputs.
+    /// Prior of each lengthscale, in units of the inputs.
     pub lengthscale: (f64, f64),
-    /// Of the signal's SD, in SD of the outputs.
+    /// Prior of the signal's SD, in SD of the outputs.
     pub signal_sd: (f64, f64),
-    /// Of the noise's SD, in SD of the outputs.
+    /// Prior of the noise's SD, in SD of the outputs.
     pub noise_sd: (f64, f64),
 }
 
 impl Default for Prior {
-    /// For inputs in the unit cube of which an unknown few matter: by default an input matters little (lengthscale three
-    /// times the cube's side), the function explains the outputs, and noise is a tenth of their spread.
+    /// For inputs in the unit cube of which an unknown few matter: by default an input matters
+    /// little (lengthscale three times the cube's side), the function explains the outputs, and the
+    /// noise is a tenth of their spread.
     fn default() -> Self {
         Self { lengthscale: (3.0, 1.0), signal_sd: (1.5, 0.7), noise_sd: (0.1, 0.7) }
     }
@@ -35,15 +38,16 @@ impl Prior {
 }
 
 impl<const D: usize> GaussianProcess<D> {
-    /// Condition on observations with the hyperparameters that maximise evidence times prior (type-II maximum a
-    /// posteriori; maximum likelihood with automatic relevance determination in the limit of a wide prior).
+    /// Conditions on observations with the hyperparameters that maximise evidence times prior
+    /// (type-II maximum a posteriori; maximum likelihood with automatic relevance determination in
+    /// the limit of a wide prior).
     ///
     /// ```text
     /// theta = (ln l_1 .. ln l_D, ln sf, ln sn) of outputs scaled to mean 0, SD 1;  L(theta) as in [`objective`]
     /// ```
     ///
-    /// Deterministic: BFGS from the prior's median and from the median with lengthscales a third and three times as
-    /// long; the best end is kept.
+    /// Deterministic: BFGS from the prior's median and from the median with lengthscales a third
+    /// and three times as long; the best end is kept.
     ///
     /// # Errors
     /// [`GaussianProcessError`]
@@ -51,7 +55,8 @@ impl<const D: usize> GaussianProcess<D> {
         Self::fit_with_noise(inputs, outputs, &vec![1.0; inputs.len()], prior)
     }
 
-    /// As [`Self::fit`] where observation `i` has `noise[i]` times the variance of the noise, which is known only up to one factor.
+    /// Like [`Self::fit`], but observation `i` has `noise[i]` times the noise variance, which is
+    /// known only up to one factor.
     ///
     /// # Errors
     /// [`GaussianProcessError`]
@@ -86,7 +91,8 @@ impl<const D: usize> GaussianProcess<D> {
     }
 }
 
-/// Minus log posterior density of `theta` up to a constant, and its gradient; infinite where the covariance is singular.
+/// Minus log posterior density of `theta` up to a constant, and its gradient; infinite where the
+/// covariance is singular.
 ///
 /// ```text
 /// J = y^T w / 2 + ln|K| / 2 + n ln(2 pi) / 2 + sum_j (theta_j - ln median_j)^2 / (2 s_j^2)
@@ -121,7 +127,8 @@ pub fn objective<const D: usize>(
     (value, gradient)
 }
 
-/// The trace terms; `excess` is `w w^T - K^-1`, symmetric, `[n, n]`. Each pair counts twice, which cancels the half.
+/// The trace terms; `excess` is `w w^T - K^-1`, symmetric, `[n, n]`. Each pair counts twice, which
+/// cancels the half.
 fn evidence_gradient<const D: usize>(
     inputs: &[[f64; D]],
     noise: &[f64],

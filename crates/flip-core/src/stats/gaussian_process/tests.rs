@@ -13,7 +13,8 @@ fn known<const D: usize>(lengthscale: f64, noise_sd: f64) -> Hyperparameters<D> 
 fn one_observation_gives_the_closed_form() {
     let h = known::<1>(0.5, 0.3);
     let gp = GaussianProcess::new(&[[0.2]], &[7.0], h).unwrap();
-    // a = sqrt(5) 0.3 / 0.5; k = 4 (1 + a + a^2/3) e^-a; mean = 5 + k / 4.09 * 2; var = 4 - k^2 / 4.09.
+    // a = sqrt(5) 0.3 / 0.5; k = 4 (1 + a + a^2/3) e^-a; mean = 5 + k / 4.09 * 2; var = 4 - k^2 /
+    // 4.09.
     let a = 5f64.sqrt() * 0.6;
     let k = 4.0 * (1.0 + a + a * a / 3.0) * (-a).exp();
     let at = gp.predict(&[0.5]);
@@ -78,7 +79,7 @@ fn the_gradient_of_the_evidence_is_that_of_central_differences() {
 
 #[test]
 fn the_evidence_is_the_density_of_a_multivariate_normal() {
-    // Two observations: the bivariate normal density written out.
+    // Two observations: the bivariate normal density, written out.
     let (x, y) = ([[0.1], [0.6]], [0.4, -0.7]);
     let theta = DVector::from_vec(vec![0.8f64.ln(), 1.2f64.ln(), 0.3f64.ln()]);
     let wide = Prior { lengthscale: (1.0, 1e9), signal_sd: (1.0, 1e9), noise_sd: (1.0, 1e9) };

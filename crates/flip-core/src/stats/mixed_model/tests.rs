@@ -18,7 +18,7 @@ struct Case {
     log_evidence: f64,
 }
 
-/// One column for each of `count` groups.
+/// One indicator column for each of `count` groups.
 fn one_hot(of: &[usize], count: usize) -> DMatrix<f64> {
     DMatrix::from_fn(of.len(), count, |i, k| f64::from(u8::from(of[i] == k)))
 }
@@ -56,7 +56,7 @@ fn what_the_fixed_part_spans_changes_nothing() {
     let moved: Vec<f64> = y.iter().zip(powder).map(|(y, powder)| y + 100.0 * powder as f64 - 3.0).collect();
     let squares = [noise.squares(&column(&y))[0], noise.squares(&column(&moved))[0]];
     assert!((squares[0] - squares[1]).abs() < 1e-9);
-    // The same by hand: squares around the two means.
+    // The same by hand: sums of squares around the two means.
     let around = |values: &[f64]| {
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         values.iter().map(|x| (x - mean).powi(2)).sum::<f64>()
@@ -76,7 +76,8 @@ fn noise_that_cannot_be_is_refused() {
     assert_eq!(refused(&[1.0; 3], &DMatrix::identity(3, 3)), MixedModelError::Fixed);
 }
 
-/// Days that differ look like an effect of whatever else differs between days, unless the noise knows days.
+/// Differences between days look like an effect of anything else that differs between days, unless
+/// the noise model includes days.
 #[test]
 fn shared_draws_are_not_taken_for_an_effect() {
     let mut rng = Pcg64::seed_from_u64(5);
@@ -101,7 +102,8 @@ fn shared_draws_are_not_taken_for_an_effect() {
         }
     }
     println!("evidence above 20 to 1 for humidity that does nothing: {favoured:?} of 100 (blind, aware of days)");
-    // A Bayes factor above 20 has a probability below 1/20 where the noise is right (Ville); 12 of 100 is three standard errors above.
+    // A Bayes factor above 20 has a probability below 1/20 if the noise model is right (Ville); 12
+    // of 100 is three standard errors above.
     assert!(favoured[0] > 12 && favoured[1] <= 12, "{favoured:?}");
 }
 

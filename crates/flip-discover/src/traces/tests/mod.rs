@@ -11,8 +11,8 @@ const SETTINGS: Settings = Settings { seed: 1, simulations: 99 };
 /// Probability from which on a cause is claimed.
 const CONFIDENT: f64 = 0.8;
 
-/// Each cause, what a report must say of it, and the displays, mg, that can show it: a step of 1 mg hides what vials gain or lose between shakes, and
-/// small shakes.
+/// Each cause, what a report must contain for it, and the displays, mg, that can show it: a step of
+/// 1 mg hides what vials gain or lose between shakes, and small shakes.
 const CASES: [(Hidden, &str, &[f64]); 12] = [
     (Hidden::Drift, "balance_drift", &[0.1, 1.0]),
     (Hidden::Lag, "balance_lag", &[0.1, 1.0]),
@@ -28,7 +28,8 @@ const CASES: [(Hidden, &str, &[f64]); 12] = [
     (Hidden::Draught, "unknown", &[0.1, 1.0]),
 ];
 
-/// Of `count` benches: how many have something found, how many the right cause claimed, how many a wrong one.
+/// Of `count` benches: how many have something found, how many the right cause claimed, how many a
+/// wrong one.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Rates {
     found: u32,
@@ -67,7 +68,8 @@ fn rates(bench: Bench, right: &str, seeds: std::ops::Range<u64>) -> Rates {
     rates
 }
 
-/// One bench of each cause and two in which nothing is wrong of each kind; for the whole table, half and twice as many as `FLIP_TRACE_SEEDS` says.
+/// One bench of each cause and two of each kind in which nothing is wrong; for the whole table,
+/// half and twice as many as `FLIP_TRACE_SEEDS` sets.
 fn seeds() -> u64 {
     std::env::var("FLIP_TRACE_SEEDS").ok().and_then(|count| count.parse().ok()).unwrap_or(1)
 }
@@ -80,7 +82,8 @@ fn where_nothing_is_wrong_little_is_found() {
             all += rates(Bench::new(hidden, readability_mg), "", 0..2 * seeds());
         }
     }
-    // Of 8 five have a chance of 1 in 60 000 (binomial at 5 %), of more benches as many as are 4 SD too many.
+    // Of 8, five have a chance of 1 in 60 000 (binomial at 5 %); of more benches, the limit is 4 SD
+    // too many.
     let n = f64::from(all.count);
     assert!(f64::from(all.found) <= (0.05 * n + 4.0 * (0.05 * 0.95 * n).sqrt()).max(4.0), "{all:?}");
     assert!(f64::from(all.wrong) <= 0.06 * n + 1.0, "{all:?}");
@@ -95,7 +98,8 @@ fn hidden_causes_are_found_and_named_and_what_is_outside_the_catalogue_is_not() 
         }
     }
     let share = |count: u32| f64::from(count) / f64::from(all.count);
-    // The targets, less one bench of 21. A detector that names one cause whatever it sees is right in two of 21.
+    // The targets, less one bench of 21. A detector that always names the same cause is right in
+    // two of 21.
     assert!(share(all.found) >= 0.90 && share(all.named) >= 0.80 && share(all.wrong) <= 0.05, "{all:?}");
 }
 
@@ -252,7 +256,7 @@ fn evidence_in_blocks_is_that_of_the_mixed_model() {
         let null = (ours.log_null(squares), theirs.log_null(theirs.squares(&observed)[0]));
         [(ours.fit(&signature, 0, squares, 0.6, None).log_evidence, expected), null]
     };
-    // Ours leaves out what all noises have in common.
+    // Ours omits the terms common to all noises.
     let [(signature, expected), (null, null_expected)] = logs(0.0);
     assert!((signature - null - (expected - null_expected)).abs() < 1e-9);
     for (ours, theirs) in logs(0.7) {

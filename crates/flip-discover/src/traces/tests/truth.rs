@@ -1,10 +1,11 @@
-//! A laboratory whose bench may hide an effect, in forms that the catalogue does not have. Shares nothing with what is tested.
+//! A laboratory whose bench may hide an effect, in forms that the catalogue does not have. Shares
+//! nothing with the code under test.
 
 use super::super::readings::{Kind, Reading, Traces, Weighing};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-/// What is hidden.
+/// The hidden effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Hidden {
     Nothing,
@@ -20,7 +21,7 @@ pub enum Hidden {
     Fill,
     Densification,
     Actuator,
-    /// Waves of the reading, in each weighing others: no cause of the catalogue.
+    /// Waves of the reading, different in each weighing: no cause of the catalogue.
     Wander,
     /// Draughts that wander at random, in each weighing.
     Draught,
@@ -33,7 +34,7 @@ pub struct Bench {
     /// Factor on the effect.
     pub size: f64,
     pub readability_mg: f64,
-    /// Between readings, s.
+    /// Time between readings, s.
     pub every_s: f64,
     /// Readings after each shake.
     pub readings: u32,
@@ -45,7 +46,7 @@ impl Bench {
     }
 }
 
-/// mg a shake of 8 mm, and its exponent of the amplitude.
+/// mg per shake of 8 mm, and its exponent of the amplitude.
 const POWDERS: [(&str, f64, f64); 5] =
     [("sand", 2.2, 0.9), ("sugar", 1.6, 0.7), ("salt", 1.9, 1.0), ("semolina", 1.1, 1.2), ("bicarbonate", 0.9, 0.8)];
 
@@ -54,7 +55,7 @@ struct Lab {
     bench: Bench,
 }
 
-/// What of the surroundings one weighing has.
+/// Surroundings of one weighing.
 struct Day {
     session: usize,
     humidity: f64,
@@ -90,7 +91,8 @@ impl Lab {
         }
     }
 
-    /// Readings from `from` on, `count` of them, of a load that came in `steps` of (time, mg, amplitude of charge).
+    /// `count` readings starting at `from`, of a load that arrived in `steps` of (time, mg,
+    /// amplitude of charge).
     fn read(
         &mut self,
         day: &Day,
@@ -110,7 +112,7 @@ impl Lab {
                     let x = t - at;
                     let moved = j > 0 || kind == Kind::Dose;
                     let behind = match self.bench.hidden {
-                        // Two equal filters in turn.
+                        // Two equal filters in series.
                         Hidden::Lag if moved => {
                             (1.0 + x / (0.35 * self.bench.size)) * (-x / (0.35 * self.bench.size)).exp()
                         }
@@ -188,7 +190,7 @@ impl Lab {
                 let n = f64::from(shake);
                 mg *= if self.is(Hidden::Fill) > 0.0 { 1.8 * fill / (fill + 40.0 * self.bench.size) } else { 1.0 };
                 mg *= (-self.is(Hidden::Densification) * (n / 12.0).powf(0.7)).exp();
-                // A film takes what it lacks of 3 mg, the less the fuller it is.
+                // A film takes up to 3 mg, more slowly the fuller it is.
                 let kept = self.is(Hidden::Holdup) * (3.0 - film) * (1.0 - (-mg / 3.0f64).exp());
                 film += kept.min(mg);
                 mg -= kept.min(mg);
@@ -228,7 +230,7 @@ impl Lab {
     }
 }
 
-/// Forty weighings on eight days, and a log of nothing or of a standard on each.
+/// Forty weighings on eight days, and a log of the empty pan or of a standard on each.
 pub fn traces(bench: Bench, seed: u64) -> Traces {
     let mut lab = Lab { rng: Pcg64::seed_from_u64(seed ^ 0x7ace), bench };
     let mut weighings = Vec::new();

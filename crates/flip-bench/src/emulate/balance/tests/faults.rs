@@ -1,4 +1,4 @@
-//! Every fault of the emulator, and what the driver makes of it.
+//! Every fault of the emulator, and how the driver responds.
 
 use super::{Lab, VIAL_MG, calm, is_near, lab, lab_with, tcp, words};
 use crate::emulate::balance::{Fault, Settings, Socket};
@@ -57,7 +57,7 @@ fn damaged_answers_give_no_number_and_one_alone_is_asked_for_again() {
             lab.balance.inject(fault);
             for _ in 0..4 {
                 match lab.driver.immediate() {
-                    // A blank that is lost between words changes nothing.
+                    // A space lost between words changes nothing.
                     Ok(sample) => assert!(fault == Fault::GarbledLine && is_near(sample.mass_mg, 0.0), "{sample:?}"),
                     Err(DeviceError::Lost { .. }) => panic!("{dialect:?} {fault:?}: nothing is unplugged"),
                     Err(_) => {}
@@ -100,7 +100,7 @@ fn a_restart_is_told_where_the_dialect_tells_it_and_shows_two_milligrams_where_i
         lab.balance.pan().add_mg(50.0);
         lab.wait_s(3.0);
         lab.balance.inject(Fault::Restart);
-        // Down: nothing is heard, and by the bench's clock nobody waits.
+        // Powered down: nothing is received, and nothing waits on the bench clock.
         assert!(lab.driver.immediate().is_err(), "{dialect:?}");
         lab.wait_s(1.0);
         match (dialect, lab.driver.immediate()) {
@@ -123,7 +123,8 @@ fn an_answer_that_comes_too_late_is_never_taken_for_a_later_one() {
             assert!(matches!(lab.driver.immediate(), Err(DeviceError::Silent { .. })), "{dialect:?}");
             lab.balance.pan().add_mg(50.0);
             lab.wait_s(5.0);
-            // While answers are late there may be none; the first that is taken must be of the new load.
+            // While replies are late there may be none; the first accepted one must belong to the
+            // new load.
             let now = (0..20).find_map(|_| lab.driver.immediate().ok()).unwrap();
             assert!(is_near(now.mass_mg, 50.0 * round), "{dialect:?} {slow}: {now:?}");
         }

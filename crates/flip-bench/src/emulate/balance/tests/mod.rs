@@ -1,4 +1,4 @@
-//! The driver and the emulator over real wires: every verb and every condition in every dialect.
+//! The driver and the emulator over real wires: every command and every condition in every dialect.
 
 mod faults;
 mod wire;
@@ -10,7 +10,7 @@ use crate::hardware::balance::{self as driver, Dialect, Identity, StableBy};
 use crate::hardware::clock::Clock;
 use crate::hardware::wire::Tap;
 
-/// What lies on the pan at first, mg: a vial.
+/// Initial load on the pan, mg: a vial.
 const VIAL_MG: f64 = 12_345.6;
 
 fn tcp() -> Socket {
@@ -27,7 +27,7 @@ fn lab(dialect: Dialect, socket: Socket) -> Lab {
     lab_with(Settings { dialect, ..calm() }, socket, |_| {})
 }
 
-/// What the wire says is asked here, not what air does.
+/// These tests are about the wire, not about air.
 fn calm() -> Settings {
     Settings { wander_mg: 0.0, ..Settings::default() }
 }
@@ -36,7 +36,7 @@ fn lab_with(settings: Settings, socket: Socket, change: impl FnOnce(&mut driver:
     let clock = Clock::standing();
     let dialect = settings.dialect;
     let balance = Balance::start(settings.checked().unwrap(), Pan::holding(VIAL_MG, clock.clone()), socket).unwrap();
-    // Answers come at once, so this is long enough on a busy machine.
+    // Replies come at once, so this is long enough on a busy machine.
     let mut settings = driver::Settings { timeout_s: 0.6, ..driver::Settings::new(dialect, balance.address()) };
     change(&mut settings);
     let driver = driver::Balance::open(&settings.checked().unwrap(), Tap::none(), clock).unwrap();
@@ -44,7 +44,7 @@ fn lab_with(settings: Settings, socket: Socket, change: impl FnOnce(&mut driver:
 }
 
 impl Lab {
-    /// Powder lands, and the reading shortly after.
+    /// Let powder land; returns the reading shortly after.
     fn pour(&mut self, mass_mg: f64) -> driver::Sample {
         self.balance.pan().add_mg(mass_mg);
         self.driver.immediate().unwrap()
@@ -173,7 +173,7 @@ fn the_flag_comes_when_the_load_has_been_at_rest_as_long_as_measured() {
         lab.pour(15.0);
         flagged_s.push(lab.driver.stable(10.0).unwrap().t_s - began_s);
     }
-    // Two frames of 0.19 s and the pauses between questions may pass before it is seen.
+    // Two frames of 0.19 s and the pauses between polls may pass before it is seen.
     assert!(flagged_s.iter().all(|after_s| (1.5..2.8).contains(after_s)), "{flagged_s:?}");
     let spread_s = flagged_s.iter().fold(0.0f64, |most, at| most.max(*at))
         - flagged_s.iter().fold(9.0f64, |least, at| least.min(*at));

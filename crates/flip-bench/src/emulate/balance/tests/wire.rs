@@ -1,4 +1,4 @@
-//! The bytes that the emulator says, and the probe that hears them.
+//! The bytes sent by the emulator, and the probe that receives them.
 
 use super::{VIAL_MG, calm, lab, lab_with, tcp};
 use crate::emulate::balance::{Balance, Fault, Settings, Socket};
@@ -44,7 +44,7 @@ fn a_probe_of_a_silent_port_keeps_what_it_asked() {
     assert!(nowhere.notes[0].contains("/dev/no-such-port"), "{:?}", nowhere.notes);
 }
 
-/// What a balance says to these commands, each line of it.
+/// The lines that a balance sends in reply to these commands.
 fn said(settings: Settings, fault: Option<Fault>, commands: &[&str]) -> Vec<String> {
     let pan = Pan::holding(VIAL_MG, Clock::standing());
     for ahead in 0..5 {
@@ -115,13 +115,14 @@ fn readings_wander_as_those_of_an_enclosed_balance_and_no_further() {
         lab.wait_s(0.4);
         shown.push(lab.driver.immediate().unwrap().mass_mg - VIAL_MG);
     }
-    // A question waits for the next frame.
+    // A request waits for the next frame.
     let step_s = (lab.balance.pan().clock().now_s() - began_s) / shown.len() as f64;
     let rms = |values: &mut dyn Iterator<Item = f64>| {
         let (n, sum) = values.fold((0.0, 0.0), |(n, sum), it| (n + 1.0, sum + it * it));
         (sum / n).sqrt()
     };
-    // Rounded to 0.1 mg; bounds are three standard errors or more of 1100 s that remember 6 s.
+    // Rounded to 0.1 mg; bounds are three standard errors or more for 1100 s with a correlation
+    // time of 6 s.
     let expected = (noise_mg.powi(2) + wander_mg.powi(2) + 0.01 / 12.0).sqrt();
     let found = rms(&mut shown.iter().copied());
     assert!((found / expected - 1.0).abs() < 0.3, "SD {found} mg, {expected}");
