@@ -1,18 +1,18 @@
-/** The bench as it stands now, for every view. */
+/** The current state of the bench, for every view. */
 import { bench } from './api/calls'
 import type { BenchStatus, Event } from './api/types'
 import { live, ofJobs, ofWeighings } from './live.svelte'
 import { Resource } from './resource.svelte'
 
-/** Asked again this often while something moves, and while no events come: the last event comes just before the bench is free. */
+/** Reload interval while something moves, and while no events arrive: the last event arrives just before the bench is free. */
 const MOVING_MS = 2000
 
-/** Of a job: it may be a measurement that makes piles, which no event of the bench tells. */
+/** Job events: the job may be a measurement that makes piles, which no bench event reports. */
 const beginsOrGoesOn = (event: Event) => ofJobs(event) && (event.kind === 'state' || event.kind === 'progress')
 
 class BenchNow {
   #status = new Resource(bench)
-  /** When the service was first found not to answer; what is shown of it is from before. */
+  /** When the service was first found not to respond; the values shown are older than that. */
   unanswered = $state.raw<Date>()
 
   constructor() {
@@ -39,13 +39,13 @@ class BenchNow {
   }
   reload = () => this.#status.reload()
 
-  /** The one thing that moves, by a name of its own: a dose, or a pile. */
+  /** Identifies the one thing that moves: a dose or a pile. */
   get moves(): string | undefined {
     const { moving, piling } = this.value ?? {}
     return moving ?? (piling ? `${piling.job} ${piling.pile}` : undefined)
   }
 
-  /** The one word for how it stands. */
+  /** Its state in one word. */
   get stands(): 'moving' | 'latched' | 'held' | 'waiting' | 'ready' {
     const it = this.value
     if (this.moves) return 'moving'
@@ -57,8 +57,8 @@ class BenchNow {
 
 export const benchNow = new BenchNow()
 
-/** "2 doses wait". */
+/** "2 doses are waiting". */
 export function waitingText({ waiting }: BenchStatus): string {
   const n = waiting?.length ?? 0
-  return n === 1 ? 'One dose waits' : `${n} doses wait`
+  return n === 1 ? 'One dose is waiting' : `${n} doses are waiting`
 }

@@ -1,4 +1,4 @@
-/** CSV as RFC 4180 writes it, from exactly the cells a table shows. */
+/** CSV as in RFC 4180, from exactly the cells a table shows. */
 import { NONE } from './format'
 
 /** A column of a table: its heading, and the text of its cell. */
@@ -10,18 +10,18 @@ export interface Column<Row> {
   unit?: string
   /** Text shown and exported. */
   text: (row: Row) => string
-  /** What sorting compares; without it the column does not sort. */
+  /** Value to sort by; without it the column cannot be sorted. */
   sort?: (row: Row) => number | string | null | undefined
   /** An ISO time behind a local one: shown on hover, exported instead of the text. */
   iso?: (row: Row) => string | null | undefined
-  /** Text columns stand left; numbers (the default) right. */
+  /** Text columns are left-aligned; numbers (the default) right-aligned. */
   left?: boolean
-  /** Where the cell leads. */
+  /** Link target of the cell. */
   href?: (row: Row) => string | null | undefined
   mono?: boolean
-  /** Long text that may break over lines. */
+  /** Long text that may wrap. */
   wrap?: boolean
-  /** Read out for the row. */
+  /** Read out as the heading of the row. */
   rowHeader?: boolean
   /** Explains the heading on hover. */
   title?: string
@@ -38,14 +38,14 @@ export function exported<Row>(column: Column<Row>, row: Row): string {
   return text === NONE ? '' : text.replaceAll('−', '-').replaceAll('\u2009', '')
 }
 
-/** The whole document, lines ended by CRLF. */
+/** The whole document, with CRLF line endings. */
 export function toCsv<Row>(columns: Column<Row>[], rows: Row[]): string {
   const quote = (text: string) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text)
   const lines = [columns.map(heading), ...rows.map((row) => columns.map((column) => exported(column, row)))]
   return lines.map((cells) => cells.map(quote).join(',') + '\r\n').join('')
 }
 
-/** Hands `content` to the browser as a file. */
+/** Downloads `content` as a file. */
 export function download(name: string, content: string | Blob, type = 'text/csv;charset=utf-8'): void {
   const url = URL.createObjectURL(new Blob([content], { type }))
   const link = document.createElement('a')

@@ -3,14 +3,14 @@ import type { Curve, Finding, Report } from './api/types'
 import { num, words } from './format'
 import names from './names.json'
 
-/** Made from the service's own names, which its reports use: `names.rs`. */
+/** Generated from the service's own names, which its reports use: `names.rs`. */
 const UNITS = names.units as [string, string][]
 const COLUMNS: Record<string, string> = names.columns
 const CAUSES: Record<string, string> = names.causes
 const FORMS: Record<string, string> = names.forms
 const PARAMETERS: Record<string, string> = names.parameters
 
-/** What a column holds, and in which unit. */
+/** Label and unit of a column. */
 export function columnOf(name: string): { label: string; unit: string } {
   const [ending, unit] = UNITS.find(([e]) => name.length > e.length && name.endsWith(e)) ?? ['', '']
   return { label: COLUMNS[name] ?? words(ending ? name.slice(0, -ending.length) : name), unit }
@@ -30,7 +30,7 @@ export function causeName(name: string): string {
 export const parameterName = (name: string) => PARAMETERS[name] ?? words(name)
 export const levelName = (level: number) => names.levels[level - 1] ?? ''
 
-/** What a finding changes with, and from where to where. */
+/** The condition a finding depends on, and its range. */
 export function findingName({ covariate, span }: Finding): string {
   const label = covariate ? columnOf(covariate).label : 'Nothing recorded'
   const repeated = lower(label)
@@ -43,42 +43,42 @@ export const listed = (items: string[]) => (items.length < 2 ? (items[0] ?? '') 
 /** `[1.6, 3.1]`. */
 export const interval = (ci95: number[], decimals: number) => `[${num(ci95[0], decimals)}, ${num(ci95[1], decimals)}]`
 export const chance = (p: number) => num(p, p >= 0.1 ? 2 : p >= 0.001 ? 3 : 4)
-/** A share as a number of percent; what is nearly none or nearly all is not rounded to it. */
+/** A share in percent; a value close to none or all is not rounded to it. */
 export const percent = (share: number) => (share > 0 && share < 0.005 ? '< 1' : share < 1 && share > 0.995 ? '> 99' : num(100 * share, 0))
-/** Degrees stand at their number, other units after a space. */
+/** Degree signs follow the number directly, other units after a space. */
 export const withUnit = (number: string, unit: string) => (unit === 'deg' || unit === '°' ? `${number}°` : unit && unit !== '1' ? `${number} ${unit}` : number)
 
-/** What a verdict means and what it does not. */
+/** What a verdict does and does not mean. */
 export function meaning(report: Report): string {
   const readings = report.traces != null && report.traces.verdict !== 'no_discrepancy'
   const flow = (report.beside ?? []).some((it) => it.channel === 'flow_time' && it.verdict !== 'no_discrepancy')
   const creeps = report.causes.some((cause) => cause.mechanism === 'creep')
   const angles = !(readings || flow || creeps) || report.findings.some((finding) => finding.channel === 'repose')
   const what = [angles && 'measured angles', flow && 'flow times', readings && 'balance readings'].filter((it) => typeof it === 'string')
-  if (creeps && what.length === 0) return 'Whatever was measured, simulated heaps go on moving: what is wrong is how they are computed. These data show nothing else.'
-  const depart = `The ${listed(what)} depart from the simulation`
+  if (creeps && what.length === 0) return 'Regardless of the measurements, simulated heaps keep moving: the fault is in how they are computed. These data show nothing else.'
+  const depart = `The ${listed(what)} deviate from the simulation`
   switch (report.verdict) {
     case 'no_discrepancy':
-      if (report.unjudged) return 'These angles can neither show that the simulation is wrong nor that it is right.'
-      return 'These data do not show that the simulation is wrong. That is no proof that it is right: see below which effects this campaign would have found, and which it cannot show.'
+      if (report.unjudged) return 'These angles can show neither that the simulation is wrong nor that it is right.'
+      return 'These data do not show that the simulation is wrong. That does not prove it right: see below which effects this campaign would have found, and which it cannot show.'
     case 'cause':
-      return `${depart}, and the catalogue has a cause that explains how. A good explanation is not a proof: only an experiment that changes the cause is.`
+      return `${depart}, and a cause in the catalogue explains how. A good explanation is not proof; only an experiment that changes the cause is.`
     case 'ambiguous':
-      return `${depart}, but this campaign cannot tell between ${listed(report.ambiguous_between.map((name) => lower(causeName(name)))) || 'several causes'}.${report.suggested_experiment ? ' The experiment below would tell most.' : ''}`
+      return `${depart}, but this campaign cannot distinguish between ${listed(report.ambiguous_between.map((name) => lower(causeName(name)))) || 'several causes'}.${report.suggested_experiment ? ' The experiment below would be the most informative.' : ''}`
     case 'hint':
-      return 'Evidence this strong is rare by chance, and points at one cause. But its effect is not told from zero, or days that were left out are not predicted better by it: nothing to act on before the experiment below.'
+      return 'Evidence this strong is rare by chance, and it points to one cause. But the effect cannot be distinguished from zero, or it does not improve the prediction of left-out days. Do not act on it before the experiment below.'
     case 'unexplained': {
       const law = report.unexplained
-      const on = law?.covariate ? `It depends on ${lower(columnOf(law.covariate).label)}` : 'Nothing that was recorded explains it'
-      return `${depart}, and no cause of the catalogue explains how.${law ? ` ${on}. Its law (${FORMS[law.form_class] ?? law.form_class}): ${law.law.replace(/\.$/, '')}.` : ''}`
+      const on = law?.covariate ? `It depends on ${lower(columnOf(law.covariate).label)}` : 'No recorded condition explains it'
+      return `${depart}, and no cause in the catalogue explains how.${law ? ` ${on}. Its law (${FORMS[law.form_class] ?? law.form_class}): ${law.law.replace(/\.$/, '')}.` : ''}`
     }
   }
 }
 
-/** Powders in the order of the file: their places say how they are drawn. */
+/** Powders in file order: their position determines how they are drawn. */
 export const powdersOf = (report: Report) => [...new Set(report.rows.map((row) => row.powder))]
 
-/** Curves in the order in which a reader wants them: of findings, of unknown causes from the most probable on, all others. */
+/** Curves in order of interest: findings, then unknown causes with the most probable first, then all others. */
 export function curvesOf(report: Report): Curve[] {
   const named = [
     ...report.findings.map((finding) => finding.covariate ?? ''),

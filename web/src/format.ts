@@ -1,6 +1,6 @@
-/** How numbers, times and names are written. What a table shows is also what its CSV holds. */
+/** Formatting of numbers, times and names. The CSV of a table holds exactly what the table shows. */
 
-/** Shown where a value does not exist. */
+/** Shown where there is no value. */
 export const NONE = '–'
 
 /** A number with fixed decimals and a true minus sign. */
@@ -30,7 +30,7 @@ export function significant(value: number | null | undefined, digits = 4): strin
   return text.replaceAll('-', '−')
 }
 
-/** A whole number with thin groups of three. */
+/** A whole number with thin spaces between groups of three digits. */
 export function count(value: number | null | undefined): string {
   if (value === null || value === undefined) return NONE
   return String(Math.round(value)).replace(/\B(?=(\d{3})+$)/g, '\u2009')
@@ -47,7 +47,7 @@ export function duration(seconds: number | null | undefined): string {
 
 const LOCAL = new Intl.DateTimeFormat(undefined, { year: 'numeric', month: 'short', day: '2-digit', hour: '2-digit', minute: '2-digit', second: '2-digit', hour12: false })
 
-/** An ISO instant in the reader's own zone. */
+/** An ISO instant in the reader's own time zone. */
 export function localTime(iso: string): string {
   const at = new Date(iso)
   return Number.isNaN(at.getTime()) ? iso : LOCAL.format(at)
@@ -59,17 +59,17 @@ export function words(name: string): string {
   return text.charAt(0).toUpperCase() + text.slice(1)
 }
 
-/** Enough of an id to recognise it. UUIDv7 begin with time, so their tail tells them apart. */
+/** Enough of an ID to recognise it. UUIDv7 IDs begin with the time, so their last digits tell them apart. */
 export function shortId(id: string): string {
   return id.length === 36 ? `…${id.slice(-8)}` : id
 }
 
-/** Mean, or null of nothing. */
+/** Mean, or null for no values. */
 export function mean(values: number[]): number | null {
   return values.length === 0 ? null : values.reduce((a, b) => a + b, 0) / values.length
 }
 
-/** Sample standard deviation, or null of fewer than two. */
+/** Sample standard deviation, or null for fewer than two values. */
 export function sd(values: number[]): number | null {
   const m = mean(values)
   if (m === null || values.length < 2) return null

@@ -1,4 +1,4 @@
-/** Server-sent events, one stream for all tabs of this browser. A hidden tab hears none and asks for everything anew when it is shown. */
+/** Server-sent events, one stream for all tabs of this browser. A hidden tab receives none and reloads everything when it is shown. */
 import type { Event } from './api/types'
 import { BEAT_MS, type Told } from './events/hub'
 import { link } from './events/link'
@@ -6,9 +6,9 @@ import { settings } from './settings.svelte'
 
 type Listener = (event: Event) => void
 
-/** Bursts of events ask for a view's data at most this often. */
+/** Bursts of events reload a view's data at most this often. */
 const SETTLE_MS = 400
-/** A growing series of thousands of trials or episodes is asked for at most this often. */
+/** A growing series of thousands of trials or episodes is reloaded at most this often. */
 export const SERIES_MS = 2500
 
 class Live {
@@ -36,13 +36,13 @@ class Live {
     return () => this.#listeners.delete(listener)
   }
 
-  /** Calls `reload` soon after events that `concerns` picks, many events at once, and when the service is back. For use as an effect's body. */
+  /** Calls `reload` soon after events that `concerns` selects, once for many events, and when the service is back. For use as an effect's body. */
   reloads(concerns: (event: Event) => boolean, reload: () => unknown, settle = SETTLE_MS): () => void {
     let timer: ReturnType<typeof setTimeout> | undefined
     const soon = () => {
       timer ??= setTimeout(() => {
         timer = undefined
-        // What a hidden tab misses it asks for when it is shown.
+        // A hidden tab reloads what it missed when it is shown.
         if (document.visibilityState === 'visible') void reload()
       }, settle)
     }
@@ -57,7 +57,7 @@ class Live {
     }
   }
 
-  /** Says who this tab is, for instance with another token. */
+  /** Announces this tab again, for instance with another token. */
   restart() {
     this.#say({ kind: 'here', token: settings.token, visible: document.visibilityState === 'visible' })
   }
@@ -71,7 +71,7 @@ class Live {
     if (told.kind === 'again') return this.#ask()
     if (told.kind === 'heard') return
     this.open = told.open
-    // What failed while the service was away is asked for again; that it is away is seen by asking, too.
+    // Reload what failed while the service was away. That it is away is also noticed by a request.
     if (this.#broken || !told.open) this.#ask()
     this.#broken = !told.open
   }
@@ -83,5 +83,5 @@ export const live = new Live()
 export const ofJobs = (event: Event) => event.topic.startsWith('job:')
 /** Events of weighings. */
 export const ofWeighings = (event: Event) => event.topic.startsWith('weighing:')
-/** Something began or ended: lists and summaries change, curves grow elsewhere. */
+/** Something started or ended: lists and summaries change. Growing curves have other events. */
 export const ofStates = (event: Event) => event.kind === 'state'

@@ -1,4 +1,4 @@
-/** Names of powders by id, read once and again when one is missing. */
+/** Names of powders by ID, read once and again after a powder is added. */
 import { powders } from './api/calls'
 import { words } from './format'
 import { all, Resource } from './resource.svelte'

@@ -1,4 +1,4 @@
-/** Words for what is measured beside the angle of repose. */
+/** Words for measurements other than the angle of repose. */
 import type { Observation } from './api/types'
 import { NONE } from './format'
 

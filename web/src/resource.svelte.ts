@@ -1,4 +1,4 @@
-/** Values that come from the service, with what went wrong and a way to ask again. */
+/** Values from the service, with any problem and a way to reload. */
 import { Problem } from './api/problem'
 
 /** One document. */
@@ -11,7 +11,7 @@ export class Resource<T> {
     void this.reload()
   }
 
-  /** Asks again; the old value stays until the new one is here. A late answer to an older question is dropped. */
+  /** Reloads; the old value stays until the new one arrives. A late response to an earlier request is dropped. */
   reload = async (): Promise<void> => {
     const question = ++this.#asked
     try {
@@ -30,7 +30,7 @@ export interface Page<T> {
   next?: string | null
 }
 
-/** Which page of a list is asked for. */
+/** Which page of a list is requested. */
 export interface Query {
   limit?: number
   after?: string
@@ -50,7 +50,7 @@ export class Pages<T> {
     void this.reload()
   }
 
-  /** Asks again for as many as are shown. */
+  /** Reloads as many as are shown. */
   reload = () => this.#ask(Math.min(PAGE_MAX, Math.max(PAGE, this.items?.length ?? 0)))
 
   /** Appends the next page. */
@@ -70,10 +70,10 @@ export class Pages<T> {
   }
 }
 
-/** Most items on a page of a series (trials, episodes). */
+/** Maximum number of items on a page of a series (trials, episodes). */
 export const SERIES = 5000
 
-/** Every item of a list that is known to be of modest length, read in pages of `limit`. */
+/** Every item of a list known to be of modest length, read in pages of `limit`. */
 export async function all<T>(fetch: (query: Query) => Promise<Page<T>>, limit = PAGE_MAX, most = 40_000): Promise<T[]> {
   const items: T[] = []
   let after: string | undefined

@@ -1,4 +1,4 @@
-/** Axes of figures that are drawn as SVG. */
+/** Axes of figures drawn as SVG. */
 import { num } from './format'
 
 export interface Scale {
@@ -32,7 +32,7 @@ export function ticks({ low, high }: Scale, count: number): Tick[] {
   return Array.from({ length: Math.max(0, Math.floor(high / step) - first + 1) }, (_, k) => (first + k) * step).map((value) => ({ value, text: num(value, decimals) }))
 }
 
-/** As many names along an axis `room` pixels long as can be read. */
+/** As many names as remain readable along an axis `room` pixels long. */
 export function nameTicks(names: string[], room: number): Tick[] {
   const each = room / Math.max(1, names.length)
   const every = Math.max(1, Math.ceil(38 / each))
@@ -41,7 +41,7 @@ export function nameTicks(names: string[], room: number): Tick[] {
   return names.map((name, value) => ({ value, text: short(name) })).filter((_, k) => k % every === 0)
 }
 
-/** Powders told apart by colour; their shapes repeat with another period. */
+/** Number of powder colours; the shapes repeat with a different period. */
 export const COLOURS = 7
 const SHAPES = 5
 

@@ -1,4 +1,4 @@
-/** What belongs to this reader: the token (this tab only) and the theme (this browser). */
+/** This user's settings: the token (this tab only) and the theme (this browser). */
 
 const TOKEN = 'flip-token'
 const HOLDER = 'flip-holder'
@@ -6,7 +6,7 @@ const THEME = 'flip-theme'
 
 export type Theme = 'system' | 'light' | 'dark'
 
-/** What the service said of the token. */
+/** What the service reported about the token. */
 export interface Holder {
   role: string
 }
@@ -30,15 +30,15 @@ class Settings {
     document.documentElement.dataset.theme = this.#theme
   }
 
-  /** The API token, or an empty string: then the page only reads. */
+  /** The API token, or an empty string: then the page is read-only. */
   get token() {
     return this.#token
   }
-  /** What it may. */
+  /** The role of the token. */
   get holder() {
     return this.#holder
   }
-  /** Keeps a token that the service knows; an empty one forgets it. */
+  /** Keeps a token that the service knows; an empty string forgets it. */
   keep(token: string, holder?: Holder) {
     this.#token = token
     this.#holder = holder

@@ -1,4 +1,4 @@
-/** Versions of the simulator side by side. What a version says of itself may grow: parts that the page does not know are shown as they are. */
+/** Versions of the simulator side by side. The description of a version may grow: parts that the page does not know are shown as they are. */
 import type { Cause, Report, SimulatorVersion } from './api/types'
 import { causeName, columnName, interval, levelName, lower, parameterName, percent, withUnit } from './discovery'
 import { NONE, num, shortId, significant, signed, words } from './format'
@@ -18,8 +18,8 @@ export interface Simulator {
 
 const isObject = (value: unknown): value is Record<string, unknown> => typeof value === 'object' && value !== null && !Array.isArray(value)
 
-/** `name` is what versions that extend it call it. */
-export const baseSimulator = (name: string): Simulator => ({ id: BASE, body: { sentence: `${name}, as calibrated: one angle for each powder, whatever the conditions.` } })
+/** `name` is how versions that extend it refer to it. */
+export const baseSimulator = (name: string): Simulator => ({ id: BASE, body: { sentence: `${name}, as calibrated: one angle for each powder, regardless of conditions.` } })
 
 export function simulatorOf(version: SimulatorVersion): Simulator {
   const body: Record<string, unknown> = isObject(version.body) ? version.body : {}
@@ -45,7 +45,7 @@ export function plain(value: unknown): string {
   return String(value)
 }
 
-/** What a simulator is called in lists of choices. */
+/** The name of a simulator in drop-down lists. */
 export function simulatorName({ id, version, body }: Simulator): string {
   if (!version) return 'Base simulator'
   const what = (body.causes ?? []).map((cause, k) => (k === 0 ? causeName(cause.mechanism) : lower(causeName(cause.mechanism)))).join(' and ')
@@ -54,7 +54,7 @@ export function simulatorName({ id, version, body }: Simulator): string {
   return [what || law, shortId(id)].filter(Boolean).join(', ')
 }
 
-/** How much smaller the error is on days that were left out, with its interval; the number alone sorts. */
+/** Reduction of the error on left-out days, with its interval; sorted by the number alone. */
 export function gainOf({ body }: Simulator): { value: number; text: string } | undefined {
   const it = body.gain?.held_out
   return it && { value: it.rmse_before - it.rmse_after, text: `${signed(it.rmse_before - it.rmse_after)} ${interval(it.ci95, 2)}` }
@@ -69,12 +69,12 @@ export interface Line {
 
 type Gain = NonNullable<Known['gain']>
 
-/** Everything that can be said of two simulators, a line each. The base is judged on the days of the other. */
+/** Everything known about two simulators, one line per item. The base is judged on the other's days. */
 export function compared(a: Simulator, b: Simulator): Line[] {
   const sides = [a, b] as const
   const others = [b, a] as const
   const line = (what: string, cell: (side: Simulator, other: Simulator) => string): Line => ({ what, cells: [cell(sides[0], others[0]), cell(sides[1], others[1])] })
-  /** Of the gain: as extended, or, for the base, as it was on the days of the other. */
+  /** A score from the gain: after the extension, or, for the base, before it on the other's days. */
   const score = (after: (gain: Gain) => string, before: (gain: Gain) => string) => (side: Simulator, other: Simulator) => {
     if (side.version) return side.body.gain ? after(side.body.gain) : NONE
     return other.body.gain ? before(other.body.gain) : NONE
@@ -104,15 +104,15 @@ export function compared(a: Simulator, b: Simulator): Line[] {
     line('Confirmed by simulations', (side) => (side.version ? yesNo(side.body.verified) : NONE)),
     line('RMS error on days left out', score((g) => withUnit(num(g.held_out.rmse_after), g.held_out.unit), (g) => withUnit(num(g.held_out.rmse_before), g.held_out.unit))),
     line('The base on the same days', own((g) => withUnit(num(g.held_out.rmse_before), g.held_out.unit))),
-    line('Smaller by [95 %]', (side) => (side.version ? (gainOf(side)?.text ?? NONE) : NONE)),
+    line('Reduction [95 %]', (side) => (side.version ? (gainOf(side)?.text ?? NONE) : NONE)),
     line('Runs left out', score((g) => String(g.held_out.n), (g) => String(g.held_out.n))),
-    line('Log score, nats a run (more is better)', score((g) => num(g.log_score?.after), (g) => num(g.log_score?.before))),
-    line('Runs within their 90 % interval, % (90 is right)', score((g) => (g.coverage90 ? percent(g.coverage90.after) : NONE), (g) => (g.coverage90 ? percent(g.coverage90.before) : NONE))),
+    line('Log score, nats per run (higher is better)', score((g) => num(g.log_score?.after), (g) => num(g.log_score?.before))),
+    line('Runs within their 90 % interval, % (ideal: 90)', score((g) => (g.coverage90 ? percent(g.coverage90.after) : NONE), (g) => (g.coverage90 ? percent(g.coverage90.before) : NONE))),
   )
   if (sides.some((side) => side.body.gain?.weighing_error_mg)) {
     lines.push(
-      line('Mean error of a weighing, mg', score((g) => num(g.weighing_error_mg?.after), (g) => num(g.weighing_error_mg?.before))),
-      line('The same, trained as long on an extension without effect, mg', own((g) => num(g.weighing_error_mg?.sham))),
+      line('Mean weighing error, mg', score((g) => num(g.weighing_error_mg?.after), (g) => num(g.weighing_error_mg?.before))),
+      line('The same, trained equally long on an extension with no effect, mg', own((g) => num(g.weighing_error_mg?.sham))),
     )
   }
   const rest = [...new Set(sides.flatMap((side) => Object.keys(isObject(side.version?.body) ? side.version.body : {})))].filter((key) => !KNOWN.includes(key))
@@ -122,10 +122,10 @@ export function compared(a: Simulator, b: Simulator): Line[] {
   return lines
 }
 
-/** What a level says, for the legend under the table. */
+/** The meaning of each level, for the text under the table. */
 export const levels = [1, 2, 3].map((level) => `${level}: ${levelName(level)}`).join('; ')
 
-/** A row of a campaign with what both simulators predict there. */
+/** A row of a campaign with the predictions of both simulators. */
 export interface Prediction {
   row: number
   powder: string
@@ -134,18 +134,18 @@ export interface Prediction {
   angles: [number | null, number | null]
 }
 
-/** Conditions over which two simulators can be drawn: of what was found first. */
+/** Conditions over which two simulators can be plotted: those of findings first. */
 export function conditionsOf(reports: Report[]): string[] {
   const found = reports.flatMap((report) => [...report.findings.map((finding) => finding.covariate ?? ''), report.unexplained?.covariate ?? '']).flatMap((name) => name.split(' and '))
   const drawn = reports.flatMap((report) => report.curves.map((curve) => curve.covariate))
   return [...new Set([...found, ...drawn])].filter((name) => drawn.includes(name))
 }
 
-/** Names of a condition that has names, over all campaigns. */
+/** Names of the values of a condition, over all campaigns. */
 export const namesOf = (reports: Report[], condition: string) =>
   [...new Set(reports.flatMap((report) => report.curves.find((curve) => curve.covariate === condition)?.levels ?? []))]
 
-/** What two simulators predict of the rows of their campaigns; of another's campaign a version predicts nothing that is stored. */
+/** Predictions of two simulators for the rows of their campaigns. A version has no stored predictions for another version's campaign. */
 export function predictionsOf(sides: readonly [Simulator, Simulator], reports: Map<string, Report>, condition: string): Prediction[] {
   const campaigns = [...new Set(sides.flatMap((side) => side.version?.investigation ?? []))]
   const names = namesOf([...reports.values()], condition)

@@ -1,16 +1,16 @@
-/** The stop of the bench or of one weighing: sent at once, once, and never by itself again. */
+/** The stop of the bench or of one weighing: sent immediately, once, and never resent automatically. */
 import { giveWay } from './api/gate'
 import { Problem } from './api/problem'
 import { settings } from './settings.svelte'
 
-/** No answer within this time counts as not sent. */
+/** No response within this time counts as not sent. */
 const ANSWER_MS = 2000
 
 type Phase = 'idle' | 'sending' | 'stopped' | 'not sent'
 
 export class Stop {
   phase = $state<Phase>('idle')
-  /** From the press to the answer. */
+  /** From the press to the response. */
   ms = $state(0)
   /** Why it was not sent. */
   why = $state('')
@@ -40,13 +40,13 @@ export class Stop {
         this.phase = 'stopped'
       }
     } catch {
-      this.#failed(late.signal.aborted ? `No answer within ${ANSWER_MS / 1000} s.` : 'The service does not answer.')
+      this.#failed(late.signal.aborted ? `No response within ${ANSWER_MS / 1000} s.` : 'The service is not responding.')
     }
     clearTimeout(timer)
     sent()
   }
 
-  /** What was said of the last press is read, or past. */
+  /** The result of the last press has been read, or is out of date. */
   forget = () => {
     if (this.phase !== 'sending') this.phase = 'idle'
   }
@@ -57,13 +57,13 @@ export class Stop {
   }
 }
 
-/** Why the service, or a machine before it, refused. */
+/** Why the service, or a machine in front of it, refused. */
 async function reason(response: Response): Promise<string> {
   const { title, detail } = Problem.from(await response.json().catch(() => undefined), response)
   return detail ? `${title}: ${detail}` : `${title}.`
 }
 
-/** The stop of whatever moves. */
+/** Stops anything that moves. */
 export const benchStop = new Stop('/v1/bench/stop')
 
 export const weighingStop = (id: string) => new Stop(`/v1/weighings/${encodeURIComponent(id)}/stop`)

@@ -1,13 +1,13 @@
-/** How a weighing is told: its badge, its decimals, the order of its states. */
+/** How a weighing is presented: its badge, its decimals, the order of its states. */
 import type { Weighing } from './api/types'
 import { decimalsFor } from './format'
 
-/** The outcome once there is one, the state before; `unproven` where it is within, but by less than its uncertainty. */
+/** The outcome once there is one, the state before that; `unproven` if it is within tolerance, but by less than its uncertainty. */
 export function verdict(w: Weighing): string {
   return w.outcome === 'within' && w.measured?.proven === false ? 'unproven' : (w.outcome ?? w.state)
 }
 
-/** The final reading, mg: the one number that verdict, error, gauge and means use. A dose that was broken off has none. */
+/** The final reading, mg: the one number that verdict, error, gauge and means use. An aborted dose has none. */
 export function readingOf(w: Weighing): number | null {
   return ['aborted', 'unknown'].includes(w.outcome ?? w.state) ? null : (w.reading_mg ?? null)
 }
@@ -18,7 +18,7 @@ export function errorOf(w: Weighing): number | null {
   return reading === null ? null : reading - w.target_mg
 }
 
-/** It ended by itself, with a final reading: only such doses say how well the bench weighs. */
+/** It finished on its own, with a final reading: only such doses show how well the bench weighs. */
 export function counts(w: Weighing): boolean {
   return w.outcome !== 'stopped' && errorOf(w) !== null
 }
@@ -28,7 +28,7 @@ export function uncertaintyOf(w: Weighing): number | null {
   return w.measured?.uncertainty_mg ?? null
 }
 
-/** How a dose stands before anything of it moves. */
+/** The dose is waiting: nothing has moved for it yet. */
 export function waits(w: Weighing): boolean {
   return ['planned', 'awaiting_vial'].includes(w.state)
 }
@@ -53,7 +53,7 @@ export function minimumWeight(sd_mg: number, readability_mg: number): number {
   return (2 * Math.max(sd_mg, 0.41 * readability_mg)) / 0.001
 }
 
-/** What a person pasted or typed as readings, and the first piece of it that is no number. A comma could be decimal or not: it is refused. */
+/** Readings that a person typed or pasted, and the first piece that is not a number. A comma is ambiguous, so it is refused. */
 export function readingsIn(text: string): { readings: number[]; wrong?: string } {
   const pieces = text.split(/[\s;]+/).filter(Boolean)
   return { readings: pieces.map(Number), wrong: pieces.find((piece) => !/^[+-]?\d+(\.\d+)?$/.test(piece)) }

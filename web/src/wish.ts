@@ -1,18 +1,18 @@
 /**
- * The keys of doses that were asked for.
+ * The idempotency keys of requested doses.
  *
- * A key belongs to what was asked until an answer proves that it was taken on or surely refused: sent again with the same
- * contents after a lost answer it pours nothing new. Kept by the tab, so that a reload does not lose it.
+ * A request keeps its key until a response proves that it was accepted or definitely refused: resent with the same
+ * contents after a lost response, it pours nothing new. The tab keeps the keys, so that a reload does not lose them.
  */
 
 const PLACE = 'flip-wishes'
-/** The oldest are forgotten beyond so many. */
+/** Beyond this number the oldest are forgotten. */
 const MOST = 20
 
 interface Wish {
   contents: string
   key: string
-  /** When it was asked for first. */
+  /** When it was first requested. */
   at: string
 }
 
@@ -26,12 +26,12 @@ function read(): Wish[] {
 }
 const write = (wishes: Wish[]) => sessionStorage.setItem(PLACE, JSON.stringify(wishes.slice(-MOST)))
 
-/** crypto.randomUUID needs TLS or loopback, this does not. */
+/** crypto.randomUUID needs TLS or loopback; this does not. */
 function newKey(): string {
   return [...crypto.getRandomValues(new Uint8Array(16))].map((b) => b.toString(16).padStart(2, '0')).join('')
 }
 
-/** The key for these contents: the one they were sent with before, if it is not known what became of them. */
+/** The key for these contents: the one they were sent with before, if the outcome of that request is not known. */
 export function keyFor(contents: string): string {
   const wishes = read()
   const known = wishes.find((wish) => wish.contents === contents)
@@ -41,10 +41,10 @@ export function keyFor(contents: string): string {
   return wish.key
 }
 
-/** It is known what became of them: asked for again they are another wish. */
+/** The outcome is known: requested again, the same contents are a new request. */
 export function settled(contents: string): void {
   write(read().filter((wish) => wish.contents !== contents))
 }
 
-/** What was asked for and may or may not have been taken on, oldest first. */
+/** Requests that may or may not have been accepted, oldest first. */
 export const unsettled = (): Wish[] => read()

@@ -44,7 +44,7 @@ describe('the bench', () => {
     await page.getByRole('navigation', { name: 'Views' }).getByRole('link', { name: 'Bench' }).click()
     await page.getByRole('heading', { name: 'Bench', level: 1 }).waitFor()
     await page.locator('main .badge').getByText('Ready').waitFor()
-    await page.getByText('Simulated: the simulator itself, no device').waitFor()
+    await page.getByText('Simulated: the simulator only, no devices').waitFor()
     assert.equal(await page.getByRole('button', { name: 'Stop', exact: true }).count(), 0)
     assert.equal(await page.getByRole('form', { name: 'Clear the bench' }).count(), 0)
   })
@@ -54,7 +54,7 @@ describe('the bench', () => {
     await chromium.open(page, 'bench')
     await unlock(page, service.token)
     assert.deepEqual(await facts(page.getByLabel('Devices', { exact: true })), { Balance: 'Mettler Toledo XPR205, no. 42', Arm: 'Franka FR3' })
-    await page.getByText('This button is not an emergency stop: that one is wired.').waitFor()
+    await page.getByText('This button is not an emergency stop; the emergency stop is wired.').waitFor()
     const stop = page.getByRole('button', { name: 'Stop', exact: true })
     await page.evaluate(() => scrollTo(0, document.body.scrollHeight))
     const { y } = await stop.boundingBox()
@@ -71,7 +71,7 @@ describe('the bench', () => {
 
   it('is held after a stop until a person resumes it', async () => {
     assert.ok((await service.get('/v1/bench')).held)
-    await page.getByText('No dose waits.').waitFor()
+    await page.getByText('No doses are waiting.').waitFor()
     await page.getByLabel('Your name').fill('Grace')
     await page.getByRole('button', { name: 'Resume', exact: true }).click()
     await page.locator('main .badge').getByText('Ready').waitFor()
@@ -106,7 +106,7 @@ describe('a latched bench', () => {
     const clear = page.getByRole('button', { name: 'Clear the bench' })
     await page.getByLabel('Your name').fill('Ada')
     await page.getByLabel('Note').fill('vial emptied')
-    await page.getByLabel('I looked at spoon, vial and balance.').check()
+    await page.getByLabel('I have inspected the spoon, the vial and the balance.').check()
     await clear.click()
     assert.equal(await page.getByLabel('The vial is empty or new').evaluate((box) => box.validity.valueMissing), true)
     assert.deepEqual(said, [])
@@ -132,7 +132,7 @@ describe('a repeatability check', () => {
   const keep = async (readings, step) => {
     await page.getByLabel('Readings (mg)').fill(readings)
     await page.getByLabel('Display step (mg)').fill(step)
-    await page.getByRole('button', { name: 'Keep the check' }).click()
+    await page.getByRole('button', { name: 'Save the check' }).click()
   }
 
   it('is refused beside the field when a reading is no number, or there are too few', async () => {
@@ -148,7 +148,7 @@ describe('a repeatability check', () => {
 
   it('gives the SD and the minimum weight, of the display step where that is coarser', async () => {
     await keep('100.0 100.2 100.0 100.2 100.0\n100.2; 100.0; 100.2; 100.0; 100.2', '0.1')
-    const newest = page.getByLabel('Newest repeatability check')
+    const newest = page.getByLabel('Latest repeatability check')
     await newest.waitFor()
     // SD = sqrt(10 * 0.1² / 9) = 0.1054; 2 * 0.1054 / 0.001 = 210.8
     assert.deepEqual(await facts(newest), { 'Standard deviation': '0.105 mg', 'Minimum weight': '210.8 mg', 'Display step': '0.100 mg', Readings: '10' })
@@ -174,10 +174,10 @@ describe('the record', () => {
   it('is found whole, with its number of records and its last hash', async () => {
     await page.getByRole('button', { name: 'Check the record' }).click()
     const said = page.getByRole('status')
-    await said.getByText('The record is whole.').waitFor()
+    await said.getByText('The record is intact.').waitFor()
     const { records, last_hash } = await service.get('/v1/audit/verification')
     const text = (await said.textContent()).replaceAll('\u2009', '')
-    assert.ok(text.includes(`Records looked at: ${records}.`) && text.includes(last_hash), text)
+    assert.ok(text.includes(`Records checked: ${records}.`) && text.includes(last_hash), text)
   })
 
   it('is found broken at the record that was changed', async () => {
@@ -225,7 +225,7 @@ describe('a weighing', () => {
     // The balance of the simulated bench reads 1 mg; the uncertainty, and the net mass with it, is one decimal finer.
     assert.deepEqual([list.Net, list.Gross, list.Tare], ['12.0 ± 0.8 mg', '15012 mg', '15000 mg'])
     assert.deepEqual([list['Drift before'], list['Drift after']], ['+0.02 mg/min', '−0.05 mg/min'])
-    assert.deepEqual([list['Stable by the balance'], list['Stable by the window'], list.Balance], ['yes', 'no', 'Mettler Toledo XPR205, no. 42'])
+    assert.deepEqual([list['Balance reports stable'], list['Stable over the window'], list.Balance], ['yes', 'no', 'Mettler Toledo XPR205, no. 42'])
     assert.equal(list['Below minimum weight'], 'yes minimum 210.8 mg')
     await page.getByRole('status').getByText('below the minimum weight of this balance').waitFor()
     assert.deepEqual(await accessibilityFaults(page), [])

@@ -43,18 +43,18 @@ async function pretend(changes, said = []) {
   return said
 }
 const strip = () => page.getByRole('region', { name: 'Bench now' })
-const doses = () => page.getByRole('list', { name: 'Doses that wait' }).getByRole('listitem').allTextContents()
+const doses = () => page.getByRole('list', { name: 'Waiting doses' }).getByRole('listitem').allTextContents()
 
 describe('a held bench', () => {
   it('is told on every view, with who stopped it and that doses wait', async () => {
     await pretend({ held: HELD, waiting: WAITING })
     for (const view of ['', 'weighings', 'jobs', 'powders/sand']) {
       await chromium.open(page, view)
-      await strip().getByText(/^Stopped by Ada at .*2026.*: nothing begins until somebody resumes\.$/).waitFor()
-      await strip().getByText('2 doses wait.').waitFor()
+      await strip().getByText(/^Stopped by Ada at .*2026.*: nothing starts until someone resumes the bench\.$/).waitFor()
+      await strip().getByText('2 doses are waiting.').waitFor()
       assert.equal(await strip().getByRole('button', { name: 'Stop' }).count(), 0)
     }
-    await strip().getByRole('link', { name: 'To resume' }).click()
+    await strip().getByRole('link', { name: 'Resume the bench' }).click()
     await page.getByRole('form', { name: 'Resume the bench' }).waitFor()
   })
 
@@ -91,7 +91,7 @@ describe('a held bench', () => {
 describe('a latched bench with doses that wait', () => {
   const clear = async () => {
     await page.getByLabel('Your name').fill('Ada')
-    await page.getByLabel('I looked at spoon, vial and balance.').check()
+    await page.getByLabel('I have inspected the spoon, the vial and the balance.').check()
     await page.getByLabel('The vial is empty or new').check()
     await page.getByRole('button', { name: 'Clear the bench' }).click()
   }
@@ -99,9 +99,9 @@ describe('a latched bench with doses that wait', () => {
   it('names them before it is cleared, and leaves them held', async () => {
     const said = await pretend({ latch: LATCH, waiting: WAITING })
     await chromium.open(page, 'bench')
-    await page.getByText('These doses wait. They stay held until somebody resumes the bench').waitFor()
+    await page.getByText('These doses are waiting. They stay on hold until someone resumes the bench').waitFor()
     assert.equal((await doses()).length, 2)
-    assert.equal(await page.getByLabel('Let them begin').isChecked(), false)
+    assert.equal(await page.getByLabel('Start them').isChecked(), false)
     await picture(page, 'latched-waiting')
     assert.deepEqual(await accessibilityFaults(page), [])
     await clear()
@@ -112,7 +112,7 @@ describe('a latched bench with doses that wait', () => {
   it('lets them begin only where a person ticks that', async () => {
     const said = await pretend({ latch: LATCH, waiting: WAITING })
     await chromium.open(page, 'bench')
-    await page.getByLabel('Let them begin').check()
+    await page.getByLabel('Start them').check()
     await clear()
     await page.getByRole('form', { name: 'Clear the bench' }).waitFor({ state: 'detached' })
     assert.equal(said[0].resume, true)
@@ -123,7 +123,7 @@ describe('a latched bench with doses that wait', () => {
     for (const view of ['', 'weighings', 'jobs']) {
       await chromium.open(page, view)
       await strip().getByText(LATCH.reason).waitFor()
-      await strip().getByRole('link', { name: 'Look, then clear it' }).waitFor()
+      await strip().getByRole('link', { name: 'Inspect, then clear it' }).waitFor()
     }
     assert.deepEqual(await accessibilityFaults(page), [])
   })
@@ -146,12 +146,12 @@ describe('a dose whose vial is not in yet', () => {
       return route.fulfill({ json: now })
     })
     await chromium.open(page)
-    await strip().getByRole('link', { name: 'Put vial A1 in, then confirm' }).click()
-    await page.getByRole('heading', { name: 'Put vial A1 in, then confirm' }).waitFor()
+    await strip().getByRole('link', { name: 'Insert vial A1, then confirm' }).click()
+    await page.getByRole('heading', { name: 'Insert vial A1, then confirm' }).waitFor()
     await page.getByText('vial A0, with 11.90 mg in it').waitFor()
     await picture(page, 'awaiting-vial')
     assert.deepEqual(await accessibilityFaults(page), [])
-    await page.getByLabel('What its label says').fill('A1')
+    await page.getByLabel('Text on the vial label').fill('A1')
     await page.getByLabel('Your name').fill('Ada')
     await page.getByRole('button', { name: 'Vial A1 is in' }).click()
     await page.locator('.verdict .badge').getByText('Armed').waitFor()
@@ -162,7 +162,7 @@ describe('a dose whose vial is not in yet', () => {
     await pretend({ vial: { name: 'A0', weighing: `${ID}4`, holds_mg: 11.9, since: AT }, exchanges_vials: false })
     await chromium.open(page, 'bench')
     const text = await page.getByLabel('Vial on the pan').textContent()
-    assert.match(text, /A0.*It holds\s*11\.90 mg/s)
+    assert.match(text, /A0.*Contents\s*11\.90 mg/s)
   })
 
   it('is asked for with lot, vial and operator, and with no question only where a person chose that', async () => {
@@ -179,7 +179,7 @@ describe('a dose whose vial is not in yet', () => {
     await weigh.click()
     await page.getByRole('alert').waitFor()
     assert.equal(await form.getByLabel('Vial', { exact: true }).getAttribute('aria-invalid'), 'true')
-    await form.getByLabel('Do not ask for the vial').check()
+    await form.getByLabel('Skip the vial check').check()
     await weigh.click()
     while (said.length < 2) await page.waitForResponse('**/v1/weighings')
     assert.deepEqual(said.map(({ asked, vial_check }) => [asked, vial_check]), [[{ lot: 'L-7', vial: 'A1', operator: 'Ada' }, undefined], [{ lot: 'L-7', vial: 'A1', operator: 'Ada' }, 'skip']])

@@ -192,9 +192,9 @@ describe('a report', () => {
   })
 
   it('draws the condition of its finding first, names and missing values too', async () => {
-    const names = await page.getByRole('img', { name: /^Measured less simulated/ }).evaluateAll((figures) => figures.map((f) => f.getAttribute('aria-label')))
+    const names = await page.getByRole('img', { name: /^Measured minus simulated/ }).evaluateAll((figures) => figures.map((f) => f.getAttribute('aria-label')))
     assert.deepEqual(names.map((n) => n.match(/over (.*?):/)[1]), ['Relative humidity (%)', 'Pressure (hPa)', 'Operator'])
-    assert.match(names[0], /23 runs, 4 without it recorded/)
+    assert.match(names[0], /23 runs, 4 without a recorded value/)
     assert.equal(await page.locator('main b').count(), 0)
     const drawn = await page.locator('figure svg').evaluateAll((figures) => figures.map((f) => f.innerHTML).join(''))
     assert.doesNotMatch(drawn, /NaN|Infinity|undefined/)
@@ -218,7 +218,7 @@ describe('a report', () => {
     assert.deepEqual((await csvEqualsTable('Errors on rows left out of the fit'))[1], ['Days', '23', '1.61°', '1.19°', '+0.42°', '[0.21, 0.63]'])
     assert.equal((await csvEqualsTable('Other scores before and after')).length, 1 + 5)
     await page.getByText('It is accepted.').waitFor()
-    assert.deepEqual((await csvEqualsTable('Smallest effects that would be found'))[1], ['Humidity', '1.1', '80'])
+    assert.deepEqual((await csvEqualsTable('Smallest detectable effects'))[1], ['Humidity', '1.1', '80'])
     assert.deepEqual((await csvEqualsTable('Runs of the next experiment'))[0], ['Run', 'Powder', 'Relative humidity (%)'])
     await page.getByText('1 h 35 min').waitFor()
   })
@@ -232,7 +232,7 @@ describe('a report', () => {
 
   it('that cannot tell two causes apart, or knows none, says so', async () => {
     await show({ ...base, sentence: 'Humidity or ageing.', verdict: 'ambiguous', ambiguous_between: ['humidity', 'container_age'] })
-    await page.getByText('this campaign cannot tell between humidity and ageing since opening. The experiment below would tell most.').waitFor()
+    await page.getByText('this campaign cannot distinguish between humidity and ageing since opening. The experiment below would be the most informative.').waitFor()
     await show({ ...base, sentence: 'Angles rise with pressure.', verdict: 'unexplained', unexplained: { covariate: 'pressure_hpa', law: 'angle rises by 0.12° per hPa', form_class: 'linear' } })
     await page.getByText('It depends on pressure. Its law (a straight line): angle rises by 0.12° per hPa.').waitFor()
   })

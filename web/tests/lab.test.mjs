@@ -35,7 +35,7 @@ async function weigh(vial) {
 const strip = () => page.getByRole('region', { name: 'Bench now' })
 const state = (word) => page.locator('.verdict .badge').getByText(word, { exact: true }).waitFor({ timeout: 60_000 })
 const confirm = async (label) => {
-  await page.getByLabel('What its label says').fill(label)
+  await page.getByLabel('Text on the vial label').fill(label)
   await page.getByRole('button', { name: /^Vial .* is in$/ }).click()
 }
 
@@ -43,7 +43,7 @@ describe('doses for two vials in a laboratory', () => {
   it('wait until a person says that the vial is in that they name', async () => {
     await weigh('A1')
     await state('Awaiting vial')
-    await page.getByRole('heading', { name: 'Put vial A1 in, then confirm' }).waitFor()
+    await page.getByRole('heading', { name: 'Insert vial A1, then confirm' }).waitFor()
     await service.post('/v1/weighings', { powder: 'sand', target: { value: 12, unit: 'mg' }, tolerance: { lower: 1, upper: 1, unit: 'mg' }, asked: { vial: 'A2' } }, { 'idempotency-key': 'second' })
     await confirm('A9')
     await page.getByRole('alert').getByText('`A9`').waitFor()
@@ -57,19 +57,19 @@ describe('doses for two vials in a laboratory', () => {
     await strip().getByRole('button', { name: 'Stop', exact: true }).click()
     await strip().getByText(/^Stopped after \d+ ms$/).waitFor()
     await state('Stopped')
-    await strip().getByText('nothing begins until somebody resumes').waitFor()
-    await strip().getByText('One dose waits.').waitFor()
+    await strip().getByText('nothing starts until someone resumes the bench').waitFor()
+    await strip().getByText('One dose is waiting.').waitFor()
     const { moving, held, waiting } = await service.get('/v1/bench')
     assert.deepEqual([moving, !!held, waiting.map((dose) => dose.vial)], [null, true, ['A2']])
   })
 
   it('go on when a person resumes the bench, who sees the second', async () => {
-    await strip().getByRole('link', { name: 'To resume' }).click()
-    await page.getByRole('list', { name: 'Doses that wait' }).getByText('12.00 mg of Sand').waitFor()
+    await strip().getByRole('link', { name: 'Resume the bench' }).click()
+    await page.getByRole('list', { name: 'Waiting doses' }).getByText('12.00 mg of Sand').waitFor()
     await page.getByLabel('Your name').fill('Grace')
     await page.getByRole('button', { name: 'Resume', exact: true }).click()
-    await strip().getByRole('link', { name: 'Put vial A2 in, then confirm' }).click()
-    await page.getByText('What was on the pan last: vial A1').waitFor()
+    await strip().getByRole('link', { name: 'Insert vial A2, then confirm' }).click()
+    await page.getByText('Last on the pan: vial A1').waitFor()
   })
 
   it('are not poured into the vial of the first, whatever is said', async () => {

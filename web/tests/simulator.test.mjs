@@ -33,8 +33,8 @@ describe('simulators', () => {
 
   it('without a version are the base alone, and the page says where versions come from', async () => {
     await chromium.open(page, 'simulators')
-    await page.getByText('No version yet').waitFor()
-    await page.getByText('nobody has chosen another one').waitFor()
+    await page.getByText('No versions yet').waitFor()
+    await page.getByText('no other version has been chosen').waitFor()
     assert.deepEqual((await csvEqualsTable('Versions of the simulator')).slice(1).map((cells) => cells[0]), ['Base simulator'])
     assert.equal(await page.getByRole('heading', { name: 'Side by side' }).count(), 0)
   })
@@ -60,8 +60,8 @@ describe('simulators', () => {
     assert.match(rows[0][1], /^Base simulator$/)
     assert.match(rows[0][2], /^Humidity, sv-/)
     assert.deepEqual(cells['RMS error on days left out'], [`${gain.held_out.rmse_before.toFixed(2)}°`, `${gain.held_out.rmse_after.toFixed(2)}°`])
-    assert.deepEqual(cells['Log score, nats a run (more is better)'].map(Number), [gain.log_score.before, gain.log_score.after].map((x) => Number(x.toFixed(2))))
-    assert.deepEqual(cells['Runs within their 90 % interval, % (90 is right)'].map(Number), [gain.coverage90.before, gain.coverage90.after].map((x) => Math.round(100 * x)))
+    assert.deepEqual(cells['Log score, nats per run (higher is better)'].map(Number), [gain.log_score.before, gain.log_score.after].map((x) => Number(x.toFixed(2))))
+    assert.deepEqual(cells['Runs within their 90 % interval, % (ideal: 90)'].map(Number), [gain.coverage90.before, gain.coverage90.after].map((x) => Math.round(100 * x)))
     assert.deepEqual(cells['Runs left out'], [String(gain.held_out.n), String(gain.held_out.n)])
     const [effect] = causes[0].parameters
     const fitted = rows.find(([what]) => what.startsWith('Humidity: '))
@@ -72,7 +72,7 @@ describe('simulators', () => {
   it('draw every powder over the condition that was found, from the stored numbers', async () => {
     const names = await page.getByRole('img', { name: /angle of repose over/ }).evaluateAll((figures) => figures.map((f) => f.getAttribute('aria-label')))
     assert.deepEqual(names.map((name) => name.split(':')[0]), ['Sand', 'Sugar', 'Salt'])
-    for (const name of names) assert.match(name, /over Relative humidity \(%\), measured, by Base simulator and by Humidity, sv-[0-9a-f]{16}; 24 runs, 0 without it recorded/)
+    for (const name of names) assert.match(name, /over Relative humidity \(%\), measured, by Base simulator and by Humidity, sv-[0-9a-f]{16}; 24 runs, 0 without a recorded value/)
     const drawn = await page.locator('figure svg').evaluateAll((figures) => figures.map((f) => f.innerHTML).join(''))
     assert.doesNotMatch(drawn, /NaN|Infinity|undefined/)
     await page.getByText('Table of predicted angles').click()
@@ -94,7 +94,7 @@ describe('simulators', () => {
     await unlock(page, service.token)
     await page.getByRole('button', { name: `Use ${version.id}` }).focus()
     await page.keyboard.press('Enter')
-    await page.getByRole('status').getByText(/^Humidity, sv-.* is in use from now on\.$/).waitFor()
+    await page.getByRole('status').getByText(/^Humidity, sv-.* is now in use\.$/).waitFor()
     const used = await current()
     assert.deepEqual([used.simulator, used.before], [version.id, 'base'])
     assert.equal(await page.getByRole('button', { name: `Use ${version.id}` }).count(), 0, 'what is in use cannot be chosen again')
@@ -102,7 +102,7 @@ describe('simulators', () => {
 
     await page.getByRole('button', { name: 'Go back to Base simulator' }).focus()
     await page.keyboard.press('Space')
-    await page.getByRole('status').getByText('Base simulator is in use from now on.').waitFor()
+    await page.getByRole('status').getByText('Base simulator is now in use.').waitFor()
     const back = await current()
     assert.deepEqual([back.simulator, back.before], ['base', version.id])
     assert.deepEqual((await service.get('/v1/simulators')).items, [version], 'the version is as it was')
@@ -163,7 +163,7 @@ describe('two versions of different campaigns', () => {
     assert.deepEqual(cells['Law of an unknown cause'], ['Pressure (hPa): a step at 1010', ''])
     assert.deepEqual(cells['Confirmed by simulations'], ['not yet', 'yes'])
     assert.deepEqual(cells['The base on the same days'], ['1.61°', '1.61°'])
-    assert.deepEqual(cells['Mean error of a weighing, mg'], ['', '0.97'])
+    assert.deepEqual(cells['Mean weighing error, mg'], ['', '0.97'])
   })
 
   it('show parts that the page does not know as they are', async () => {
@@ -175,7 +175,7 @@ describe('two versions of different campaigns', () => {
 
   it('are drawn over what each campaign recorded, names of both beside each other', async () => {
     await page.getByRole('img', { name: /Sand: angle of repose over Pressure/ }).waitFor()
-    await page.getByText('difference between operators, sv-2222222222222222: nothing is stored over Pressure (hPa)').waitFor()
+    await page.getByText('difference between operators, sv-2222222222222222: no predictions over Pressure (hPa)').waitFor()
     await page.getByLabel('Over', { exact: true }).selectOption({ label: 'Operator' })
     const figure = page.getByRole('img', { name: /Salt: angle of repose over Operator.*12 runs|Salt: angle of repose over Operator.*10 runs/ })
     assert.match(await figure.textContent(), /Aiko.*Bo.*Cid/s)
@@ -186,7 +186,7 @@ describe('two versions of different campaigns', () => {
     await show(`?a=base&b=sv-3333333333333333`)
     const cells = Object.fromEntries((await csvEqualsTable('Versions compared')).map(([what, ...sides]) => [what, sides]))
     assert.deepEqual(cells['RMS error on days left out'], ['', ''])
-    await page.getByText('It says nothing of itself.').waitFor()
+    await page.getByText('No description.').waitFor()
     await page.getByLabel('Second version').selectOption({ label: 'Base simulator' })
     await page.getByText('Choose two different versions.').waitFor()
   })

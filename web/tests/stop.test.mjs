@@ -56,7 +56,7 @@ describe('a stop', () => {
     front.does = ({ path }) => path === '/v1/bench' ? { status: 200, body: { ...bench, piling: { job: 'a-measurement', pile: 2 } } } : undefined
     for (const view of ['', 'powders', 'weighings', 'bench', 'jobs']) {
       await chromium.open(page, view)
-      await page.getByText('Pile 2 of a measurement is made').waitFor()
+      await page.getByText('Pile 2 of a measurement is being made').waitFor()
       await stop().waitFor()
     }
     const sent = page.waitForRequest((request) => request.method() === 'POST' && request.url().endsWith(STOP))
@@ -72,7 +72,7 @@ describe('a stop', () => {
     const sending = page.getByRole('button', { name: 'Sending…' })
     await sending.waitFor()
     assert.ok(await sending.isDisabled())
-    await notSent().getByText('No answer within 2 s.').waitFor()
+    await notSent().getByText('No response within 2 s.').waitFor()
     moving()
     await stop().click()
     await page.getByText(/^Stopped after \d+ ms$/).waitFor()
@@ -82,9 +82,9 @@ describe('a stop', () => {
 
   for (const [what, answer, why] of [
     ['refused by the service', { status: 403, kind: 'application/problem+json', body: { type: 'urn:flip:problem:forbidden', title: 'Not allowed', status: 403, detail: 'this needs the role operator; the token has viewer', errors: [] } }, 'the token has viewer'],
-    ['answered with a fault', { status: 500, body: 'no' }, 'The service answered 500'],
-    ['answered by a machine between', { status: 502 }, 'The service answered 502'],
-    ['cut off', 'cut', 'The service does not answer.'],
+    ['answered with a fault', { status: 500, body: 'no' }, 'The service returned 500'],
+    ['answered by a machine between', { status: 502 }, 'The service returned 502'],
+    ['cut off', 'cut', 'The service is not responding.'],
   ]) {
     it(`that is ${what} is not sent, and says why`, async () => {
       moving(answer)
@@ -145,17 +145,17 @@ describe('a service that does not answer', () => {
     await balance.getByText('balance reading').waitFor()
     await stop().waitFor()
     await front.stop()
-    await balance.getByText('from before: no answer now').waitFor()
-    await page.locator('.verdict').getByText('when last heard of').waitFor()
+    await balance.getByText('out of date: no response').waitFor()
+    await page.locator('.verdict').getByText('at last contact').waitFor()
     await picture(page, 'weighing-old')
     assert.deepEqual(await accessibilityFaults(page), [])
     await page.evaluate(() => (location.hash = '#/bench'))
-    const lost = page.getByRole('alert').filter({ hasText: 'The service does not answer since' })
-    await lost.getByText('what moved may still move: use the wired stop').waitFor()
-    await page.getByText('From before: the service does not answer.').waitFor()
+    const lost = page.getByRole('alert').filter({ hasText: 'The service has not responded since' })
+    await lost.getByText('anything that was moving may still be moving: use the wired stop').waitFor()
+    await page.getByText('Out of date: the service is not responding.').waitFor()
     await picture(page, 'service-lost')
     await stop().click()
-    await notSent().getByText('The service does not answer.').waitFor()
+    await notSent().getByText('The service is not responding.').waitFor()
     assert.deepEqual(await accessibilityFaults(page), [])
   })
 })

@@ -85,7 +85,7 @@ describe('eight tabs', () => {
     await stopButton(last).click()
     await last.getByText(/^Stopped after \d+ ms$/).waitFor()
     assert.equal(front.count('POST', STOP), 1)
-    for (const page of pages) await page.getByText('No weighing yet.').waitFor()
+    for (const page of pages) await page.getByText('No weighings yet.').waitFor()
   })
 
   it('that are hidden hold no stream, and ask for everything anew when they are shown', async () => {

@@ -45,12 +45,12 @@ describe('a token that the service does not know', () => {
     await dialog().getByRole('alert').waitFor()
     await dialog().getByRole('button', { name: 'Close' }).click()
     await page.getByRole('button', { name: /Token set/ }).waitFor()
-    await page.getByRole('button', { name: 'Keep the check' }).waitFor()
+    await page.getByRole('button', { name: 'Save the check' }).waitFor()
   })
 })
 
 describe('a token that the service knows', () => {
-  for (const [role, may] of [['viewer', /may read, but start and stop nothing/], ['operator', /may start, stop and add things/], ['admin', /may do everything/]]) {
+  for (const [role, may] of [['viewer', /can read, but not start or stop anything/], ['operator', /can start, stop and add things/], ['admin', /can do everything/]]) {
     it(`of role ${role} is named so, and may what it may`, async () => {
       const { secret } = await service.post('/v1/tokens', { name: `a ${role}`, role })
       const tab = await chromium.tab()
@@ -62,8 +62,8 @@ describe('a token that the service knows', () => {
       assert.deepEqual(await accessibilityFaults(tab), [])
       await picture(tab, `token-${role}`)
       await tab.getByRole('button', { name: 'Close' }).click()
-      assert.equal(await tab.getByRole('button', { name: 'Keep the check' }).count(), role === 'viewer' ? 0 : 1)
-      assert.equal(await tab.getByRole('button', { name: 'This token may only read: enter another' }).count(), role === 'viewer' ? 1 : 0)
+      assert.equal(await tab.getByRole('button', { name: 'Save the check' }).count(), role === 'viewer' ? 0 : 1)
+      assert.equal(await tab.getByRole('button', { name: 'This token is read-only: enter another' }).count(), role === 'viewer' ? 1 : 0)
       await tab.reload()
       await set.waitFor()
       await tab.context().close()

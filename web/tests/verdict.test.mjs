@@ -44,7 +44,7 @@ describe('a dose of which the balance shows another mass than is in the vial', (
   it('is judged, drawn and told by the reading, with the true mass beside it', async () => {
     await show({ ...SALT, measured: measured(0.3, true) })
     assert.equal(await page.locator('.verdict .badge').textContent(), 'Within')
-    assert.match(await gauge().getAttribute('aria-label'), /^Error −0\.40 mg, uncertain by 0\.30 mg; accepted from −1\.00 to \+1\.00 mg$/)
+    assert.match(await gauge().getAttribute('aria-label'), /^Error −0\.40 mg, uncertainty 0\.30 mg; accepted from −1\.00 to \+1\.00 mg$/)
     assert.match(await fact('Error, reading').textContent(), /^−0\.40 mg ± 0\.30$/)
     assert.match(await fact('True mass, in simulation').textContent(), /^10\.10 mg −1\.90 from the target$/)
     assert.deepEqual(await accessibilityFaults(page), [])

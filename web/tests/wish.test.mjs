@@ -42,7 +42,7 @@ const weigh = () => page.getByRole('button', { name: 'Weigh', exact: true }).cli
 const lost = () => page.getByRole('status').filter({ hasText: 'It is not known whether' })
 const answers = (wanted) => (front.does = ({ method, path }) => (method === 'POST' && path === WEIGHINGS ? wanted : undefined))
 const taken = () => page.waitForURL(/#\/weighings\/[0-9a-f-]{36}/)
-const saysBefore = () => page.getByRole('status').getByText('This dose had been taken on before').waitFor()
+const saysBefore = () => page.getByRole('status').getByText('This dose had already been accepted').waitFor()
 
 describe('a dose whose answer was lost', () => {
   for (const [what, wanted] of [
@@ -115,7 +115,7 @@ describe('a dose that was answered', () => {
       await weigh()
       await taken()
     }
-    assert.deepEqual([keys().size, await stored(), await page.getByText('had been taken on before').count()], [2, before + 2, 0])
+    assert.deepEqual([keys().size, await stored(), await page.getByText('had already been accepted').count()], [2, before + 2, 0])
   })
 
   it('with a refusal has another key when it is asked for again', async () => {

@@ -17,16 +17,16 @@ const authorize: Middleware = {
 }
 client.use(authorize)
 
-/** The body of an answer, or the problem it names. */
+/** The body of a response, or the problem it reports. */
 async function body<D>(answer: Promise<{ data?: D; error?: unknown; response: Response }>): Promise<D> {
   const { data, error, response } = await answer
   if (!response.ok || data === undefined) throw Problem.from(error, response)
   return data
 }
 
-/** What a refusal of {@link whoHolds} says of the token. */
+/** What a refusal in {@link whoHolds} reports about the token. */
 const HELD = /the token has (viewer|operator)\b/
-/** Which role this token has; one that the service does not know is refused. It lists tokens for admins alone, and tells all others what they are. */
+/** The role of this token; an unknown token is refused. The service lists tokens for admins only, and tells everyone else their role. */
 export async function whoHolds(token: string): Promise<Holder | undefined> {
   const response = await fetch('/v1/tokens?limit=1', { headers: { authorization: `Bearer ${token}` }, cache: 'no-store' })
   if (response.ok) return { role: 'admin' }
@@ -43,10 +43,10 @@ export const powder = (id: string) => body(client.GET('/v1/powders/{id}', { para
 export const createPowder = (powder: T.NewPowder) => body(client.POST('/v1/powders', { body: powder }))
 export const addMeasurement = (powder: string, measurement: T.NewMeasurement) =>
   body(client.POST('/v1/powders/{id}/measurements', { params: at(powder), body: measurement }))
-/** Everything that was measured of a powder, as a file that the import reads. */
+/** Everything measured for a powder, as a file that the import reads. */
 export const measurementsCsv = (powder: string): Promise<string> =>
   body(client.GET('/v1/powders/{id}/measurements.csv', { params: at(powder), parseAs: 'text' }))
-/** All of a CSV file or nothing; with `create` also powders that only the file knows. */
+/** All of a CSV file or nothing; with `create`, powders not yet registered are registered. */
 export const importMeasurements = (csv: string, create: boolean) =>
   body(client.POST('/v1/measurements/import', { params: { query: { create } }, body: csv, bodySerializer: (text) => text, headers: { 'content-type': 'text/csv' } }))
 
@@ -61,9 +61,9 @@ export const startCalibration = (request: T.CalibrationRequest) => body(client.P
 
 export const reposes = (query: Query = {}) => body(client.GET('/v1/repose-measurements', { params: { query } }))
 export const repose = (id: string) => body(client.GET('/v1/repose-measurements/{id}', { params: at(id) }))
-/** Asked for without a run it is a new one each time. */
+/** A request without a run number starts a new one each time. */
 export const startRepose = (request: T.ReposeRequest) => body(client.POST('/v1/repose-measurements', { body: request }))
-/** Address of a part of a raw frame. */
+/** URL of a part of a raw frame. */
 export const rawFrame = (id: string, pile: number, frame: number, part: 'depth' | 'colour' | 'description') => `/v1/repose-measurements/${id}/piles/${pile}/frames/${frame}/${part}`
 
 export const trainings = (query: Query = {}) => body(client.GET('/v1/trainings', { params: { query } }))
@@ -84,38 +84,38 @@ export const startEvaluation = (request: T.EvaluationRequest) => body(client.POS
 export const investigations = (query: Query = {}) => body(client.GET('/v1/investigations', { params: { query } }))
 export const investigation = (id: string) => body(client.GET('/v1/investigations/{id}', { params: at(id) }))
 export const startInvestigation = (request: T.InvestigationRequest) => body(client.POST('/v1/investigations', { body: request }))
-/** What the simulator predicts of every row of the file, before and after. */
+/** Predictions of the simulator for every row of the file, before and after. */
 export const predictions = (id: string): Promise<string> => body(client.GET('/v1/investigations/{id}/predict.csv', { params: at(id), parseAs: 'text' }))
 
 export const simulators = (query: Query = {}) => body(client.GET('/v1/simulators', { params: { query } }))
 export const currentSimulator = () => body(client.GET('/v1/simulators/current'))
-/** Makes a version current, or the base. Asked again for the same, nothing changes. */
+/** Makes a version or the base current. Repeating the request changes nothing. */
 export const chooseSimulator = (simulator: string) => body(client.PUT('/v1/simulators/current', { body: { simulator } }))
 
 export const weighings = (query: Query = {}) => body(client.GET('/v1/weighings', { params: { query } }))
 export const weighing = (id: string) => body(client.GET('/v1/weighings/{id}', { params: at(id) }))
-/** No answer within this time leaves it unknown whether a dose was taken on. */
+/** No response within this time leaves it unknown whether a dose was accepted. */
 const WEIGHING_MS = 20_000
-/** The same key with the same request never pours twice; `before`: it had been taken on already. */
+/** The same key with the same request never pours twice; `before`: it had already been accepted. */
 export async function startWeighing(request: T.WeighingRequest, key: string) {
   const answer = await client.POST('/v1/weighings', { params: { header: { 'Idempotency-Key': key } }, body: request, signal: AbortSignal.timeout(WEIGHING_MS) })
   return { id: (await body(Promise.resolve(answer))).id, before: answer.response.headers.get('idempotency-replayed') === 'true' }
 }
 
-/** A person says that the vial is in which a dose waits for. */
+/** A person confirms the vial that a dose is waiting for. */
 export const vialReady = (id: string, said: T.VialReadyRequest) => body(client.POST('/v1/weighings/{id}/vial-ready', { params: at(id), body: said }))
 
-/** A service that does not answer this within a few seconds does not answer. */
+/** A service that does not answer this within a few seconds counts as not responding. */
 const BENCH_MS = 4000
 export const bench = () => body(client.GET('/v1/bench', { signal: AbortSignal.timeout(BENCH_MS) }))
-/** After a stop or a cleared latch: the doses that wait may begin. */
+/** After a stop or a cleared latch: waiting doses may start. */
 export const resumeBench = (said: T.ResumeRequest) => body(client.POST('/v1/bench/resume', { body: said }))
 export const clearBench = (said: T.ClearRequest) => body(client.POST('/v1/bench/clear', { body: said }))
 export const checkRepeatability = (weighed: T.RepeatabilityRequest) => body(client.POST('/v1/bench/repeatability', { body: weighed }))
 
 /** Newest first. */
 export const audit = (query: Query = {}) => body(client.GET('/v1/audit', { params: { query } }))
-/** Goes through the whole record; with `hash` also says whether it holds that one. */
+/** Checks the whole record; with `hash`, also reports whether it contains that hash. */
 export const verifyAudit = (hash?: string) => body(client.GET('/v1/audit/verification', { params: { query: { hash } } }))
 
 export const jobs = (query: Query & { kind?: T.JobKind; state?: T.JobState } = {}) => body(client.GET('/v1/jobs', { params: { query } }))

@@ -1,8 +1,8 @@
 /** Reading gives way to a stop: a browser has six connections to a host, and a stop must not wait for one. */
 
-/** What the tabs of this browser tell each other. */
+/** Messages between the tabs of this browser. */
 const channel = typeof BroadcastChannel === 'undefined' ? undefined : new BroadcastChannel('flip-stop')
-/** Reading waits no longer than this for a stop of another tab, which may have been closed meanwhile. */
+/** Reading waits no longer than this for a stop from another tab, which may have been closed meanwhile. */
 const WAIT_MS = 3000
 
 let reads = new AbortController()
@@ -24,7 +24,7 @@ function hold() {
 
 channel?.addEventListener('message', ({ data }: MessageEvent<'stop' | 'sent'>) => (data === 'stop' ? hold() : go()))
 
-/** Breaks off what any tab of this browser is reading, so that a connection is free; the returned function lets reading go on. */
+/** Aborts all reads in every tab of this browser, so that a connection is free; the returned function lets reading continue. */
 export function giveWay(): () => void {
   hold()
   channel?.postMessage('stop')
@@ -34,7 +34,7 @@ export function giveWay(): () => void {
   }
 }
 
-/** The client's fetch. What was broken off for a stop is read again after it; what writes is sent once. */
+/** The client's fetch. Reads aborted for a stop are repeated after it; writes are sent once. */
 export async function gated(request: Request): Promise<Response> {
   if (request.method !== 'GET') return fetch(request)
   for (;;) {
@@ -43,7 +43,7 @@ export async function gated(request: Request): Promise<Response> {
     try {
       const response = await fetch(request.clone(), { signal: AbortSignal.any([request.signal, signal]) })
       const empty = response.status === 204 || response.status === 304
-      // The whole body, so that breaking off in its middle is noticed here.
+      // Read the whole body, so that an abort in the middle of it is noticed here.
       return new Response(empty ? null : await response.arrayBuffer(), response)
     } catch (error) {
       if (!signal.aborted || request.signal.aborted) throw error

@@ -1,10 +1,10 @@
-/** Shares event streams among tabs: a browser has six connections to a host, and a stream holds one for as long as it lives. */
+/** Shares event streams among tabs: a browser has six connections to a host, and a stream holds one for its whole life. */
 import type { Event } from '../api/types'
 import { Stream, type Follower } from './stream'
 
-/** What a tab says. Said again at least every {@link BEAT_MS} while the tab can be seen. */
+/** A message from a tab, repeated at least every {@link BEAT_MS} while the tab is visible. */
 export type Said = { kind: 'here'; token: string; visible: boolean } | { kind: 'gone' }
-/** What a tab is told; `again`: ask for everything anew, there is no stream that would say what changed; `heard`: the worker lives. */
+/** A message to a tab; `again`: reload everything, as no stream reports changes; `heard`: the worker is alive. */
 export type Told = { kind: 'heard' } | { kind: 'again' } | { kind: 'open'; open: boolean } | { kind: 'event'; event: Event }
 
 export interface Tab {
@@ -12,17 +12,17 @@ export interface Tab {
 }
 
 export const BEAT_MS = 10_000
-/** A tab that has not spoken for so long was closed without a word. */
+/** A tab silent for this long was closed without notice. */
 const LOST_MS = 3 * BEAT_MS
 /** Streams open at once. Each token has its own; two leave four connections for everything else. */
 const STREAMS_MAX = 2
-/** Tabs whose token got no stream ask anew this often. */
+/** Tabs whose token got no stream reload this often. */
 const POLL_MS = 5000
 
 interface Seat {
   token: string
   heard: number
-  /** What it was told last. */
+  /** What it was last told. */
   open?: boolean
 }
 
@@ -32,7 +32,7 @@ interface Line {
 }
 
 export class Hub {
-  /** Tabs that can be seen, in the order they came. A hidden one needs no events: it asks anew when it is shown. */
+  /** Visible tabs, in the order they came. A hidden tab needs no events: it reloads when it is shown. */
   #seats = new Map<Tab, Seat>()
   #lines = new Map<string, Line>()
   #timer: ReturnType<typeof setInterval> | undefined
@@ -58,7 +58,7 @@ export class Hub {
     this.#settle()
   }
 
-  /** Tabs that fell silent lose their seat; those without a stream ask anew. */
+  /** Tabs that fell silent lose their seat; those without a stream reload. */
   beat() {
     for (const [tab, seat] of this.#seats) if (this.now() - seat.heard > LOST_MS) this.#seats.delete(tab)
     this.#settle()
@@ -97,7 +97,7 @@ export class Hub {
     })
   }
 
-  /** Says whether events arrive, where that is news; a line that has said nothing yet is none. */
+  /** Reports whether events arrive, if that has changed; a line that has not reported yet does not count. */
   #tellOpen(tab: Tab, seat: Seat, said = false) {
     const open = this.#lines.get(seat.token)?.open ?? false
     if (seat.open === open || (!open && !said && seat.open === undefined)) return

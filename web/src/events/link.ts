@@ -1,4 +1,4 @@
-/** How a tab gets its events: from the browser's one worker, else from the tab that leads, else by itself. */
+/** How a tab gets its events: from the browser's one worker, otherwise from the leading tab, otherwise by itself. */
 import { Hub, type Said, type Told } from './hub'
 
 type Say = (said: Said) => void
@@ -7,14 +7,14 @@ type Hear = (told: Told) => void
 /** A worker answers within this time. */
 const WORKER_MS = 4000
 
-/** The way to speak; what is told comes to `hear`. */
+/** Returns the function to send messages; received messages go to `hear`. */
 export function link(hear: Hear): Say {
   if (typeof SharedWorker !== 'undefined') return shared(hear)
   return without(hear)
 }
 
 function without(hear: Hear): Say {
-  // Locks exist under TLS and on loopback only.
+  // Locks exist only under TLS and on loopback.
   return typeof BroadcastChannel !== 'undefined' && navigator.locks ? led(hear) : alone(hear)
 }
 
@@ -23,7 +23,7 @@ function shared(hear: Hear): Say {
   let last: Said = { kind: 'gone' }
   let instead: Say | undefined
   let timer: ReturnType<typeof setTimeout> | undefined
-  // A worker that cannot be loaded, or has died, is not always told of: it is one that does not answer.
+  // A worker that cannot be loaded or has died is not always reported, so one that does not answer counts as lost.
   const help = () => {
     port.onmessage = null
     port.postMessage({ kind: 'gone' } satisfies Said)
@@ -50,7 +50,7 @@ function alone(hear: Hear): Say {
   return (said) => hub.hear(tab, said)
 }
 
-/** Of the tabs that can be seen and have the same token one holds the lock, and with it the stream; it tells the others. */
+/** Of the visible tabs with the same token, one holds the lock and with it the stream, and passes events to the others. */
 function led(hear: Hear): Say {
   let leave = () => {}
   let joined: string | undefined
@@ -62,7 +62,7 @@ function led(hear: Hear): Say {
     joined = token
     if (token === undefined) return
     const left = new AbortController()
-    // Names of channels and locks are seen by this origin alone.
+    // Names of channels and locks are visible to this origin only.
     const name = `flip-events ${token}`
     const channel = new BroadcastChannel(name)
     let open: Told | undefined

@@ -3,7 +3,7 @@ import { Hub, type Said, type Told } from './hub'
 
 const hub = new Hub()
 
-// The DOM's types know no SharedWorkerGlobalScope.
+// The DOM types do not include SharedWorkerGlobalScope.
 const scope = self as unknown as { onconnect: (event: MessageEvent) => void }
 scope.onconnect = ({ ports: [port] }) => {
   if (!port) return

@@ -2,7 +2,7 @@
 import type { Event } from '../api/types'
 
 const RETRY_MS = 2000
-/** The service sends a comment every 15 s; a stream that says nothing for this long is broken. */
+/** The service sends a comment every 15 s; a stream silent for this long is broken. */
 const SILENT_MS = 40_000
 
 export interface Follower {
@@ -32,7 +32,7 @@ export class Stream {
       try {
         await this.#read()
       } catch {
-        // The stream broke or the service is away: it is tried again, and the follower is told.
+        // The stream broke or the service is away: retry, and tell the follower.
       }
       if (signal.aborted) return
       this.follower.open(false)
