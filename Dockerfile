@@ -27,6 +27,8 @@ COPY proto proto
 COPY migrations migrations
 COPY benches benches
 COPY examples examples
+COPY experiments experiments
+COPY crates crates
 COPY src src
 COPY --from=page /flip/web/dist web/dist
 COPY --from=page /flip/web/docs-dist web/docs-dist

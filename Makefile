@@ -29,7 +29,7 @@ run: setup
 
 test: setup chromium
 	mkdir -p $(LOGS)
-	cargo test --release --locked 2>&1 | tee $(LOGS)/rust.log
+	cargo test --release --locked --workspace --exclude flip-experiments 2>&1 | tee $(LOGS)/rust.log
 	binary="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip"
 	(cd web && FLIP_BIN="$$binary" npm test) 2>&1 | tee $(LOGS)/web.log
 	$(MAKE) docs
@@ -116,13 +116,13 @@ discovery-report: setup
 	FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip" cargo run --quiet --release --locked --example discovery_report
 
 weighing-gain: setup
-	cargo build --release --locked --bin flip --example weighing_gain
-	FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip" cargo run --quiet --release --locked --example weighing_gain
+	cargo build --release --locked --bin flip
+	FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip" cargo experiment weighing_gain
 
 reliability: setup
 	FLIP_RELIABILITY=full cargo test --release --locked --test reliability -- --nocapture
 	FLIP_KILLS=300 cargo test --release --locked --test kills -- --nocapture
-	FLIP_FUZZ_SECONDS=60 cargo test --release --locked --test fuzz
+	FLIP_FUZZ_SECONDS=60 cargo test --release --locked -p flip-bench --test fuzz
 
 bench-stop: setup
 	cargo bench --locked --bench stop_latency $(ARGS)
@@ -149,7 +149,7 @@ training-report: setup
 	done
 
 lint: setup
-	cargo fmt --check
-	cargo clippy --release --locked --all-targets -- -D warnings
-	cargo doc --release --locked --no-deps --document-private-items
+	cargo fmt --all --check
+	cargo clippy --release --locked --workspace --all-targets -- -D warnings
+	cargo doc --release --locked --workspace --no-deps --document-private-items
 	cargo deny check

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Results that are older than the code they speak of: `make stale`.
 
-A result says `*Recorded 2026-11-23, commit d40ad6d.* <!-- of src/train src/sim -->`. Listed is each one whose code has
+A result says `*Recorded 2026-11-23, commit d40ad6d.* <!-- of crates/flip-sim/src -->`. Listed is each one whose code has
 changed since that commit, with how many commits changed it and the newest of them. Comments and tests count too: a
-person decides whether a change matters.
+person decides whether a change matters. Files that moved and changed in nothing but the paths they name do not count.
 """
 
 import pathlib
@@ -15,9 +15,16 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 LINE = re.compile(r"Recorded (\d{4}-\d\d-\d\d), commit ([0-9a-f]{7,40})[^<]*(?:<!-- of (.+?) -->)?")
 
 
+def former(path):
+    """Where the folder of a crate was before there were crates."""
+    return re.sub(r"^crates/flip-(?:core|bench|learn)/src/", "src/", re.sub(r"^crates/flip-(sim|policy|discover|store)/src", r"src/\1", path))
+
+
 def changes(commit, paths):
     """Commits since `commit` that changed one of the paths, newest first; None where git does not know the commit."""
-    log = ["git", "-C", str(ROOT), "log", "--no-merges", "--format=%h %ad %s", "--date=short", f"{commit}..HEAD", "--", *paths]
+    paths = sorted({*paths, *map(former, paths)})
+    log = ["git", "-C", str(ROOT), "log", "--no-merges", "--diff-filter=AMD", "-M", "--format=%h %ad %s", "--date=short"]
+    log += [f"{commit}..HEAD", "--", *paths]
     found = subprocess.run(log, capture_output=True, text=True)
     return found.stdout.splitlines() if found.returncode == 0 else None
 

@@ -3,11 +3,11 @@
 //! training): `cargo bench --bench simulator`.
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
-use flip::domain::bench::Action;
-use flip::domain::parameters::ParameterSet;
-use flip::sim::column::{self, Column};
-use flip::sim::dispense::{self, Dispenser};
-use flip::sim::repose::{self, repose};
+use flip_core::domain::bench::Action;
+use flip_core::domain::parameters::ParameterSet;
+use flip_sim::column::{self, Column};
+use flip_sim::dispense::{self, Dispenser};
+use flip_sim::repose::{self, repose};
 use std::hint::black_box;
 
 /// Substeps of one kernel measurement: 2 ms.

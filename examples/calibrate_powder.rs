@@ -4,9 +4,9 @@
 //! `cargo run --release --example calibrate_powder
 //! [sand|sugar|salt|semolina|sodium_bicarbonate|all] [seed]`
 
-use flip::calibrate::{Calibration, Error, Heap, Outcome, Phase, Settings, calibrate};
-use flip::domain::powder::{PUBLISHED, Published};
-use flip::sim::repose::{Settings as HeapSettings, repose};
+use flip_core::domain::powder::{PUBLISHED, Published};
+use flip_learn::calibrate::{Calibration, Error, Heap, Outcome, Phase, Settings, calibrate};
+use flip_sim::repose::{Settings as HeapSettings, repose};
 use std::ops::ControlFlow;
 use std::time::Instant;
 
@@ -29,7 +29,7 @@ fn search(powder: &Published, settings: &Settings) -> Result<Calibration, Error>
     let simulate = |set: &_, _readings, seed| {
         let pile = repose(set, &heap_settings, seed)?;
         let (tip_deg, cone_deg, creep_deg_per_s) = (pile.tip_deg, pile.cone_deg, pile.creep_deg_per_s);
-        Ok::<_, flip::sim::repose::Refusal>(Heap { tip_deg, tip_sd_deg: None, cone_deg, creep_deg_per_s })
+        Ok::<_, flip_sim::repose::Refusal>(Heap { tip_deg, tip_sd_deg: None, cone_deg, creep_deg_per_s })
     };
     calibrate(&powder.automated, settings, None, &[], simulate, |trial, progress| {
         let phase = if trial.phase == Phase::Search { "search" } else { "verify" };

@@ -20,13 +20,13 @@
 //! the vial: `[[0.4,0.2,0.3],[0.5,0.0,0.3]]`. The spoon goes straight from one to the next and
 //! keeps its orientation. On start the robot must stand at the first, the spoon level.
 
-use flip::domain::bench::PitchLimits;
-use flip::domain::motion::{MotionLimits, Move, TurnLimits};
-use flip::emulate::arm::{Asked, Brake, Desk, Driver, End, Robot, Why};
-use flip::hardware::arm::PROTOCOL_VERSION;
-use flip::hardware::arm::proto::{Description, Executed, Limits, Station};
-use flip::hardware::waypoints::Stroke;
 use flip::telemetry;
+use flip_bench::emulate::arm::{Asked, Brake, Desk, Driver, End, Robot, Why};
+use flip_bench::hardware::arm::PROTOCOL_VERSION;
+use flip_bench::hardware::arm::proto::{Description, Executed, Limits, Station};
+use flip_bench::hardware::waypoints::Stroke;
+use flip_core::domain::bench::PitchLimits;
+use flip_core::domain::motion::{MotionLimits, Move, TurnLimits};
 use franka::{CartesianPose, ControllerMode, MAX_CUTOFF_FREQUENCY, RealtimeConfig, RobotMode, motion_finished};
 use std::error::Error;
 use std::time::Duration;

@@ -5,15 +5,15 @@
 //! stays is its angle of repose: a chemist can measure it with a funnel, a plate and a camera, and
 //! FLIP matches it when it calibrates.
 
-use flip::domain::parameters::ParameterSet;
-use flip::sim::mechanisms::Extensions;
-use flip::sim::repose::{Settings, repose};
+use flip_core::domain::parameters::ParameterSet;
+use flip_sim::mechanisms::Extensions;
+use flip_sim::repose::{Settings, repose};
 
 fn main() {
     let arguments: Vec<f64> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
     let [friction, cohesion] = [arguments.first().copied().unwrap_or(0.5), arguments.get(1).copied().unwrap_or(0.0)];
 
-    // Nine published parameters; each acts by a law with a unit (`flip::sim::law`). Two of them
+    // Nine published parameters; each acts by a law with a unit (`flip_sim::law`). Two of them
     // shape a heap most.
     let powder = ParameterSet::default()
         .with("friction", friction)
@@ -36,7 +36,7 @@ fn main() {
 }
 
 /// A heap with its angle, or why it has none.
-fn say(what: &str, heap: Result<flip::sim::repose::Repose, flip::sim::repose::Refusal>) {
+fn say(what: &str, heap: Result<flip_sim::repose::Repose, flip_sim::repose::Refusal>) {
     match heap {
         Ok(h) => println!("{what:<15} {:.1} deg at the apex, {:.1} deg along the flank", h.tip_deg, h.cone_deg),
         Err(refusal) => println!("{what:<15} {refusal}"),

@@ -16,9 +16,9 @@
 use anyhow::{Context as _, bail, ensure};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use flip::domain::timestamp::Timestamp;
-use flip::emulate::camera::upload;
-use flip::hardware::camera::{Distortion, Frame, Intrinsics};
+use flip_bench::emulate::camera::upload;
+use flip_bench::hardware::camera::{Distortion, Frame, Intrinsics};
+use flip_core::domain::timestamp::Timestamp;
 use realsense_rust::config::Config;
 use realsense_rust::context::Context;
 use realsense_rust::frame::{ColorFrame, CompositeFrame, DepthFrame, FrameEx, PixelKind};

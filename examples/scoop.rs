@@ -1,8 +1,8 @@
 //! Scoops a powder from a bed and shows what the spoon took: `cargo run --release --example scoop
 //! -- 2.0 0.4 0.0` (immersion mm, friction, cohesion).
 
-use flip::domain::parameters::ParameterSet;
-use flip::sim::scoop::{Settings, scoop};
+use flip_core::domain::parameters::ParameterSet;
+use flip_sim::scoop::{Settings, scoop};
 
 fn main() {
     let numbers: Vec<f64> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();

@@ -3,11 +3,11 @@
 //!
 //! `cargo run --release --example weigh_simulated [target mg] [seed]`
 
-use flip::domain::parameters::ParameterSet;
-use flip::hardware::simulated::SimulatedBench;
-use flip::policy::{Controller, Rules, ScheduledStep};
-use flip::sim::{balance, dispense};
-use flip::weigh::{Event, Order, Settings, weigh};
+use flip_bench::hardware::simulated::SimulatedBench;
+use flip_bench::weigh::{Event, Order, Settings, weigh};
+use flip_core::domain::parameters::ParameterSet;
+use flip_policy::{Controller, Rules, ScheduledStep};
+use flip_sim::{balance, dispense};
 use std::ops::ControlFlow;
 use std::sync::atomic::AtomicBool;
 

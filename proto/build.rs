@@ -30,16 +30,12 @@ fn embed_page(root: &std::path::Path) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// `flip.v1.rs` for the server and the tests' client, `flip.v1.bin` for reflection,
-/// `flip.bench.v1.rs` for the arm. protox is a protobuf compiler in Rust, so protoc need not be
-/// installed.
+/// `flip.v1.rs` for the server and the tests' client, `flip.v1.bin` for reflection. protox is a
+/// protobuf compiler in Rust, so protoc need not be installed.
 fn generate_grpc() -> Result<(), Box<dyn Error>> {
     let files = protox::compile(["flip/v1/flip.proto"], ["proto"])?;
     let out = PathBuf::from(std::env::var("OUT_DIR")?);
     std::fs::write(out.join("flip.v1.bin"), files.encode_to_vec())?;
     tonic_prost_build::configure().compile_fds(files)?;
-    // The service of an arm's driver process: FLIP is its client, and reflection does not show it.
-    let arm = protox::compile(["flip/bench/v1/arm.proto"], ["proto"])?;
-    tonic_prost_build::configure().compile_fds(arm)?;
     Ok(())
 }

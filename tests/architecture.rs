@@ -4,20 +4,16 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Module, and the modules it may name. A module may always name itself.
-const ARROWS: [(&str, &[&str]); 17] = [
+/// Room, and the rooms it may name; a room may always name itself. A crate of one room is not here: its manifest says what it may name.
+const ARROWS: [(&str, &[&str]); 13] = [
     ("domain", &[]),
     ("stats", &[]),
-    ("sim", &["domain"]),
-    ("policy", &["domain", "stats"]),
     ("hardware", &["domain"]),
     ("emulate", &["domain", "stats", "sim", "hardware"]),
     ("pile", &["domain", "stats", "hardware"]),
-    ("calibrate", &["domain", "stats"]),
-    ("discover", &["domain", "stats"]),
-    ("train", &["domain", "sim", "policy", "stats"]),
     ("weigh", &["domain", "stats", "hardware", "policy"]),
-    ("store", &["domain"]),
+    ("calibrate", &["domain", "stats"]),
+    ("train", &["domain", "sim", "policy", "stats"]),
     (
         "jobs",
         &[
@@ -41,10 +37,13 @@ const ARROWS: [(&str, &[&str]); 17] = [
     ("telemetry", &[]),
 ];
 
-/// File, and what it may name beyond its module's arrows.
+/// Crates of several rooms.
+const HOUSES: [&str; 3] = ["flip-bench", "flip-core", "flip-learn"];
+
+/// File, and what it may name beyond its room's arrows.
 const EXCEPTIONS: [(&str, &[&str]); 1] = [
     // The simulated bench is the one driver whose device is the simulator.
-    ("hardware/simulated.rs", &["sim"]),
+    ("crates/flip-bench/src/hardware/simulated.rs", &["sim"]),
 ];
 
 /// Names allowed in some modules only: crates that talk to the world, and words that mark
@@ -87,17 +86,22 @@ const BANNED_NAMES: [&str; 8] = ["utils", "util", "helpers", "helper", "common",
 /// Maximum lines of a file; files are reviewed from 400.
 const LINES_MAX: usize = 500;
 
-/// One source file: its path below `src/`, its text, and that text without comments and unit tests.
+/// One source file: its path below the root, its room, its text, and that text without comments and unit tests.
 struct Source {
     path: String,
+    room: String,
     text: String,
     code: String,
 }
 
-impl Source {
-    fn module(&self) -> &str {
-        self.path.split('/').next().unwrap_or_default().trim_end_matches(".rs")
+/// The room of a file: its folder below the service's `src` or below that of a crate of several rooms; else its crate's name.
+fn room(path: &str) -> &str {
+    match path.strip_prefix("crates/").and_then(|rest| rest.split_once("/src/")) {
+        Some((house, inside)) if HOUSES.contains(&house) => inside.split('/').next().unwrap_or_default(),
+        Some((house, _)) => house.trim_start_matches("flip-"),
+        None => path.trim_start_matches("src/").split('/').next().unwrap_or_default(),
     }
+    .trim_end_matches(".rs")
 }
 
 fn files(folder: &Path, found: &mut Vec<PathBuf>) {
@@ -111,9 +115,12 @@ fn files(folder: &Path, found: &mut Vec<PathBuf>) {
 }
 
 fn sources() -> Vec<Source> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut paths = Vec::new();
-    files(&root, &mut paths);
+    files(&root.join("src"), &mut paths);
+    for entry in fs::read_dir(root.join("crates")).unwrap() {
+        files(&entry.unwrap().path().join("src"), &mut paths);
+    }
     paths.retain(|path| path.extension().is_some_and(|e| e == "rs"));
     paths.sort();
     let read = |path: PathBuf| {
@@ -125,15 +132,20 @@ fn sources() -> Vec<Source> {
         };
         let uncommented = product.lines().filter(|line| !line.trim_start().starts_with("//"));
         let code = uncommented.collect::<Vec<_>>().join("\n");
-        Source { path: path.strip_prefix(&root).unwrap().display().to_string(), code, text }
+        let path = path.strip_prefix(root).unwrap().display().to_string();
+        Source { room: room(&path).to_owned(), path, code, text }
     };
     paths.into_iter().map(read).collect()
 }
 
-/// Every module named by a `crate::module` path in `code`.
-fn named_modules(code: &str) -> Vec<&str> {
-    let end = |rest: &str| rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
-    code.split("crate::").skip(1).map(|rest| &rest[..end(rest)]).collect()
+/// Every room named in `code`: by `crate::room`, by `flip_house::room`, or by `flip_room` where a crate is one.
+fn named_rooms(code: &str) -> Vec<&str> {
+    let word = |rest: &'_ str| rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
+    let inside = |mark: &str| code.split(mark).skip(1).map(move |rest| &rest[..word(rest)]).collect::<Vec<_>>();
+    let houses = HOUSES.map(|house| format!("{}::", house.replace('-', "_")));
+    let within = houses.iter().flat_map(|mark| inside(mark));
+    let crates = inside("flip_").into_iter().filter(|name| !HOUSES.contains(&&*format!("flip-{name}")));
+    inside("crate::").into_iter().chain(within).chain(crates).collect()
 }
 
 /// Every occurrence of `word` in `code` that does not continue an identifier.
@@ -147,18 +159,16 @@ fn check(offences: Vec<String>) {
 }
 
 #[test]
-fn modules_import_only_what_the_map_allows() {
+fn rooms_import_only_what_the_map_allows() {
     let mut offences = Vec::new();
     for source in sources() {
-        let module = source.module();
-        // lib.rs and main.rs see everything.
-        let Some((_, allowed)) = ARROWS.iter().find(|(name, _)| *name == module) else { continue };
+        let Some((_, allowed)) = ARROWS.iter().find(|(name, _)| *name == source.room) else { continue };
         let more = EXCEPTIONS.iter().find(|(path, _)| *path == source.path).map_or(&[] as &[&str], |(_, more)| *more);
-        for name in named_modules(&source.code) {
+        for name in named_rooms(&source.code) {
             if name.is_empty() {
-                offences.push(format!("{}: one `use crate::module::…` a line, please", source.path));
-            } else if name != module && !allowed.contains(&name) && !more.contains(&name) {
-                offences.push(format!("{}: names crate::{name}, which {module} may not", source.path));
+                offences.push(format!("{}: one `use crate::room::…` a line, please", source.path));
+            } else if name != source.room && !allowed.contains(&name) && !more.contains(&name) {
+                offences.push(format!("{}: names {name}, which {} may not", source.path, source.room));
             }
         }
     }
@@ -166,11 +176,18 @@ fn modules_import_only_what_the_map_allows() {
 }
 
 #[test]
-fn every_folder_of_the_source_is_on_the_map() {
-    let unknown = |source: &Source| {
-        !ARROWS.iter().any(|(name, _)| *name == source.module()) && !["lib.rs", "main.rs"].contains(&&*source.path)
+fn every_room_is_on_the_map() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let manifests: Vec<String> = fs::read_dir(root.join("crates"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().to_string_lossy().trim_start_matches("flip-").to_owned())
+        .collect();
+    let is_known = |room: &str| {
+        ARROWS.iter().any(|(name, _)| *name == room)
+            || manifests.iter().any(|name| name == room)
+            || ["lib", "main"].contains(&room)
     };
-    check(sources().into_iter().filter(unknown).map(|source| source.path).collect());
+    check(sources().into_iter().filter(|source| !is_known(&source.room)).map(|source| source.path).collect());
 }
 
 #[test]
@@ -178,7 +195,7 @@ fn crates_and_clocks_stay_where_they_belong() {
     let mut offences = Vec::new();
     for source in sources() {
         for (word, places) in CONFINED {
-            if holds(&source.code, word) && !places.contains(&source.module()) {
+            if holds(&source.code, word) && !places.contains(&&*source.room) {
                 offences.push(format!("{}: `{word}` belongs in {}", source.path, places.join(", ")));
             }
         }
@@ -205,7 +222,7 @@ fn files_are_named_for_what_they_hold_and_are_short_enough_to_read() {
 fn nothing_is_left_unfinished_or_switched_off() {
     let mut offences = Vec::new();
     let mut paths = Vec::new();
-    for folder in ["src", "tests", "benches", "examples"] {
+    for folder in ["src", "crates", "tests", "benches", "examples"] {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
         if folder.exists() {
             files(&folder, &mut paths);
@@ -229,14 +246,23 @@ fn every_file_that_the_map_names_exists() {
     let is_file = |name: &&str| (name.ends_with(".rs") || name.ends_with(".md")) && !name.contains(char::is_whitespace);
     let names: Vec<&str> = map.split('`').filter(is_file).collect();
     assert!(names.len() > 20, "the map names only {} files", names.len());
-    let is_missing = |name: &&&str| !root.join("src").join(name).exists() && !root.join(name).exists();
+    // `flip-sim/grains.rs` is short for `crates/flip-sim/src/grains.rs`.
+    let in_crate = |name: &str| name.split_once('/').map(|(house, inside)| format!("crates/{house}/src/{inside}"));
+    let places = |name: &str| [Some(format!("src/{name}")), Some(name.to_owned()), in_crate(name)];
+    let is_missing = |name: &&&str| !places(name).into_iter().flatten().any(|place| root.join(place).exists());
     check(names.iter().filter(is_missing).map(|name| format!("src/ARCHITECTURE.md: there is no {name}")).collect());
 }
 
 #[test]
 fn the_checks_see_what_they_should() {
-    assert_eq!(named_modules("use crate::domain::seed;\nlet x = crate::sim::VERSION;"), ["domain", "sim"]);
-    assert_eq!(named_modules("use crate::{domain, sim};"), [""]);
+    assert_eq!(
+        named_rooms("use crate::app::App;\nlet x = flip_sim::VERSION;\nuse flip_core::stats::normal;"),
+        ["app", "stats", "sim"]
+    );
+    assert_eq!(named_rooms("use crate::{app, jobs};"), [""]);
+    assert_eq!(room("crates/flip-bench/src/weigh/guard.rs"), "weigh");
+    assert_eq!(room("crates/flip-sim/src/walls.rs"), "sim");
+    assert_eq!(room("src/main.rs"), "main");
     assert!(holds("use tokio::fs;", "tokio::") && !holds("my_tokio::fs", "tokio::"));
     assert!(holds("pub async fn go()", "async fn"));
 }

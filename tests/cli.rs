@@ -1,6 +1,6 @@
 //! The command line as scripts see it: the real binary, its exit status, its single document.
 
-use flip::policy::{self, Controller, Done, Gains, Kind, Manifest, Observation, Pid, Policy, Rules};
+use flip_policy::{self as policy, Controller, Done, Gains, Kind, Manifest, Observation, Pid, Policy, Rules};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -778,7 +778,7 @@ fn a_policy_out_of_a_file_answers_once_with_its_history_or_line_by_line() {
     expect_status(&alone, 2);
     assert!(stderr(&alone).contains("reading_mg: must be within 1 mg of the tare"), "{}", stderr(&alone));
     // With the 10 mg missing before, the sum is 16.
-    let action = flip::domain::bench::Action { incline_change_deg: 0.8, shake_mm: 8.0 };
+    let action = flip_core::domain::bench::Action { incline_change_deg: 0.8, shake_mm: 8.0 };
     let history = folder.path().join("history.json");
     let steps = [Done { before: seen(0.0, 0.0), action, after: seen(4.0, 0.8) }];
     std::fs::write(&history, serde_json::to_string(&steps).unwrap()).unwrap();

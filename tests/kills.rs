@@ -5,7 +5,7 @@
 //! see: the driver's renewals end, and its dead-man levels and retracts the spoon. `FLIP_KILLS`
 //! sets the number of kills (`make reliability`: 300).
 
-use flip::domain::bench::Action;
+use flip_core::domain::bench::Action;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::cell::{RefCell, RefMut};
@@ -291,7 +291,7 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
         assert_eq!(status, 202, "{weighing}");
         let id = weighing["id"].as_str().unwrap().to_owned();
         service.wait_for("the bench does not move", &id, &["armed", "dosing", "settling", "done"]).await;
-        let drawn = flip::domain::seed::derive(20_261_124, &[kill]);
+        let drawn = flip_core::domain::seed::derive(20_261_124, &[kill]);
         let share = (drawn % 1000) as f64 / 1000.0;
         // Every third at any time from the start, including before powder falls; the others once
         // that share of the target lies in the vial, and a little later.

@@ -1,6 +1,6 @@
 """The prior of the dispenser from steps of simulated spoons. usage: fit.py STEPS.csv [STEPS.csv ...] [--by-directions] [--generations N]
 
-STEPS.csv is what `cargo run --release --example shake_response` prints. The model is that of src/policy/dispenser.rs:
+STEPS.csv is what `cargo experiment shake_response` prints. The model is that of crates/flip-policy/src/dispenser.rs:
 
     G = slope width softplus((p + reach ln A - onset) / width), at most held
     mean of a shake = max(G - M, 0) (1 - exp(-(A / stroke)^bend))
@@ -9,7 +9,7 @@ STEPS.csv is what `cargo run --release --example shake_response` prints. The mod
 with M what the spoon has lost before (vial and spilled). Onset, ln slope and ln stroke are each course's own, jointly normal over the courses.
 CMA-ES looks for the numbers that all courses share, then expectation maximisation for the mean and covariance of those three. With --by-
 directions their mean is linear in the five numbers that a powder's set folds into, and the shared numbers are searched once more: the model
-of src/train/surrogate.rs. Prints the numbers as src/policy/response.rs and that file have them, and how predictions compare with what fell,
+of crates/flip-learn/src/train/surrogate.rs. Prints the numbers as crates/flip-policy/src/response.rs and that file have them, and how predictions compare with what fell,
 each made before the step from the course's earlier steps. Last come the first pieces that the spoons let go of, by the amplitude that freed
 them; with --generations 0 nothing is fitted and they come alone.
 

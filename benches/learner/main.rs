@@ -7,16 +7,16 @@
 //! setup` has not installed is left out, with the reason. The recurrent networks are those of the
 //! `paper` preset, whose batch consists of whole episodes of 10 steps; they have no peer.
 
-use flip::domain::bench::PitchLimits;
-use flip::domain::parameters::{COUNT, ParameterSet};
-use flip::policy::{OUTPUTS, Rules, normal};
-use flip::sim::balance;
-use flip::train::environment::{Filling, play};
-use flip::train::episodes::Episode;
-use flip::train::formula::Formula;
-use flip::train::replay::{Memory, Replay};
-use flip::train::sac::Learner;
-use flip::train::{Network, Order, Preset, Replayed, Settings};
+use flip_core::domain::bench::PitchLimits;
+use flip_core::domain::parameters::{COUNT, ParameterSet};
+use flip_learn::train::environment::{Filling, play};
+use flip_learn::train::episodes::Episode;
+use flip_learn::train::formula::Formula;
+use flip_learn::train::replay::{Memory, Replay};
+use flip_learn::train::sac::Learner;
+use flip_learn::train::{Network, Order, Preset, Replayed, Settings};
+use flip_policy::{OUTPUTS, Rules, normal};
+use flip_sim::balance;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rustix::time::{ClockId, clock_gettime};

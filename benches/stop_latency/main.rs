@@ -14,9 +14,9 @@
 mod attacks;
 
 use attacks::Attack;
-use flip::emulate::arm::{Asked, End, Flow, FormulaSpoon};
-use flip::emulate::lab::{Laboratory, Settings};
-use flip::hardware::clock::Clock;
+use flip_bench::emulate::arm::{Asked, End, Flow, FormulaSpoon};
+use flip_bench::emulate::lab::{Laboratory, Settings};
+use flip_bench::hardware::clock::Clock;
 use serde_json::{Value, json};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -236,7 +236,7 @@ async fn one_stop(
     while !laboratory.arm.is_moving() {
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
-    let share = (flip::domain::seed::derive(7, &[stop]) % 1000) as f64 / 1000.0;
+    let share = (flip_core::domain::seed::derive(7, &[stop]) % 1000) as f64 / 1000.0;
     tokio::time::sleep(Duration::from_secs_f64(share * LATEST_S / SPEED)).await;
     let seen = laboratory.arm.log().len();
     let sent_s = clock.now_s();
@@ -251,7 +251,8 @@ async fn one_stop(
     // A stop holds the bench.
     insist(service, "/v1/bench/resume", None, &json!({"by": "the bench of stops"})).await?;
     let log = laboratory.arm.log();
-    let shaken = |event: &&flip::emulate::arm::Event| matches!(event.motion, Asked::Shake(_)) && event.ended.is_none();
+    let shaken =
+        |event: &&flip_bench::emulate::arm::Event| matches!(event.motion, Asked::Shake(_)) && event.ended.is_none();
     stopped.shakes_after += log[seen..].iter().filter(shaken).filter(|event| event.at_s > sent_s).count() as u64;
     match log[seen..].iter().find(|event| event.ended == Some(End::Stopped)) {
         Some(event) => stopped.latencies_ms.push((event.at_s - sent_s) / SPEED * 1000.0),

@@ -5,7 +5,7 @@
 //! can be missed here.
 
 use crate::app::{App, BENCH_TOPIC, Event, Topic, Weighing};
-use crate::domain::weighing::{Outcome, WeighingState};
+use flip_core::domain::weighing::{Outcome, WeighingState};
 use futures::StreamExt;
 use metrics::{counter, histogram};
 use serde_json::Value;

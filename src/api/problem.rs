@@ -5,10 +5,10 @@
 //! the caller speaks gRPC.
 
 use crate::app;
-use crate::domain::FieldError;
 use axum::Json;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use flip_core::domain::FieldError;
 use serde::{Deserialize, Serialize};
 
 /// What went wrong, for programs (`type`, `status`, `errors`) and people (`title`, `detail`).

@@ -1,9 +1,9 @@
 //! Archiving the audit trail.
 
 use super::{App, Result};
-use crate::domain::FieldError;
-use crate::domain::timestamp::Timestamp;
-use crate::store::archiving::Archived;
+use flip_core::domain::FieldError;
+use flip_core::domain::timestamp::Timestamp;
+use flip_store::archiving::Archived;
 use serde::Deserialize;
 
 impl App {

@@ -1,7 +1,7 @@
 //! Backups of a data folder, and restoring them.
 
-use crate::store::Error as StoreError;
-use crate::store::backup::{self, Copied};
+use flip_store::Error as StoreError;
+use flip_store::backup::{self, Copied};
 use std::path::Path;
 
 /// Why nothing was copied.

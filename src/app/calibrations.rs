@@ -2,17 +2,17 @@
 
 use super::jobs::{corrupt, stored};
 use super::{App, Error, Result};
-use crate::discover::Extended;
-use crate::domain::FieldError;
-use crate::domain::conditions::{Conditions, Under};
-use crate::domain::job::JobKind;
-use crate::domain::observable::Observation;
-use crate::domain::powder::Flowability;
 use crate::jobs::calibrate::{CalibrationResult, Design, Method, Posterior, Settings};
 use crate::jobs::{CalibrationSpec, JobSpec, SIMULATOR};
-use crate::store::jobs::{Job, JobRow};
-use crate::store::page::{Page, PageQuery, SERIES_LIMIT_MAX};
-use crate::store::trials::Trial;
+use flip_core::domain::FieldError;
+use flip_core::domain::conditions::{Conditions, Under};
+use flip_core::domain::job::JobKind;
+use flip_core::domain::observable::Observation;
+use flip_core::domain::powder::Flowability;
+use flip_discover::Extended;
+use flip_store::jobs::{Job, JobRow};
+use flip_store::page::{Page, PageQuery, SERIES_LIMIT_MAX};
+use flip_store::trials::Trial;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

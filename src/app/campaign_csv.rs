@@ -22,11 +22,11 @@ use super::csv_file::words::{self, yes_or_no};
 use super::csv_file::{Cells, Columns, Holds, REFUSALS_MAX, Refused, Table, Told, at, within};
 use super::powder_names::PowderNames;
 use super::{Error, Result, humidity};
-use crate::discover::reading::{ColumnRead, FileRead, TakenAs};
-use crate::discover::{Campaign, Covariate, Run, repeats_of};
-use crate::domain::FieldError;
-use crate::domain::powder::{Flowability, Method};
 use column::Column;
+use flip_core::domain::FieldError;
+use flip_core::domain::powder::{Flowability, Method};
+use flip_discover::reading::{ColumnRead, FileRead, TakenAs};
+use flip_discover::{Campaign, Covariate, Run, repeats_of};
 use sessions::{Sessions, sessions};
 use summaries::Summaries;
 

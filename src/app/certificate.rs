@@ -4,9 +4,9 @@
 //! anything.
 
 use super::{App, Error, Result, WeighingDetail};
-use crate::domain::weighing::{MeasuredMass, Outcome};
-use crate::store::audit::AuditRecord;
-use crate::store::weighings::Weighing;
+use flip_core::domain::weighing::{MeasuredMass, Outcome};
+use flip_store::audit::AuditRecord;
+use flip_store::weighings::Weighing;
 use std::fmt::Write;
 
 /// Content security policy: the page's own style, and nothing else.

@@ -1,7 +1,7 @@
 //! Request validation: every invalid field is reported, not only the first.
 
 use super::{Error, Result};
-use crate::domain::FieldError;
+use flip_core::domain::FieldError;
 
 /// Collects the errors of a request.
 #[derive(Debug, Default)]

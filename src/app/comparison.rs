@@ -2,9 +2,9 @@
 //! angle of repose.
 
 use super::{App, Calibration, Error, Result};
-use crate::domain::parameters::{COUNT, PARAMETERS};
-use crate::domain::powder::{Flowability, mean_and_sd};
 use crate::jobs::calibrate::{CalibrationResult, CalibrationSet, EmulatorUse, Method};
+use flip_core::domain::parameters::{COUNT, PARAMETERS};
+use flip_core::domain::powder::{Flowability, mean_and_sd};
 use serde::{Deserialize, Serialize};
 
 /// Two calibrations compared.
@@ -148,7 +148,7 @@ fn spreads(sets: &[CalibrationSet]) -> Vec<ParameterSpread> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::domain::parameters::ParameterSet;
+    use flip_core::domain::parameters::ParameterSet;
 
     fn set(repose_deg: f64, repose_sd_deg: Option<f64>, runs: u32, friction: f64) -> CalibrationSet {
         let mut values = ParameterSet::default().values();

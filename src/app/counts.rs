@@ -1,7 +1,7 @@
 //! Counts of jobs and weighings.
 
 use super::{App, Result};
-use crate::store::counts::Counts;
+use flip_store::counts::Counts;
 
 impl App {
     /// Number of jobs by kind and state, and of weighings by state and outcome.

@@ -2,11 +2,11 @@
 //! choosing another.
 
 use super::{App, Result};
-use crate::domain::FieldError;
-use crate::domain::timestamp::Timestamp;
 use crate::jobs::SIMULATOR;
-use crate::store::current_simulator::Choice;
-use crate::store::simulators::SimulatorVersion;
+use flip_core::domain::FieldError;
+use flip_core::domain::timestamp::Timestamp;
+use flip_store::current_simulator::Choice;
+use flip_store::simulators::SimulatorVersion;
 use serde::{Deserialize, Serialize};
 
 /// The simulator without any extension from an investigation.

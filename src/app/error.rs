@@ -1,7 +1,7 @@
 //! Why a request is refused, in the caller's terms.
 
-use crate::domain::FieldError;
-use crate::store;
+use flip_core::domain::FieldError;
+use flip_store as store;
 
 /// Why the application did not carry out a request. REST and gRPC map each variant once.
 #[derive(Debug, thiserror::Error)]

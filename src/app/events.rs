@@ -2,10 +2,10 @@
 
 use super::keyring::Keyring;
 use super::{App, Error, Result, Who};
-use crate::store::Store;
-use crate::store::events::Event;
-use crate::store::jobs::job_topic;
-use crate::store::weighings::weighing_topic;
+use flip_store::Store;
+use flip_store::events::Event;
+use flip_store::jobs::job_topic;
+use flip_store::weighings::weighing_topic;
 use futures::StreamExt;
 use futures::stream::{self, BoxStream};
 use std::collections::VecDeque;

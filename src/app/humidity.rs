@@ -65,7 +65,7 @@ mod tests {
         ] {
             assert_eq!(is_meant(column), is_humidity, "{column}");
         }
-        let refused: Result<_, Vec<crate::domain::FieldError>> = of(&[41.0, 0.41], &[]);
+        let refused: Result<_, Vec<flip_core::domain::FieldError>> = of(&[41.0, 0.41], &[]);
         assert_eq!(refused.unwrap_err()[0].field, "row[3].relative_humidity_pct");
     }
 }

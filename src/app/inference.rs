@@ -2,9 +2,9 @@
 //! here, and nothing is stored.
 
 use super::Result;
-use crate::domain::bench::Action;
-use crate::domain::{FieldError, bounded};
-use crate::policy::{self, Done, Dosing, Episode, Observation, Policy, Rules};
+use flip_core::domain::bench::Action;
+use flip_core::domain::{FieldError, bounded};
+use flip_policy::{self as policy, Done, Dosing, Episode, Observation, Policy, Rules};
 use serde::Serialize;
 
 /// What a policy proposes.

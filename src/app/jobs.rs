@@ -1,10 +1,10 @@
 //! Jobs of every kind.
 
 use super::{App, Error, Result};
-use crate::domain::job::{JobKind, JobState};
-use crate::store;
-use crate::store::jobs::{Job, JobRow};
-use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
+use flip_core::domain::job::{JobKind, JobState};
+use flip_store as store;
+use flip_store::jobs::{Job, JobRow};
+use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use serde::de::DeserializeOwned;
 
 impl App {

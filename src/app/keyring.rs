@@ -5,9 +5,9 @@
 //! and when a secret is not known: another process may just have created it. Unknown secrets share
 //! one query at a time, at most twenty a second, on a dedicated connection.
 
-use crate::domain::timestamp::Timestamp;
-use crate::store::tokens::{HashedToken, Role};
-use crate::store::{self, Store, now};
+use flip_core::domain::timestamp::Timestamp;
+use flip_store::tokens::{HashedToken, Role};
+use flip_store::{self as store, Store, now};
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -166,7 +166,7 @@ impl Key {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::tokens::TokenEntry;
+    use flip_store::tokens::TokenEntry;
 
     const SECRET: &str = "flip_00_11";
 

@@ -3,7 +3,7 @@
 
 use super::measurement_csv;
 use super::{App, Error, Result};
-use crate::store::audit::AuditRecord;
+use flip_store::audit::AuditRecord;
 use futures::StreamExt;
 use futures::stream::{self, BoxStream};
 

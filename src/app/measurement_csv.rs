@@ -11,11 +11,11 @@ use super::csv_file::{Cells, Columns, Holds, REFUSALS_MAX, Refused, Table, at};
 use super::nearest::did_you_mean;
 use super::powder_names::PowderNames;
 use super::{Error, Result};
-use crate::domain::FieldError;
-use crate::domain::observable::{Observable, Observation, SD_MIN};
-use crate::domain::powder::{Flowability, HeapReadings, Method, mean_and_sd};
-use crate::store::observations::PowderObservation;
-use crate::store::powders::Measurement;
+use flip_core::domain::FieldError;
+use flip_core::domain::observable::{Observable, Observation, SD_MIN};
+use flip_core::domain::powder::{Flowability, HeapReadings, Method, mean_and_sd};
+use flip_store::observations::PowderObservation;
+use flip_store::powders::Measurement;
 use std::collections::HashMap;
 
 /// All columns, in the order of an export.

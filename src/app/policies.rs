@@ -1,8 +1,8 @@
 //! Policies.
 
 use super::{App, Error, Result};
-use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
-use crate::store::policies::Policy;
+use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery};
+use flip_store::policies::Policy;
 
 impl App {
     /// Policies, newest first.

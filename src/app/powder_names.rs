@@ -2,9 +2,9 @@
 
 use super::csv_file::at;
 use super::csv_file::words::is_summary;
-use crate::discover::reading::NamedPowder;
-use crate::domain::FieldError;
-use crate::domain::powder_name::{id_of_powder, same_name};
+use flip_core::domain::FieldError;
+use flip_core::domain::powder_name::{id_of_powder, same_name};
+use flip_discover::reading::NamedPowder;
 use std::collections::BTreeMap;
 
 /// The names in a file, by the ids derived from them.

@@ -3,14 +3,14 @@
 use super::check::Check;
 use super::nearest::did_you_mean;
 use super::{App, Error, Result};
-use crate::domain::FieldError;
-use crate::domain::observable::Observation;
-use crate::domain::powder::powder_id;
-use crate::domain::powder_name::{NAME_CHARS_MAX, id_of_powder};
-use crate::store::now;
-use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
-use crate::store::parameter_sets::CalibratedSet;
-use crate::store::powders::{Measurement, Powder};
+use flip_core::domain::FieldError;
+use flip_core::domain::observable::Observation;
+use flip_core::domain::powder::powder_id;
+use flip_core::domain::powder_name::{NAME_CHARS_MAX, id_of_powder};
+use flip_store::now;
+use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery};
+use flip_store::parameter_sets::CalibratedSet;
+use flip_store::powders::{Measurement, Powder};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 

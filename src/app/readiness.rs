@@ -1,7 +1,7 @@
 //! Readiness: whether FLIP could weigh now, for monitoring.
 
 use super::App;
-use crate::store::health::{Check, Health};
+use flip_store::health::{Check, Health};
 use serde::Serialize;
 use std::time::{Duration, Instant};
 use tokio::sync::Mutex;

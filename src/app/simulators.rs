@@ -3,14 +3,14 @@
 use super::current_simulator::{BASE, CURRENT};
 use super::jobs::{corrupt, stored};
 use super::{App, Error, Result, campaign_csv};
-use crate::discover::Extended;
-use crate::discover::report::{Channel, Report, Row};
-use crate::discover::{Campaign, predict, responses};
-use crate::domain::FieldError;
-use crate::domain::conditions::{Conditions, Under};
 use crate::jobs::{JobSpec, SIMULATOR};
-use crate::store::page::{Page, PageQuery};
-use crate::store::simulators::SimulatorVersion;
+use flip_core::domain::FieldError;
+use flip_core::domain::conditions::{Conditions, Under};
+use flip_discover::Extended;
+use flip_discover::report::{Channel, Report, Row};
+use flip_discover::{Campaign, predict, responses};
+use flip_store::page::{Page, PageQuery};
+use flip_store::simulators::SimulatorVersion;
 use serde::{Deserialize, Serialize};
 
 /// Rows whose angles are to be predicted.
@@ -24,7 +24,7 @@ pub struct PredictionRequest {
 impl App {
     /// Versions, newest first.
     pub async fn simulators(&self, page: PageQuery) -> Result<Page<SimulatorVersion>> {
-        Ok(self.store().simulators(page.window(crate::store::page::LIST_LIMIT_MAX)?).await?)
+        Ok(self.store().simulators(page.window(flip_store::page::LIST_LIMIT_MAX)?).await?)
     }
 
     /// One version.

@@ -2,8 +2,8 @@
 
 use super::measurement_csv::{Entry, Value};
 use super::measurements::Measured;
-use crate::domain::observable::Observation;
-use crate::domain::powder::{Flowability, Method};
+use flip_core::domain::observable::Observation;
+use flip_core::domain::powder::{Flowability, Method};
 use std::collections::HashMap;
 
 /// How often each one was stored.

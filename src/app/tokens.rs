@@ -4,10 +4,10 @@
 use super::check::Check;
 use super::keyring::Holder;
 use super::{App, Error, Result};
-use crate::domain::timestamp::Timestamp;
-use crate::store::now;
-use crate::store::page::{LIST_LIMIT_MAX, Page, PageQuery};
-use crate::store::tokens::{HashedToken, Role, TokenEntry};
+use flip_core::domain::timestamp::Timestamp;
+use flip_store::now;
+use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery};
+use flip_store::tokens::{HashedToken, Role, TokenEntry};
 use rand::TryRng;
 use rand::rngs::SysRng;
 use serde::{Deserialize, Serialize};

@@ -16,9 +16,9 @@ use super::csv_file::words::stable;
 use super::csv_file::{Cells, Columns, Holds, REFUSALS_MAX, Refused, Table, Told, at, within};
 use super::powder_names::PowderNames;
 use super::{Error, Result, humidity};
-use crate::discover::reading::{ColumnRead, FileRead, TakenAs};
-use crate::discover::traces::{Kind, Reading, Traces, Weighing};
-use crate::domain::FieldError;
+use flip_core::domain::FieldError;
+use flip_discover::reading::{ColumnRead, FileRead, TakenAs};
+use flip_discover::traces::{Kind, Reading, Traces, Weighing};
 use std::collections::HashMap;
 
 /// Columns without which a row is not a reading.

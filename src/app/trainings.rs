@@ -3,18 +3,18 @@
 use super::check::Check;
 use super::jobs::{corrupt, stored};
 use super::{App, Error, Result};
-use crate::domain::FieldError;
-use crate::domain::conditions::{Conditions, Patch, Under};
-use crate::domain::job::JobKind;
-use crate::domain::spoon::Spoon;
 use crate::jobs::spoon::measured;
 use crate::jobs::train::{Extended, Level, Order, PAPER_LEVELS_DEG, Preset, SETS_PER_LEVEL, Settings, TrainingResult};
 use crate::jobs::{JobSpec, SIMULATOR, TrainingSpec};
-use crate::policy;
-use crate::store::jobs::{Job, JobRow};
-use crate::store::page::{Page, PageQuery, SERIES_LIMIT_MAX};
-use crate::store::parameter_sets::CalibratedSet;
-use crate::store::trials::Episode;
+use flip_core::domain::FieldError;
+use flip_core::domain::conditions::{Conditions, Patch, Under};
+use flip_core::domain::job::JobKind;
+use flip_core::domain::spoon::Spoon;
+use flip_policy as policy;
+use flip_store::jobs::{Job, JobRow};
+use flip_store::page::{Page, PageQuery, SERIES_LIMIT_MAX};
+use flip_store::parameter_sets::CalibratedSet;
+use flip_store::trials::Episode;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -3,10 +3,10 @@
 use super::bench::stopped_meanwhile;
 use super::check::Check;
 use super::{App, Error, Result};
-use crate::domain::weighing::WeighingState;
 use crate::jobs::bench::Change;
-use crate::store::pan::{Refused, Reservation, refusal};
-use crate::store::weighings::Weighing;
+use flip_core::domain::weighing::WeighingState;
+use flip_store::pan::{Refused, Reservation, refusal};
+use flip_store::weighings::Weighing;
 use serde::{Deserialize, Serialize};
 
 /// Maximum length of a name, characters, as for the purpose of a weighing.

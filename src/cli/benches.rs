@@ -2,10 +2,10 @@
 
 use super::failure::Failure;
 use crate::app::{Functions, LaboratorySettings, Options, emulated_bench, file_bench};
-use crate::domain::FieldError;
-use crate::domain::spoon::{FilledBy, Spoon};
-use crate::hardware::bench_file::BenchFile;
 use crate::telemetry;
+use flip_bench::hardware::bench_file::BenchFile;
+use flip_core::domain::FieldError;
+use flip_core::domain::spoon::{FilledBy, Spoon};
 use std::path::Path;
 
 /// The chosen bench.

@@ -10,11 +10,11 @@ use crate::app::{
     App, Calibration, CalibrationMethod, CalibrationRequest, EmulatorUse, Marginal, Observed, PAPER_LEVELS_DEG, Pair,
     Posterior,
 };
-use crate::domain::FieldError;
-use crate::domain::conditions::Under;
-use crate::domain::observable::Observation;
-use crate::domain::parameters::ParameterSet;
 use clap::ValueEnum;
+use flip_core::domain::FieldError;
+use flip_core::domain::conditions::Under;
+use flip_core::domain::observable::Observation;
+use flip_core::domain::parameters::ParameterSet;
 use futures::future::try_join_all;
 use serde::Serialize;
 use std::fmt::Write;

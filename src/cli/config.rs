@@ -15,10 +15,10 @@
 
 use super::failure::Failure;
 use super::{Cli, Common};
-use crate::domain::FieldError;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Command, CommandFactory};
+use flip_core::domain::FieldError;
 use serde::Serialize;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};

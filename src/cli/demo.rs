@@ -17,8 +17,8 @@ use crate::app::{
     App, Calibration, Options, Order, Preset, TrainingRequest, TrainingResult, Weighing, WeighingRequest, Who, Workers,
     acting,
 };
-use crate::domain::powder::PUBLISHED;
 use crate::telemetry;
+use flip_core::domain::powder::PUBLISHED;
 use serde::Serialize;
 use std::time::Instant;
 use tokio::task::JoinHandle;

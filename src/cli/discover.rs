@@ -11,8 +11,8 @@ use crate::app::{
     App, CURRENT, ChosenSimulator, ColumnRead, CurrentSimulator, DateOrder, FileRead, InvestigationRequest, Report,
     SimulatorVersion, names, predictions_csv, report_html,
 };
-use crate::domain::FieldError;
 use anyhow::Context;
+use flip_core::domain::FieldError;
 use serde::Serialize;
 use std::fs::{self, File};
 use std::io::Write;

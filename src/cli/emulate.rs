@@ -4,24 +4,24 @@
 use super::Common;
 use super::failure::Failure;
 use super::session::{StopSignals, runtime};
-use crate::domain::parameters::ParameterSet;
-use crate::domain::{FieldError, bounded};
-use crate::emulate::arm::{self, Arm, Flow, FormulaSpoon, GrainsSpoon, Spoon};
-use crate::emulate::balance::{self, Balance, Socket};
-use crate::emulate::camera::{
-    CameraFault, Noise, Optics, Pose, Scene, Studio, Surface, faulty_uploads, frames, upload,
-};
-use crate::emulate::gate::{self, EmulatedGate, Slide};
-use crate::emulate::gripper::{self, EmulatedGripper, Fingers};
-use crate::emulate::lab::{self, Laboratory};
-use crate::emulate::pan::Pan;
-use crate::emulate::port::Port;
-use crate::hardware::balance::Dialect;
-use crate::hardware::camera::Upload;
-use crate::hardware::clock::Clock;
-use crate::sim::dispense;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use flip_bench::emulate::arm::{self, Arm, Flow, FormulaSpoon, GrainsSpoon, Spoon};
+use flip_bench::emulate::balance::{self, Balance, Socket};
+use flip_bench::emulate::camera::{
+    CameraFault, Noise, Optics, Pose, Scene, Studio, Surface, faulty_uploads, frames, upload,
+};
+use flip_bench::emulate::gate::{self, EmulatedGate, Slide};
+use flip_bench::emulate::gripper::{self, EmulatedGripper, Fingers};
+use flip_bench::emulate::lab::{self, Laboratory};
+use flip_bench::emulate::pan::Pan;
+use flip_bench::emulate::port::Port;
+use flip_bench::hardware::balance::Dialect;
+use flip_bench::hardware::camera::Upload;
+use flip_bench::hardware::clock::Clock;
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::{FieldError, bounded};
+use flip_sim::dispense;
 use serde::Serialize;
 use std::net::SocketAddr;
 use std::path::PathBuf;

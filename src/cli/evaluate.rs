@@ -14,8 +14,8 @@ use super::watch::Watch;
 use crate::app::{
     App, Conditions, Error, Evaluation, EvaluationRequest, EvaluationResult, EvaluationRow, EvaluationSummary,
 };
-use crate::domain::conditions::Under;
-use crate::domain::powder::{PUBLISHED, PUBLISHED_DOSES_OVERALL_MG, published_mae_mg};
+use flip_core::domain::conditions::Under;
+use flip_core::domain::powder::{PUBLISHED, PUBLISHED_DOSES_OVERALL_MG, published_mae_mg};
 use serde::Serialize;
 use std::path::PathBuf;
 

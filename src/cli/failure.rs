@@ -1,8 +1,8 @@
 //! How a command fails: its output, and the exit status that scripts see.
 
 use crate::app::{Error, OpenError};
-use crate::domain::FieldError;
 use crate::telemetry;
+use flip_core::domain::FieldError;
 use serde_json::json;
 use std::io::Write;
 use std::process::ExitCode;

@@ -5,8 +5,8 @@ use super::failure::Failure;
 use super::session::with_reader;
 use super::table::table;
 use crate::app::{Job, PageQuery};
-use crate::domain::job::{JobKind, JobState};
 use clap::ValueEnum;
+use flip_core::domain::job::{JobKind, JobState};
 
 /// Arguments of `flip jobs`.
 #[derive(Debug, clap::Args)]

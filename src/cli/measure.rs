@@ -7,7 +7,7 @@ use super::session::with_bench;
 use super::table::table;
 use super::watch::Watch;
 use crate::app::{Job, Pile, Procedure, ReposeMeasurement, ReposeRequest, Rig};
-use crate::domain::FieldError;
+use flip_core::domain::FieldError;
 
 /// Arguments of `flip measure`.
 #[derive(Debug, clap::Args)]
@@ -70,7 +70,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 
 fn text(measured: &ReposeMeasurement) -> String {
     let row = |pile: &Pile| {
-        let angle = |of: fn(&crate::domain::pile::Measurement) -> [f64; 2]| {
+        let angle = |of: fn(&flip_core::domain::pile::Measurement) -> [f64; 2]| {
             pile.measured.as_ref().map(of).map_or_else(|| "-".to_owned(), |[deg, u]| format!("{deg:.2} ({u:.2})"))
         };
         let tip = angle(|m| [m.tip.deg, m.tip.u_deg]);

@@ -6,8 +6,8 @@ use super::failure::Failure;
 use super::session::{with_reader, with_writer};
 use super::table::table;
 use crate::app::{Compared, Imported, NamedPowder, table_text};
-use crate::domain::FieldError;
 use clap::Subcommand;
+use flip_core::domain::FieldError;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `flip measurements`.

@@ -1,10 +1,10 @@
 //! The nine parameters as flags, generated from their table so that help, bounds and defaults
 //! cannot drift from it.
 
-use crate::domain::FieldError;
-use crate::domain::parameters::{COUNT, PARAMETERS, Parameter, ParameterSet};
-use crate::sim::mechanisms::Extensions;
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
+use flip_core::domain::FieldError;
+use flip_core::domain::parameters::{COUNT, PARAMETERS, Parameter, ParameterSet};
+use flip_sim::mechanisms::Extensions;
 use std::collections::BTreeMap;
 
 /// The nine values as typed by the caller, not yet checked against their bounds.

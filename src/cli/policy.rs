@@ -5,7 +5,7 @@ use super::failure::Failure;
 use super::session::with_reader;
 use super::table::table;
 use crate::app::{Done, Driver, Driving, Observation, PageQuery, Policy, Proposal};
-use crate::domain::FieldError;
+use flip_core::domain::FieldError;
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
 

@@ -2,13 +2,13 @@
 
 use super::failure::Failure;
 use super::{Common, parameters, view};
-use crate::domain::parameters::ParameterSet;
-use crate::domain::seed::derive;
-use crate::domain::{FieldError, bounded};
-use crate::sim;
-use crate::sim::repose::{Compat, Refusal, Repose, Settings};
-use crate::sim::snapshot::Camera;
 use clap::ValueEnum;
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::seed::derive;
+use flip_core::domain::{FieldError, bounded};
+use flip_sim as sim;
+use flip_sim::repose::{Compat, Refusal, Repose, Settings};
+use flip_sim::snapshot::Camera;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::PathBuf;

@@ -1,7 +1,7 @@
 //! The simulator version and its conditions: flags shared by several commands.
 
-use crate::domain::FieldError;
-use crate::domain::conditions::{Condition, Conditions, Under};
+use flip_core::domain::FieldError;
+use flip_core::domain::conditions::{Condition, Conditions, Under};
 use std::fmt::Write;
 
 /// A simulator version as typed.

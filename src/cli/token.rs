@@ -6,8 +6,8 @@ use super::session::{beside, with_reader};
 use super::table::table;
 use super::{Common, FIRST_PAGE};
 use crate::app::{App, NewToken, Role, TokenEntry};
-use crate::domain::FieldError;
 use clap::{Subcommand, ValueEnum};
+use flip_core::domain::FieldError;
 use serde::Serialize;
 
 /// Arguments of `flip token`.

@@ -9,9 +9,9 @@ use super::simulator::{SimulatorArguments, words};
 use super::table::table;
 use super::watch::Watch;
 use crate::app::{App, Error, Job, Order, Preset, Training, TrainingRequest, TrainingResult};
-use crate::domain::FieldError;
-use crate::domain::conditions::Under;
 use clap::ValueEnum;
+use flip_core::domain::FieldError;
+use flip_core::domain::conditions::Under;
 use serde::Serialize;
 use std::path::PathBuf;
 

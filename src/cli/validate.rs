@@ -4,11 +4,11 @@
 use super::failure::Failure;
 use super::table::table;
 use super::{Common, parameters};
-use crate::domain::FieldError;
-use crate::sim;
-use crate::sim::mechanisms::Extensions;
-use crate::sim::validate::{Check, Experiment, Suite, experiments};
 use crate::telemetry;
+use flip_core::domain::FieldError;
+use flip_sim as sim;
+use flip_sim::mechanisms::Extensions;
+use flip_sim::validate::{Check, Experiment, Suite, experiments};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -1,6 +1,6 @@
 //! A picture of a heap from the side: its grains, the fitted cone and the apex triangle.
 
-use crate::sim::repose::{Pile, Settings};
+use flip_sim::repose::{Pile, Settings};
 use std::fmt::Write;
 
 /// Pixels per grain diameter.

@@ -4,8 +4,8 @@
 use super::failure::Failure;
 use crate::app::App;
 use crate::app::Job;
-use crate::domain::job::JobState;
 use crate::telemetry;
+use flip_core::domain::job::JobState;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};

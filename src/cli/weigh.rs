@@ -11,9 +11,9 @@ use super::watch::Watch;
 use crate::app::{
     App, Asked, Error, MeasuredMass, Target, Tolerance, VialCheck, VialReadyRequest, Weighing, WeighingRequest,
 };
-use crate::domain::conditions::{Conditions, Under};
-use crate::domain::weighing::{Outcome, WeighingState};
 use crate::telemetry;
+use flip_core::domain::conditions::{Conditions, Under};
+use flip_core::domain::weighing::{Outcome, WeighingState};
 use serde::Serialize;
 use std::time::Duration;
 

@@ -5,21 +5,23 @@
 use super::context::{JobContext, JobError};
 use super::observe::{self, Observed};
 use super::spec::CalibrationSpec;
-use crate::calibrate::{self, CalibratedSet, Calibration, Channel, Emulator, Heap, Knowledge, Outcome, Phase, Pour};
-use crate::domain::job::Progress;
-use crate::domain::parameters::ParameterSet;
-use crate::sim::{self, repose};
-use crate::store::parameter_sets::NewSet;
-use crate::store::trials::{Trial, TrialPhase};
-use crate::store::{self, Tx};
+use flip_core::domain::job::Progress;
+use flip_core::domain::parameters::ParameterSet;
+use flip_learn::calibrate::{
+    self, CalibratedSet, Calibration, Channel, Emulator, Heap, Knowledge, Outcome, Phase, Pour,
+};
+use flip_sim::{self as sim, repose};
+use flip_store::parameter_sets::NewSet;
+use flip_store::trials::{Trial, TrialPhase};
+use flip_store::{self as store, Tx};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::ops::{AsyncFnOnce, ControlFlow};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-pub use crate::calibrate::posterior::{Marginal, Pair, Posterior};
-pub use crate::calibrate::{Design, Method, Settings, Shortfall};
+pub use flip_learn::calibrate::posterior::{Marginal, Pair, Posterior};
+pub use flip_learn::calibrate::{Design, Method, Settings, Shortfall};
 
 /// Number of posterior draws that are kept.
 const DRAWS: usize = 400;

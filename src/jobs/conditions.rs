@@ -1,13 +1,13 @@
 //! The spoon of an evaluation: grain counts and mechanisms that a policy may never have met.
 
 use super::spoon::{measured, simulated};
-use crate::domain::bench_check::ShakeCalibration;
-use crate::domain::motion::MotionLimits;
-use crate::domain::parameters::ParameterSet;
-use crate::domain::spoon::Spoon;
-use crate::domain::{FieldError, bounded};
-use crate::sim::dispense;
-use crate::sim::mechanisms::Extensions;
+use flip_core::domain::bench_check::ShakeCalibration;
+use flip_core::domain::motion::MotionLimits;
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::spoon::Spoon;
+use flip_core::domain::{FieldError, bounded};
+use flip_sim::dispense;
+use flip_sim::mechanisms::Extensions;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

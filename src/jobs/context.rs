@@ -2,10 +2,10 @@
 
 use super::Functions;
 use super::stop::StopFlag;
-use crate::domain::job::Progress;
-use crate::store::jobs::job_topic;
-use crate::store::ledger::Lease;
-use crate::store::{self, Store, Tx, now};
+use flip_core::domain::job::Progress;
+use flip_store::jobs::job_topic;
+use flip_store::ledger::Lease;
+use flip_store::{self as store, Store, Tx, now};
 use serde::Serialize;
 use std::ops::{AsyncFnOnce, ControlFlow};
 use std::sync::{Arc, Mutex, PoisonError};

@@ -4,19 +4,19 @@
 use super::bench::Pouring;
 use super::context::{JobContext, JobError};
 use super::spec::EvaluationSpec;
-use crate::domain::job::Progress;
-use crate::domain::parameters::ParameterSet;
-use crate::domain::vial::PanCheck;
-use crate::domain::weighing::Outcome;
-use crate::policy::{
+use flip_bench::weigh::forecast::Forecast;
+use flip_bench::weigh::{Accuracy, Order};
+use flip_core::domain::job::Progress;
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::vial::PanCheck;
+use flip_core::domain::weighing::Outcome;
+use flip_learn::train::evaluate::{Contender, Dose, Plan, Row, Subject, Summary, evaluate};
+use flip_policy::{
     self, Controller, Dispenser, Fuzzy, Kind, Paced, Pid, Policy, Response, Rules, Schedule, ScheduledStep,
 };
-use crate::sim::{balance, dispense};
-use crate::store;
-use crate::store::evaluations::{EvaluationRow, EvaluationSummary};
-use crate::train::evaluate::{Contender, Dose, Plan, Row, Subject, Summary, evaluate};
-use crate::weigh::forecast::Forecast;
-use crate::weigh::{Accuracy, Order};
+use flip_sim::{balance, dispense};
+use flip_store as store;
+use flip_store::evaluations::{EvaluationRow, EvaluationSummary};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::ops::ControlFlow;
@@ -97,7 +97,7 @@ fn about<'a>(spec: &'a EvaluationSpec, policy: &Policy, rules: &Rules, controlle
     let usual_balance = spec.readability_mg == balance::Settings::default().readability_mg;
     let is_base = spec.under.is_none();
     let usual = |of: &Policy| is_base && spec.conditions.are_usual() && usual_balance && *rules == of.manifest.rules;
-    let shipped = policy::shipped();
+    let shipped = flip_policy::shipped();
     match controller {
         POLICY => usual(policy).then_some(spec.policy.as_str()),
         name => {
@@ -111,7 +111,7 @@ fn about<'a>(spec: &'a EvaluationSpec, policy: &Policy, rules: &Rules, controlle
 pub(super) fn load_policy(context: &JobContext, id: &str) -> Result<Policy, JobError> {
     let bytes = context.read(context.store.policy_bytes(id))?;
     let bytes = bytes.ok_or_else(|| JobError::Fail(format!("there is no policy `{id}`")))?;
-    policy::decode(&bytes).map_err(|error| JobError::Fail(error.to_string()))
+    flip_policy::decode(&bytes).map_err(|error| JobError::Fail(error.to_string()))
 }
 
 fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<Plan, JobError> {

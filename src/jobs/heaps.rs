@@ -3,16 +3,16 @@
 
 use super::context::{JobContext, JobError};
 use super::spec::{Heaps, InvestigationSpec};
-use crate::discover::extension::Hook;
-use crate::discover::numerics::{self, Varied};
-use crate::discover::report::{Numerics, Report};
-use crate::discover::{Extended, fit};
-use crate::domain::conditions::Patch;
-use crate::domain::job::Progress;
-use crate::domain::parameters::ParameterSet;
-use crate::domain::seed::derive;
-use crate::sim::repose::Settings;
-use crate::store;
+use flip_core::domain::conditions::Patch;
+use flip_core::domain::job::Progress;
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::seed::derive;
+use flip_discover::extension::Hook;
+use flip_discover::numerics::{self, Varied};
+use flip_discover::report::{Numerics, Report};
+use flip_discover::{Extended, fit};
+use flip_sim::repose::Settings;
+use flip_store as store;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 
@@ -152,7 +152,7 @@ fn under(set: &ParameterSet, patch: &Patch) -> Option<(ParameterSet, Settings)> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sim::repose::repose;
+    use flip_sim::repose::repose;
 
     #[test]
     fn an_extended_simulator_at_its_reference_is_its_base_in_every_bit() {

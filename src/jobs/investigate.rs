@@ -7,11 +7,11 @@ use super::calibrate::unless;
 use super::context::{JobContext, JobError};
 use super::heaps::Pourer;
 use super::spec::InvestigationSpec;
-use crate::discover::investigate;
-use crate::discover::numerics::{CREEP, tell};
-use crate::discover::report::{CauseReport, Gain, Report, Unexplained};
-use crate::discover::{Extended, extend, responses};
-use crate::domain::job::Progress;
+use flip_core::domain::job::Progress;
+use flip_discover::investigate;
+use flip_discover::numerics::{CREEP, tell};
+use flip_discover::report::{CauseReport, Gain, Report, Unexplained};
+use flip_discover::{Extended, extend, responses};
 use serde::Serialize;
 use std::time::Instant;
 

@@ -5,7 +5,7 @@
 //! an evaluation or an investigation fills every core by itself, and a calibration leaves an
 //! emulator that the next one needs.
 
-use crate::domain::job::JobKind;
+use flip_core::domain::job::JobKind;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 

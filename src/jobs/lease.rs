@@ -1,9 +1,9 @@
 //! Keeps a lease while its job computes, from a thread that nothing else can block.
 
 use super::stop::{Stop, StopFlag};
-use crate::domain::timestamp::Timestamp;
-use crate::store::ledger::Lease;
-use crate::store::{self, Store, now};
+use flip_core::domain::timestamp::Timestamp;
+use flip_store::ledger::Lease;
+use flip_store::{self as store, Store, now};
 use std::sync::Arc;
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;

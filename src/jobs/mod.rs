@@ -43,14 +43,14 @@ pub use spec::{
     TrainingSpec,
 };
 
-use crate::domain::observable::Observable;
-use crate::domain::parameters::ParameterSet;
-use crate::sim::repose::{self as heap, Refusal, Repose};
-use crate::store::jobs::Job;
-use crate::store::ledger::Lease;
-use crate::store::pan::Refused;
-use crate::store::{self, Store, Tx, new_id, now};
 use bench::Bench;
+use flip_core::domain::observable::Observable;
+use flip_core::domain::parameters::ParameterSet;
+use flip_sim::repose::{self as heap, Refusal, Repose};
+use flip_store::jobs::Job;
+use flip_store::ledger::Lease;
+use flip_store::pan::Refused;
+use flip_store::{self as store, Store, Tx, new_id, now};
 use lanes::Lanes;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -63,7 +63,7 @@ use tokio_util::sync::CancellationToken;
 /// tests.
 pub type Simulate = Arc<dyn Fn(&ParameterSet, &heap::Settings, u64) -> Result<Repose, Refusal> + Send + Sync>;
 
-/// The other experiments, reduced: [`observe::observe`](crate::sim::observe::observe) in the
+/// The other experiments, reduced: [`observe::observe`](flip_sim::observe::observe) in the
 /// product.
 pub type Observe = Arc<dyn Fn(&Observable, &ParameterSet, u64) -> Result<f64, Refusal> + Send + Sync>;
 
@@ -86,7 +86,7 @@ impl Default for Functions {
     fn default() -> Self {
         Self {
             simulate: Arc::new(heap::repose),
-            observe: Arc::new(crate::sim::observe::observe),
+            observe: Arc::new(flip_sim::observe::observe),
             train: train::simulated(),
             pour: bench::simulated(),
             bench: None,

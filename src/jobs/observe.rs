@@ -3,14 +3,14 @@
 
 use super::calibrate::{keep, unless};
 use super::context::{JobContext, JobError};
-use crate::calibrate::channel::{self, RUNS};
-use crate::calibrate::{self, Channel, Emulator, Instrument, Probe};
-use crate::domain::observable::{Observable, Observation};
-use crate::domain::parameters::ParameterSet;
-use crate::domain::seed::derive;
-use crate::sim::observe;
-use crate::sim::repose::Refusal;
-use crate::stats::summary;
+use flip_core::domain::observable::{Observable, Observation};
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::seed::derive;
+use flip_core::stats::summary;
+use flip_learn::calibrate::channel::{self, RUNS};
+use flip_learn::calibrate::{self, Channel, Emulator, Instrument, Probe};
+use flip_sim::observe;
+use flip_sim::repose::Refusal;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 

@@ -14,15 +14,15 @@
 //! | while a task is handled it may hold a connection, with a transaction | a task is handled in milliseconds: computing is elsewhere |
 //! | a worker may hang after a statement that failed | `silence` hears that its heart stands still; `worker.rs` starts another |
 
-use crate::domain::job::JobKind;
-use crate::store::ledger::Lease;
-use crate::store::{self, Store, Tx};
 use apalis::layers::WorkerBuilderExt;
 use apalis_core::backend::ext::BackendExt;
 use apalis_core::error::{BoxDynError, WorkerError};
 use apalis_core::task::builder::TaskBuilder;
 use apalis_core::worker::builder::WorkerBuilder;
 use apalis_sqlite::{Config, SqliteStorage};
+use flip_core::domain::job::JobKind;
+use flip_store::ledger::Lease;
+use flip_store::{self as store, Store, Tx};
 use futures::FutureExt;
 use futures::future::BoxFuture;
 use serde::{Deserialize, Serialize};

@@ -2,7 +2,7 @@
 //! delivery.
 
 use super::{Shared, queue};
-use crate::store::{self, Store, now};
+use flip_store::{self as store, Store, now};
 use std::sync::Arc;
 use std::time::Duration;
 

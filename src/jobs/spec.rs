@@ -1,21 +1,21 @@
 //! Specifications of jobs: everything that the result depends on, and nothing else.
 
 use super::conditions::Conditions;
-use crate::calibrate;
-use crate::discover::reading::FileRead;
-use crate::discover::traces::Traces;
-use crate::discover::{self, Campaign, FitSet};
-use crate::domain::bench::BenchKind;
-use crate::domain::conditions::{Patch, Under};
-use crate::domain::job::JobKind;
-use crate::domain::observable::Observation;
-use crate::domain::parameters::ParameterSet;
-use crate::domain::powder::Flowability;
-use crate::hardware::stand::Procedure;
-use crate::pile::{Limits, Rig};
-use crate::policy::{Kind, Schedule};
-use crate::sim;
-use crate::train;
+use flip_bench::hardware::stand::Procedure;
+use flip_bench::pile::{Limits, Rig};
+use flip_core::domain::bench::BenchKind;
+use flip_core::domain::conditions::{Patch, Under};
+use flip_core::domain::job::JobKind;
+use flip_core::domain::observable::Observation;
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::powder::Flowability;
+use flip_discover::reading::FileRead;
+use flip_discover::traces::Traces;
+use flip_discover::{self as discover, Campaign, FitSet};
+use flip_learn::calibrate;
+use flip_learn::train;
+use flip_policy::{Kind, Schedule};
+use flip_sim as sim;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 

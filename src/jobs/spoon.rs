@@ -8,10 +8,10 @@
 //!
 //! Grains keep their size: a larger spoon holds more of them and takes as much longer to simulate.
 
-use crate::domain::FieldError;
-use crate::domain::parameters::ParameterSet;
-use crate::domain::spoon::Spoon;
-use crate::sim::dispense::{self, capacity_mg};
+use flip_core::domain::FieldError;
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::spoon::Spoon;
+use flip_sim::dispense::{self, capacity_mg};
 
 /// Fewest and most grains on a simulated spoon: 7 and 180 mg of a powder like sand. More take a
 /// minute for each shake.
@@ -82,7 +82,7 @@ mod tests {
         length_mm: Some(13.0),
         width_mm: Some(9.0),
         depth_mm: Some(2.5),
-        filled_by: crate::domain::spoon::FilledBy::Arm,
+        filled_by: flip_core::domain::spoon::FilledBy::Arm,
     };
 
     #[test]

@@ -7,17 +7,17 @@
 use super::context::{JobContext, JobError};
 use super::evaluate::load_policy;
 use super::spec::TrainingSpec;
-use crate::domain::job::Progress;
-use crate::policy::{self, Actor, Controller};
-use crate::store;
-use crate::store::trials::Episode;
-use crate::train::{EpisodeRecord, Event, Flow, Start, TrainError, Trained};
+use flip_core::domain::job::Progress;
+use flip_learn::train::{EpisodeRecord, Event, Flow, Start, TrainError, Trained};
+use flip_policy::{self as policy, Actor, Controller};
+use flip_store as store;
+use flip_store::trials::Episode;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-pub use crate::train::{Extended, FineTuning, Level, Order, PAPER_LEVELS_DEG, Preset, Settings};
+pub use flip_learn::train::{Extended, FineTuning, Level, Order, PAPER_LEVELS_DEG, Preset, Settings};
 
 /// Parameter sets in a level: the paper's number. The other sets of a calibration are left for
 /// weighings and evaluations.
@@ -25,7 +25,7 @@ pub const SETS_PER_LEVEL: usize = 7;
 /// Number of recent episodes whose mean error is shown as progress.
 const RECENT: usize = 20;
 
-/// A training as called by jobs: [`crate::train::train`] in the product, a formula in tests.
+/// A training as called by jobs: [`flip_learn::train::train`] in the product, a formula in tests.
 pub type Train = Arc<
     dyn Fn(&[Level], &Settings, Start<'_>, &Flow<'_>, &mut Listener<'_>) -> Result<Trained, TrainError> + Send + Sync,
 >;
@@ -33,8 +33,17 @@ pub type Train = Arc<
 pub type Listener<'a> = dyn FnMut(Event) -> ControlFlow<()> + 'a;
 
 /// The simulator's training.
+#[cfg(feature = "learn")]
 pub fn simulated() -> Train {
-    Arc::new(|levels, settings, start, flow, listener| crate::train::train(levels, settings, start, flow, listener))
+    Arc::new(|levels, settings, start, flow, listener| {
+        flip_learn::train::train(levels, settings, start, flow, listener)
+    })
+}
+
+/// The training of a build without libtorch.
+#[cfg(not(feature = "learn"))]
+pub fn simulated() -> Train {
+    Arc::new(|_, _, _, _, _| Err(TrainError::Unavailable))
 }
 
 /// Result of a training.

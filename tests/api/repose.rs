@@ -8,13 +8,15 @@ use flip::api::grpc::proto;
 use flip::api::grpc::proto::bench_client::BenchClient;
 use flip::api::grpc::proto::repose_measurements_client::ReposeMeasurementsClient;
 use flip::app::{LaboratorySettings, Role, emulated_bench, file_bench};
-use flip::domain::parameters::ParameterSet;
-use flip::domain::powder::PUBLISHED;
-use flip::emulate::arm::{Flow, FormulaSpoon};
-use flip::emulate::camera::{CameraFault, Noise, Optics, Pose, Scene, Studio, Surface, faulty_uploads, frames, upload};
-use flip::emulate::lab::{self, Laboratory};
-use flip::hardware::camera::Upload;
-use flip::hardware::clock::Clock;
+use flip_bench::emulate::arm::{Flow, FormulaSpoon};
+use flip_bench::emulate::camera::{
+    CameraFault, Noise, Optics, Pose, Scene, Studio, Surface, faulty_uploads, frames, upload,
+};
+use flip_bench::emulate::lab::{self, Laboratory};
+use flip_bench::hardware::camera::Upload;
+use flip_bench::hardware::clock::Clock;
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::powder::PUBLISHED;
 use reqwest::Response;
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};

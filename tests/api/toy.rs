@@ -1,13 +1,13 @@
 //! A bench and a heap that answer at once, by formula.
 
 use flip::app::Functions;
-use flip::domain::bench::{Action, Reading, Tick};
-use flip::domain::parameters::ParameterSet;
-use flip::domain::weighing::Outcome;
 use flip::jobs::bench::{Poured, Pouring};
-use flip::policy::{self, Controller, Kind, Manifest, Policy, Rules, ScheduledStep};
-use flip::sim::repose::{Refusal, Repose, Settings};
-use flip::weigh::{Event, Phase};
+use flip_bench::weigh::{Event, Phase};
+use flip_core::domain::bench::{Action, Reading, Tick};
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::weighing::Outcome;
+use flip_policy::{self as policy, Controller, Kind, Manifest, Policy, Rules, ScheduledStep};
+use flip_sim::repose::{Refusal, Repose, Settings};
 use sha2::{Digest, Sha256};
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
 use std::ops::ControlFlow;

@@ -6,8 +6,8 @@ use crate::harness::{OnEvent, calibrated, functions, mg, open, open_in, pour, un
 use crate::vials::{asked, dead_client, laboratory, said, until_awaiting};
 use crate::weighing::{Gate, done};
 use flip::app::{App, Functions, ReservationRequest, back_up, emulated_bench, restore};
-use flip::domain::weighing::{Outcome, WeighingState};
 use flip::jobs::bench::Apparatus;
+use flip_core::domain::weighing::{Outcome, WeighingState};
 use futures::future::join_all;
 use futures::poll;
 use std::pin::pin;

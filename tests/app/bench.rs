@@ -4,7 +4,7 @@
 use crate::harness::{calibrated, mg, open, open_in, until};
 use crate::weighing::{Gate, done};
 use flip::app::{App, ClearRequest, Error, PageQuery, ReservationRequest, ResumeRequest};
-use flip::domain::weighing::{Outcome, WeighingState};
+use flip_core::domain::weighing::{Outcome, WeighingState};
 use sqlx::SqlitePool;
 use sqlx::sqlite::SqliteConnectOptions;
 use std::path::Path;

@@ -3,7 +3,7 @@
 use crate::harness::{PATIENCE, calibrated, calibration_of, ended, functions, heap, open, open_in, until};
 use flip::app::{App, CalibrationMethod, CalibrationRequest};
 use flip::app::{Error, Functions, JobState, PageQuery, SERIES_LIMIT_MAX, Topic, Trial};
-use flip::domain::observable::{Observable, Observation};
+use flip_core::domain::observable::{Observable, Observation};
 use futures::StreamExt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};

@@ -4,16 +4,16 @@ use flip::app::{
     App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Target, Tolerance, Topic,
     TrainingRequest, WeighingRequest,
 };
-use flip::domain::bench::{Action, Reading, Tick};
-use flip::domain::observable::Observable;
-use flip::domain::parameters::ParameterSet;
-use flip::domain::weighing::Outcome;
 use flip::jobs::bench::{Poured, Pouring};
 use flip::jobs::train::Train;
-use flip::sim::repose::{self, Refusal, Repose};
-use flip::train::formula::Formula;
-use flip::train::train_on;
-use flip::weigh::{Event, Phase};
+use flip_bench::weigh::{Event, Phase};
+use flip_core::domain::bench::{Action, Reading, Tick};
+use flip_core::domain::observable::Observable;
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::weighing::Outcome;
+use flip_learn::train::formula::Formula;
+use flip_learn::train::train_on;
+use flip_sim::repose::{self, Refusal, Repose};
 use futures::StreamExt;
 use std::ops::ControlFlow;
 use std::path::Path;

@@ -2,17 +2,17 @@
 
 use crate::harness::{calibrated, functions, mg, open, training_of};
 use flip::app::{Error, EvaluationRequest, Functions, TrainingRequest, file_bench};
-use flip::domain::bench::{PitchLimits, Tick};
-use flip::domain::spoon::{FilledBy, Spoon as Measured};
-use flip::domain::weighing::Outcome;
-use flip::emulate::arm::{self, Asked, Flow, FormulaSpoon, Spoon};
-use flip::emulate::lab::{Laboratory, Settings};
-use flip::hardware::bench_file::BenchFile;
-use flip::hardware::clock::Clock;
-use flip::hardware::station::Station;
-use flip::hardware::wire::Tap;
-use flip::policy::{Controller, Rules, Schedule, ScheduledStep};
-use flip::weigh::{Order, Settings as Weighing, Weighed, weigh};
+use flip_bench::emulate::arm::{self, Asked, Flow, FormulaSpoon, Spoon};
+use flip_bench::emulate::lab::{Laboratory, Settings};
+use flip_bench::hardware::bench_file::BenchFile;
+use flip_bench::hardware::clock::Clock;
+use flip_bench::hardware::station::Station;
+use flip_bench::hardware::wire::Tap;
+use flip_bench::weigh::{Order, Settings as Weighing, Weighed, weigh};
+use flip_core::domain::bench::{PitchLimits, Tick};
+use flip_core::domain::spoon::{FilledBy, Spoon as Measured};
+use flip_core::domain::weighing::Outcome;
+use flip_policy::{Controller, Rules, Schedule, ScheduledStep};
 use std::ops::ControlFlow;
 use std::sync::atomic::AtomicBool;
 
@@ -32,7 +32,7 @@ fn weighed(file: &BenchFile, clock: Clock) -> (Weighed, Station) {
     let mut station = Station::open(file, None, clock, &Tap::none()).unwrap();
     let order = Order { target_mg: 20.0, tolerance_lower_mg: 2.0, tolerance_upper_mg: 2.0, readability_mg: 1.0 };
     let settings = Weighing { forecast: None, ..Weighing::BENCH };
-    let hear = |_: &flip::weigh::Event<'_>| ControlFlow::Continue(());
+    let hear = |_: &flip_bench::weigh::Event<'_>| ControlFlow::Continue(());
     let stop = AtomicBool::new(false);
     (weigh(&mut station, &steep(), &Rules::FLIP, &order, &settings, hear, &stop), station)
 }

@@ -6,10 +6,10 @@ use flip::app::{
     App, CalibrationRequest, Error, EvaluationRequest, Functions, InvestigationRequest, Job, JobState, Report,
     TrainingRequest, WeighingRequest,
 };
-use flip::domain::conditions::{Condition, Conditions};
-use flip::domain::parameters::ParameterSet;
 use flip::jobs::bench::Pouring;
-use flip::sim::repose::{Repose, Settings};
+use flip_core::domain::conditions::{Condition, Conditions};
+use flip_core::domain::parameters::ParameterSet;
+use flip_sim::repose::{Repose, Settings};
 use serde_json::json;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};

@@ -3,10 +3,10 @@
 use crate::harness::{OnEvent, calibrated, ended, functions, mg, open, open_in, pour, trained, training_of, until};
 use flip::app::{App, Episode, Error, EvaluationRequest, Functions, JobState, PageQuery, SERIES_LIMIT_MAX};
 use flip::app::{Preset, Topic, TrainingRequest};
-use flip::domain::bench_check::{ExecutedShake, ShakeCalibration};
-use flip::domain::motion::{MotionLimits, Move};
 use flip::jobs::bench::{Poured, Pouring};
-use flip::policy::{self, Controller};
+use flip_core::domain::bench_check::{ExecutedShake, ShakeCalibration};
+use flip_core::domain::motion::{MotionLimits, Move};
+use flip_policy::{self as policy, Controller};
 use futures::StreamExt;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -138,7 +138,7 @@ async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
     let policy = trained(&app, "sand").await;
     calibrated(&app, "salt").await;
     let weighing = app.start_weighing(mg("sand", 15.0), "before-the-evaluation").await.unwrap().0;
-    assert_eq!(weighing.policy, flip::policy::shipped().id, "a training alone is no evidence");
+    assert_eq!(weighing.policy, flip_policy::shipped().id, "a training alone is no evidence");
     let request = EvaluationRequest {
         powders: Some(vec!["sand".into(), "salt".into()]),
         controllers: Some(vec!["policy".into(), "fixed".into()]),
@@ -172,7 +172,7 @@ async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
     let powders: Vec<(&str, u32)> = evaluated.iter().map(|e| (e.powder.as_str(), e.n)).collect();
     assert_eq!(powders, [("salt", 4), ("sand", 4)]);
     let weighing = app.start_weighing(mg("sand", 15.0), "after-the-evaluation").await.unwrap().0;
-    assert_eq!(weighing.policy, flip::policy::shipped().id, "it was not compared with the shipped one");
+    assert_eq!(weighing.policy, flip_policy::shipped().id, "it was not compared with the shipped one");
     // In the shipped policy's own thirty steps.
     let both = Some(vec!["policy".into(), "paced".into()]);
     let compared = EvaluationRequest { controllers: both, max_shakes: Some(30), ..usual };

@@ -5,13 +5,13 @@ use crate::bench::{clear, code, resume};
 use crate::harness::{calibrated, functions, mg, open, open_in, until};
 use crate::weighing::done;
 use flip::app::{App, BenchStatus, Error, Functions, VialCheck, VialReadyRequest, Weighing};
-use flip::domain::weighing::{Outcome, WeighingState};
-use flip::emulate::arm::{self, Flow, FormulaSpoon};
-use flip::emulate::lab::{self, Laboratory};
-use flip::hardware::arm::{Arm, Deadlines};
-use flip::hardware::clock::Clock;
-use flip::hardware::wire::Tap;
 use flip::jobs::bench::devices_by;
+use flip_bench::emulate::arm::{self, Flow, FormulaSpoon};
+use flip_bench::emulate::lab::{self, Laboratory};
+use flip_bench::hardware::arm::{Arm, Deadlines};
+use flip_bench::hardware::clock::Clock;
+use flip_bench::hardware::wire::Tap;
+use flip_core::domain::weighing::{Outcome, WeighingState};
 
 fn spoon(seed: u64) -> Box<FormulaSpoon> {
     Box::new(FormulaSpoon::new(Flow::default(), seed))

@@ -5,8 +5,8 @@ use flip::app::{
     App, Error, Functions, LaboratorySettings, PageQuery, Target, Tolerance, Topic, Weighing, WeighingRequest,
     emulated_bench,
 };
-use flip::domain::weighing::{Outcome, WeighingState};
-use flip::weigh::forecast::{Fall, Forecast};
+use flip_bench::weigh::forecast::{Fall, Forecast};
+use flip_core::domain::weighing::{Outcome, WeighingState};
 use futures::StreamExt;
 use futures::future::join_all;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -57,7 +57,7 @@ async fn a_weighing_ends_with_its_outcome_and_its_trace() {
     // Nothing was trained: the shipped policy weighs.
     calibrated(&app, "sand").await;
     let (weighing, replayed) = app.start_weighing(mg("sand", 15.0), "key-1").await.unwrap();
-    assert!(!replayed && weighing.policy == flip::policy::shipped().id);
+    assert!(!replayed && weighing.policy == flip_policy::shipped().id);
     let weighing = done(&app, &weighing.id).await;
     assert_eq!((weighing.state, weighing.outcome), (WeighingState::Done, Some(Outcome::Within)));
     assert_eq!((weighing.dispensed_mg, weighing.error_mg, weighing.shakes), (Some(15.25), Some(0.25), Some(2)));

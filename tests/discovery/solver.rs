@@ -14,7 +14,7 @@
 use crate::judge::kept;
 use crate::rates::line;
 use flip::app::{App, Functions, InvestigationRequest, JobState, Options, Topic, report_html};
-use flip::sim::repose::{Compat, Settings, repose};
+use flip_sim::repose::{Compat, Settings, repose};
 use futures::StreamExt;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;

@@ -1,10 +1,10 @@
 //! The product's emulator on the product's simulator: held-out heaps are where it predicts them.
 
-use flip::calibrate::{Design, Heap, Pour, build};
-use flip::domain::parameters::ParameterSet;
-use flip::domain::seed::derive;
-use flip::sim;
-use flip::sim::repose::{Refusal, Settings, repose};
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::seed::derive;
+use flip_learn::calibrate::{Design, Heap, Pour, build};
+use flip_sim as sim;
+use flip_sim::repose::{Refusal, Settings, repose};
 use rayon::prelude::*;
 use std::ops::ControlFlow;
 

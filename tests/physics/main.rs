@@ -3,8 +3,8 @@
 mod emulator;
 mod validation;
 
-use flip::domain::parameters::ParameterSet;
-use flip::sim::repose::{Settings, repose};
+use flip_core::domain::parameters::ParameterSet;
+use flip_sim::repose::{Settings, repose};
 use rayon::prelude::*;
 
 /// Mean and standard error of the tip angle over seeds.

@@ -1,6 +1,6 @@
 //! The validation suite, as `flip validate` runs it: every law holds, or is missed as documented.
 
-use flip::sim::validate::{Check, Suite, experiments};
+use flip_sim::validate::{Check, Suite, experiments};
 use rayon::prelude::*;
 
 /// Runs the named experiments and expects every check to be accounted for.

@@ -2,16 +2,16 @@
 
 use crate::cases::{Case, Course, Fault, When};
 use crate::record::{Entry, Record};
-use flip::domain::bench::{Action, PitchLimits};
-use flip::emulate::arm::{self, Flow, FormulaSpoon, Pour, Spoon};
-use flip::emulate::balance;
-use flip::emulate::lab::{self, Laboratory};
-use flip::hardware::arm::Deadlines;
-use flip::hardware::clock::Clock;
-use flip::hardware::station::Station;
-use flip::hardware::wire::{Direction, Exchange, Tap};
-use flip::policy::{Controller, Ending, Paced, Rules};
-use flip::weigh::{Order, Phase, Settings, Weighed, weigh};
+use flip_bench::emulate::arm::{self, Flow, FormulaSpoon, Pour, Spoon};
+use flip_bench::emulate::balance;
+use flip_bench::emulate::lab::{self, Laboratory};
+use flip_bench::hardware::arm::Deadlines;
+use flip_bench::hardware::clock::Clock;
+use flip_bench::hardware::station::Station;
+use flip_bench::hardware::wire::{Direction, Exchange, Tap};
+use flip_bench::weigh::{Order, Phase, Settings, Weighed, weigh};
+use flip_core::domain::bench::{Action, PitchLimits};
+use flip_policy::{Controller, Ending, Paced, Rules};
 use std::ops::ControlFlow;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
@@ -90,7 +90,7 @@ fn deadlines() -> Deadlines {
 
 fn dosed(station: &mut Station, dose: Dose, watcher: &Watcher) -> Weighed {
     let controller = Controller::Paced(Paced::CHOSEN);
-    let hear = |event: &flip::weigh::Event<'_>| {
+    let hear = |event: &flip_bench::weigh::Event<'_>| {
         watcher.heard(event);
         ControlFlow::Continue(())
     };
@@ -179,11 +179,11 @@ impl Watcher {
         self.inject_if(&mut self.locked(), |when| when == When::Opening);
     }
 
-    fn heard(&self, event: &flip::weigh::Event<'_>) {
+    fn heard(&self, event: &flip_bench::weigh::Event<'_>) {
         let mut state = self.locked();
         let vial_mg = state.vial_mg();
         state.record.hear(event, vial_mg);
-        if matches!(event, flip::weigh::Event::Phase(_)) {
+        if matches!(event, flip_bench::weigh::Event::Phase(_)) {
             state.questions = 0;
         }
     }

@@ -1,7 +1,7 @@
 //! The list of faults and their moments: data, so that a run can be counted and a case named.
 
-use flip::domain::seed::derive;
-use flip::emulate::{arm, balance, gripper};
+use flip_bench::emulate::{arm, balance, gripper};
+use flip_core::domain::seed::derive;
 use std::fmt;
 use std::time::Duration;
 

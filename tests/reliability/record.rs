@@ -1,8 +1,8 @@
 //! The events of a weighing and its wire traffic, in one order, and whether anything is missing.
 
-use flip::domain::bench::Action;
-use flip::hardware::wire::{Direction, Exchange};
-use flip::weigh::{Event, Phase};
+use flip_bench::hardware::wire::{Direction, Exchange};
+use flip_bench::weigh::{Event, Phase};
+use flip_core::domain::bench::Action;
 
 /// One line of the record.
 #[derive(Debug, Clone, PartialEq)]

@@ -3,9 +3,9 @@
 use crate::bench::{Dose, Ran};
 use crate::cases::{Case, Fault, When};
 use crate::record::Entry;
-use flip::domain::weighing::Outcome;
-use flip::hardware::wire::Direction;
-use flip::weigh::Weighed;
+use flip_bench::hardware::wire::Direction;
+use flip_bench::weigh::Weighed;
+use flip_core::domain::weighing::Outcome;
 
 /// A display of whole milligrams is correct if it is no further from the true mass, mg.
 const TRUE_MG: f64 = 1.5;
@@ -46,7 +46,7 @@ pub fn excess(dose: Dose, case: &Case, ran: &Ran, twin_mg: f64) -> Excess {
         }
         _ => None,
     });
-    let is_wilder = matches!(case.fault, Fault::Arm(flip::emulate::arm::Fault::ShakeTooLarge(_)));
+    let is_wilder = matches!(case.fault, Fault::Arm(flip_bench::emulate::arm::Fault::ShakeTooLarge(_)));
     match (decided, ran.record.injected_at()) {
         _ if is_wilder => Excess::Fault,
         (Some((at, _)), Some(begun)) if at < begun => Excess::InFlight,
@@ -107,7 +107,7 @@ const NAMED: [&str; 6] = ["the balance", "the arm", "the gripper", "the reading"
 /// Received pieces of answers that are not on record.
 fn unheard(case: &Case, ran: &Ran) -> Option<String> {
     let begun = ran.record.injected_at()?;
-    let is_piece = case.fault == Fault::Balance(flip::emulate::balance::Fault::PartialLine);
+    let is_piece = case.fault == Fault::Balance(flip_bench::emulate::balance::Fault::PartialLine);
     let (mut asked, mut heard) = (0, 0);
     for entry in &ran.record.entries[begun..] {
         match entry {
@@ -122,7 +122,7 @@ fn unheard(case: &Case, ran: &Ran) -> Option<String> {
 /// An invalid reading that was accepted: of an aborted dose, or of a balance that was switched on
 /// again between the tare and the final reading.
 fn believed(case: &Case, ran: &Ran) -> Option<String> {
-    use flip::emulate::balance::Fault::Restart;
+    use flip_bench::emulate::balance::Fault::Restart;
     let weighed = ran.weighed.as_ref().ok()?;
     let Weighed { outcome, reading_mg, must_look, .. } = weighed;
     if *outcome == Outcome::Aborted && reading_mg.is_some() {

@@ -59,7 +59,7 @@ async fn torment(mut service: Service, folder: &Path, job: &str, series: &str) -
             assert!(Instant::now() < deadline, "nothing is saved");
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
-        let moment = flip::domain::seed::derive(2026, &[kill]) % 1200;
+        let moment = flip_core::domain::seed::derive(2026, &[kill]) % 1200;
         tokio::time::sleep(Duration::from_millis(moment)).await;
         service.kill();
         service = Service::start(folder);

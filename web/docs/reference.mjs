@@ -174,17 +174,17 @@ function values(text, name) {
 }
 
 const PARTS = [
-  ['`[balance]`', 'src/hardware/balance/settings.rs', 'Settings'],
-  ['`[balance.serial]`', 'src/hardware/line.rs', 'Serial'],
-  ['`[arm]`', 'src/hardware/bench_file.rs', 'ArmAddress'],
-  ['`[gripper]` and `[gate]`', 'src/hardware/bench_file.rs', 'PortAddress'],
-  ['`[spoon]`', 'src/domain/spoon.rs', 'Spoon'],
-  ['`[readings]`', 'src/hardware/bench_file.rs', 'Readings'],
-  ['`[vial]`', 'src/domain/vial.rs', 'EmptyVial'],
+  ['`[balance]`', 'crates/flip-bench/src/hardware/balance/settings.rs', 'Settings'],
+  ['`[balance.serial]`', 'crates/flip-bench/src/hardware/line.rs', 'Serial'],
+  ['`[arm]`', 'crates/flip-bench/src/hardware/bench_file.rs', 'ArmAddress'],
+  ['`[gripper]` and `[gate]`', 'crates/flip-bench/src/hardware/bench_file.rs', 'PortAddress'],
+  ['`[spoon]`', 'crates/flip-core/src/domain/spoon.rs', 'Spoon'],
+  ['`[readings]`', 'crates/flip-bench/src/hardware/bench_file.rs', 'Readings'],
+  ['`[vial]`', 'crates/flip-core/src/domain/vial.rs', 'EmptyVial'],
 ]
 
 function settings() {
-  const example = /```toml\n([\s\S]*?)```/.exec(read('src/hardware/bench_file.rs').replace(/^\/\/! ?/gm, ''))[1]
+  const example = /```toml\n([\s\S]*?)```/.exec(read('crates/flip-bench/src/hardware/bench_file.rs').replace(/^\/\/! ?/gm, ''))[1]
   const parts = PARTS.map(([title, file, struct]) => `### ${title}\n\n${fields(file, struct)}`)
   return `# Bench file and settings\n\n${generated('the docstrings of `src/`')}
 ## The bench file

@@ -2,18 +2,19 @@
 //! under the same names.
 
 use super::proto;
+use crate::api::problem::Problem;
 use crate::app;
 use crate::app::PageQuery;
-use crate::domain::FieldError;
-use crate::domain::bench::{BenchKind, Tick};
-use crate::domain::conditions::{Condition, Conditions, Under};
-use crate::domain::job::{JobKind, JobState};
-use crate::domain::observable::{Observable, Observation};
-use crate::domain::parameters::{Parameter, ParameterSet};
-use crate::domain::pile::Angle;
-use crate::domain::powder::{Flowability, Method};
-use crate::domain::spoon::Spoon;
-use crate::domain::weighing::{Outcome, WeighingState};
+use flip_core::domain::FieldError;
+use flip_core::domain::bench::{BenchKind, Tick};
+use flip_core::domain::conditions::{Condition, Conditions, Under};
+use flip_core::domain::job::{JobKind, JobState};
+use flip_core::domain::observable::{Observable, Observation};
+use flip_core::domain::parameters::{Parameter, ParameterSet};
+use flip_core::domain::pile::Angle;
+use flip_core::domain::powder::{Flowability, Method};
+use flip_core::domain::spoon::Spoon;
+use flip_core::domain::weighing::{Outcome, WeighingState};
 use prost_types::Timestamp;
 
 /// Converts enums whose variants have the same names on both sides.
@@ -388,10 +389,10 @@ impl From<Observable> for proto::Observable {
 }
 
 /// An observation in a request; `field` is its location in the request.
-pub fn observation(field: &str, wire: proto::Observation) -> Result<Observation, FieldError> {
+pub fn observation(field: &str, wire: proto::Observation) -> Result<Observation, Problem> {
     let proto::Observation { observable, mean, sd, n } = wire;
     let observable = observable.and_then(Into::into);
-    let observable = observable.ok_or_else(|| FieldError::new(format!("{field}.observable"), "is missing"))?;
+    let observable = observable.ok_or_else(|| missing(&format!("{field}.observable")))?;
     Ok(Observation { observable, mean, sd, n })
 }
 
@@ -420,12 +421,17 @@ impl From<(app::Job, bool)> for proto::StartJobResponse {
 ///
 /// # Errors
 /// A number without a name in the contract.
-pub fn named<W: TryFrom<i32>, T>(field: &str, number: i32) -> Result<Option<T>, FieldError>
+pub fn named<W: TryFrom<i32>, T>(field: &str, number: i32) -> Result<Option<T>, Problem>
 where
     Option<T>: From<W>,
 {
     let wire = W::try_from(number).map_err(|_| FieldError::new(field, "is not one of the values of its enum"))?;
     Ok(wire.into())
+}
+
+/// The refusal of a request without this field.
+pub fn missing(field: &str) -> Problem {
+    FieldError::new(field, "is missing").into()
 }
 
 /// Converts every item.

@@ -20,14 +20,15 @@ mod weighings;
 
 use super::auth;
 use super::rest::extract::{BODY_BYTES_MAX, LARGE_BYTES_MAX};
+use crate::api::problem::Problem;
 use crate::app::App;
 use crate::app::Event;
 use crate::app::Role;
-use crate::domain::FieldError;
 use axum::Router;
 use axum::body::Body;
 use axum::http::{HeaderMap, header};
 use axum::middleware::map_request;
+use flip_core::domain::FieldError;
 use futures::StreamExt;
 use futures::stream::BoxStream;
 use proto::bench_server::BenchServer;
@@ -163,9 +164,9 @@ fn watch(events: BoxStream<'static, crate::app::Result<Event>>) -> EventStream {
 }
 
 /// Sequence number after which a stream begins.
-fn after(seq: i64) -> Result<i64, FieldError> {
+fn after(seq: i64) -> Result<i64, Problem> {
     match seq {
-        ..0 => Err(FieldError::new("after_seq", "must be the position of an event, a number from 0")),
+        ..0 => Err(FieldError::new("after_seq", "must be the position of an event, a number from 0").into()),
         seq => Ok(seq),
     }
 }

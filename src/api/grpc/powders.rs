@@ -1,11 +1,10 @@
 //! `flip.v1.Powders`.
 
-use super::convert::{all, given, named, page};
+use super::convert::{all, given, missing, named, page};
 use super::proto::*;
 use super::{Service, read, write};
 use crate::app;
-use crate::domain::FieldError;
-use crate::domain::parameters::PARAMETERS;
+use flip_core::domain::parameters::PARAMETERS;
 use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
@@ -31,7 +30,7 @@ impl powders_server::Powders for Service {
         let request = write(request)?;
         let method = named::<Method, _>("method", request.method)?;
         let new = app::NewMeasurement {
-            method: method.ok_or_else(|| FieldError::new("method", "is missing"))?,
+            method: method.ok_or_else(|| missing("method"))?,
             repose_deg: request.repose_deg,
             // Clients that predate the three forms omit a zero.
             sd_deg: request.sd_deg.or(request.repose_deg.map(|_| 0.0)),
@@ -50,7 +49,7 @@ impl powders_server::Powders for Service {
         request: Request<AddObservationRequest>,
     ) -> Result<Response<PowderObservation>, Status> {
         let AddObservationRequest { powder, observable, mean, sd, n, source } = write(request)?;
-        let observable = observable.and_then(Into::into).ok_or_else(|| FieldError::new("observable", "is missing"))?;
+        let observable = observable.and_then(Into::into).ok_or_else(|| missing("observable"))?;
         let new = app::NewObservation { observable, mean, sd, n, source };
         Ok(Response::new(self.app.add_observation(&powder, new).await?.into()))
     }

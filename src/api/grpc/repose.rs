@@ -3,8 +3,9 @@
 use super::convert::{all, page};
 use super::proto::*;
 use super::{Service, read, write};
+use crate::api::problem::Problem;
 use crate::app::{FrameUpload, ReposeRequest};
-use crate::domain::FieldError;
+use flip_core::domain::FieldError;
 use serde::de::DeserializeOwned;
 use tonic::{Request, Response, Status};
 
@@ -67,10 +68,10 @@ impl repose_measurements_server::ReposeMeasurements for Service {
 }
 
 /// Parses a field that holds JSON; the default if it is not set.
-fn written<T: DeserializeOwned + Default>(field: &str, text: Option<String>) -> Result<T, FieldError> {
+fn written<T: DeserializeOwned + Default>(field: &str, text: Option<String>) -> Result<T, Problem> {
     let read = |text: String| {
         serde_json::from_str(&text)
-            .map_err(|error| FieldError::new(field, format!("must be the JSON that REST has here: {error}")))
+            .map_err(|error| FieldError::new(field, format!("must be the JSON that REST has here: {error}")).into())
     };
     text.map_or_else(|| Ok(T::default()), read)
 }

@@ -6,7 +6,6 @@
 
 use crate::api::problem::Problem;
 use crate::app;
-use crate::domain::FieldError;
 use axum::response::Response;
 use tonic::metadata::MetadataValue;
 use tonic::{Code, Status};
@@ -65,12 +64,6 @@ impl From<Problem> for Status {
 
 impl From<app::Error> for Status {
     fn from(error: app::Error) -> Self {
-        Problem::from(error).into()
-    }
-}
-
-impl From<FieldError> for Status {
-    fn from(error: FieldError) -> Self {
         Problem::from(error).into()
     }
 }

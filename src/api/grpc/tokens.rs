@@ -3,9 +3,10 @@
 use super::convert::{all, at, page};
 use super::proto::*;
 use super::{Service, govern};
+use crate::api::problem::Problem;
 use crate::app;
 use crate::app::TokenEntry;
-use crate::domain::FieldError;
+use flip_core::domain::FieldError;
 use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
@@ -19,7 +20,7 @@ impl tokens_server::Tokens for Service {
             Ok(Role::Viewer) => app::Role::Viewer,
             Ok(Role::Operator) => app::Role::Operator,
             Ok(Role::Admin) => app::Role::Admin,
-            _ => return Err(FieldError::new("role", "must be viewer, operator or admin").into()),
+            _ => return Err(Problem::from(FieldError::new("role", "must be viewer, operator or admin")).into()),
         };
         let new = app::NewToken { name, role, may_clear, expires_in_s };
         let (entry, secret) = self.app.make_token(&new).await?;

@@ -1,12 +1,12 @@
 //! `flip.v1.Weighings`.
 
-use super::convert::{all, conditions, page};
+use super::convert::{all, conditions, missing, page};
 use super::proto::*;
 use super::{EventStream, Service, after, read, watch, write};
+use crate::api::problem::Problem;
 use crate::app;
 use crate::app::Topic;
 use crate::app::WeighingRequest;
-use crate::domain::FieldError;
 use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
@@ -72,7 +72,7 @@ fn purpose(asked: Asked) -> app::Asked {
     app::Asked { lot, vial, operator, temperature_c, relative_humidity_pct, accuracy_pct, on_overdose }
 }
 
-fn target(target: Option<Target>) -> Result<app::Target, FieldError> {
+fn target(target: Option<Target>) -> Result<app::Target, Problem> {
     let target = target.ok_or_else(|| missing("target"))?;
     let unit = match target.unit() {
         MassUnit::Unspecified => return Err(missing("target.unit")),
@@ -82,7 +82,7 @@ fn target(target: Option<Target>) -> Result<app::Target, FieldError> {
     Ok(app::Target { value: target.value, unit: unit.to_owned() })
 }
 
-fn tolerance(tolerance: Option<Tolerance>) -> Result<app::Tolerance, FieldError> {
+fn tolerance(tolerance: Option<Tolerance>) -> Result<app::Tolerance, Problem> {
     let tolerance = tolerance.ok_or_else(|| missing("tolerance"))?;
     let unit = match tolerance.unit() {
         ToleranceUnit::Unspecified => return Err(missing("tolerance.unit")),
@@ -91,8 +91,4 @@ fn tolerance(tolerance: Option<Tolerance>) -> Result<app::Tolerance, FieldError>
         ToleranceUnit::Percent => "%",
     };
     Ok(app::Tolerance { lower: tolerance.lower, upper: tolerance.upper, unit: unit.to_owned() })
-}
-
-fn missing(field: &str) -> FieldError {
-    FieldError::new(field, "is missing")
 }

@@ -2,12 +2,12 @@
 
 use crate::api::problem::Problem;
 use crate::app::table_text;
-use crate::domain::FieldError;
 use axum::body::Bytes;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{FromRequest, FromRequestParts, Request};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, StatusCode, header};
+use flip_core::domain::FieldError;
 use serde::de::DeserializeOwned;
 use std::error::Error;
 

@@ -7,10 +7,10 @@ use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::App;
 use crate::app::{Job, Page, PageQuery};
-use crate::domain::job::{JobKind, JobState};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
+use flip_core::domain::job::{JobKind, JobState};
 use serde::Deserialize;
 
 /// Selection of jobs.

@@ -7,10 +7,10 @@ use crate::api::auth::Viewer;
 use crate::api::problem::Problem;
 use crate::app::App;
 use crate::app::{CalibratedSet, Page, PageQuery};
-use crate::domain::parameters::{PARAMETERS, Parameter};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
+use flip_core::domain::parameters::{PARAMETERS, Parameter};
 use serde::Deserialize;
 
 /// The nine parameters of a simulated powder, with their published bounds.

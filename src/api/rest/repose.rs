@@ -7,13 +7,13 @@ use super::{accepted, started};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::{App, Awaited, Compared, FrameUpload, Job, Page, ReposeMeasurement, ReposeRequest};
-use crate::domain::FieldError;
 use axum::Json;
 use axum::extract::{FromRequest, OriginalUri, Request, State};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use flip_core::domain::FieldError;
 use serde::{Deserialize, Serialize};
 
 /// PNG signature.

@@ -7,11 +7,11 @@ use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::{App, certificate};
 use crate::app::{Page, VialReadyRequest, Weighing, WeighingDetail, WeighingRequest};
-use crate::domain::bench::Tick;
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{Html, IntoResponse, Response};
+use flip_core::domain::bench::Tick;
 use std::fmt::Write;
 
 /// List weighings, newest first.
@@ -151,7 +151,7 @@ pub async fn stop_weighing(_: Operator, State(app): State<App>, Path(id): Path<S
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::domain::bench::{Action, Reading};
+    use flip_core::domain::bench::{Action, Reading};
 
     #[test]
     fn the_csv_of_a_trace_holds_the_digits_of_its_json() {

@@ -14,8 +14,8 @@ use crate::app::csv_file::number::unit_of;
 use crate::app::csv_file::words::is_no_number;
 use crate::app::csv_file::{Refused, Told, at, two_numbers};
 use crate::app::humidity;
-use crate::discover::Values;
-use crate::discover::reading::{ColumnRead, TakenAs};
+use flip_discover::Values;
+use flip_discover::reading::{ColumnRead, TakenAs};
 
 /// Largest number in a column without bounds of its own: its square must be finite too.
 const NUMBER_MAX: f64 = 1e15;

@@ -13,9 +13,9 @@ mod years;
 use super::Cell;
 use crate::app::csv_file::date::{Count, DateOrder, Written, day, six_digits, time_of};
 use crate::app::csv_file::{Refused, Told, at};
-use crate::discover::reading::{ColumnRead, TakenAs};
-use crate::domain::powder_name::same_name;
 use dates::Dates;
+use flip_core::domain::powder_name::same_name;
+use flip_discover::reading::{ColumnRead, TakenAs};
 use std::collections::HashMap;
 use time::Date;
 

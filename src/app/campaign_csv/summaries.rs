@@ -7,8 +7,8 @@
 use super::{Cells, NUMBERS, Table};
 use crate::app::Result;
 use crate::app::csv_file::words::{is_summary, is_surely_summary};
-use crate::discover::reading::LeftOut;
-use crate::domain::FieldError;
+use flip_core::domain::FieldError;
+use flip_discover::reading::LeftOut;
 
 /// One summary per this many rows, itself included.
 const ONE_IN: usize = 4;

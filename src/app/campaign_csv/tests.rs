@@ -1,8 +1,8 @@
 //! How files are interpreted, and why they are refused.
 
 use super::*;
-use crate::discover::{LEVELS_MAX, Values};
-use crate::stats::summary::{mean, sd};
+use flip_core::stats::summary::{mean, sd};
+use flip_discover::{LEVELS_MAX, Values};
 use proptest::prelude::*;
 
 mod odd;

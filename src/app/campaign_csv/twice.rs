@@ -19,7 +19,7 @@
 //! even those that chance may have produced.
 
 use super::Line;
-use crate::discover::reading::LeftOut;
+use flip_discover::reading::LeftOut;
 use std::collections::HashMap;
 use std::hash::Hash;
 

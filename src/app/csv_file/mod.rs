@@ -25,7 +25,7 @@ pub use text::table_text;
 
 use super::check::Check;
 use super::{Error, Result};
-use crate::domain::{FieldError, bounded};
+use flip_core::domain::{FieldError, bounded};
 use number::{Cell, Signs, unit_of};
 use place::Place;
 use std::collections::HashMap;

@@ -1,6 +1,6 @@
 //! Decodes the bytes of a file as text, and strips the text's wrapping.
 
-use crate::domain::FieldError;
+use flip_core::domain::FieldError;
 use std::borrow::Cow;
 
 /// Terminators written by Windows and old loggers: Ctrl-Z, or zeros that fill a block.

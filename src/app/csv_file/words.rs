@@ -1,7 +1,7 @@
 //! Words that laboratories write in cells: missing values, yes and no, who measured, whether a
 //! balance was stable.
 
-use crate::domain::powder::Method;
+use flip_core::domain::powder::Method;
 
 /// Words for a missing value, as written by R, pandas, spreadsheets and people.
 const MISSING: [&str; 28] = [

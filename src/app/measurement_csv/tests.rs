@@ -1,7 +1,7 @@
 //! How a file is read, why it is refused, and that it survives a round trip.
 
 use super::*;
-use crate::store::now;
+use flip_store::now;
 
 fn refused(text: &str) -> Vec<String> {
     match read(text) {

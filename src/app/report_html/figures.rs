@@ -1,7 +1,7 @@
 //! Figures of a report as SVG. Lengths are in pixels of a figure [`WIDTH`] wide.
 
 use super::words::{column_with_unit, num, percent, shortened, text};
-use crate::discover::report::{Curve, NullCheck, Report, Row};
+use flip_discover::report::{Curve, NullCheck, Report, Row};
 
 /// Width of every figure.
 const WIDTH: f64 = 420.0;

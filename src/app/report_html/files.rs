@@ -2,8 +2,8 @@
 
 use super::sections::{row, section, table};
 use super::words::{column_with_unit, text, upper};
-use crate::discover::Report;
-use crate::discover::reading::{ColumnRead, FileRead, TakenAs};
+use flip_discover::Report;
+use flip_discover::reading::{ColumnRead, FileRead, TakenAs};
 
 /// Maximum number of left-out rows that are listed; the document has all.
 const ROWS_SHOWN: usize = 20;

@@ -4,10 +4,10 @@
 use super::figures;
 use super::sections::{row, section, table};
 use super::words::{interval, num, percent, signed, text, with_unit};
-use crate::discover::report::{HeldOut, Report};
+use flip_discover::report::{HeldOut, Report};
 
 pub fn before_after(report: &Report) -> String {
-    let with_both = |row: &&crate::discover::report::Row| row.measured_deg.is_some();
+    let with_both = |row: &&flip_discover::report::Row| row.measured_deg.is_some();
     let measured: Vec<_> = report.rows.iter().filter(with_both).collect();
     let mut drawn = String::new();
     if measured.iter().any(|row| row.before_deg.is_some()) {

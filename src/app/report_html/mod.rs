@@ -25,9 +25,9 @@ mod words;
 #[cfg(test)]
 mod tests;
 
-use crate::discover::Report;
-use crate::discover::numerics::CREEP;
-use crate::discover::report::{Channel, Verdict};
+use flip_discover::Report;
+use flip_discover::numerics::CREEP;
+use flip_discover::report::{Channel, Verdict};
 use words::{cause, chance, column, counted, duration, form, listed, lower, text, upper};
 
 /// Content security policy: the page's own style, and nothing else.

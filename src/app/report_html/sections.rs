@@ -6,8 +6,8 @@ use super::words::{
     cause, chance, column, column_with_unit, counted, decimals_of, duration, interval, level, lower, num, parameter,
     percent, signed, span, text, with_unit, words,
 };
-use crate::discover::report::{CauseReport, Channel, Experiment, Finding, PowderEffect, Report, SideChannel, Verdict};
-use crate::discover::{Mechanism, is_told};
+use flip_discover::report::{CauseReport, Channel, Experiment, Finding, PowderEffect, Report, SideChannel, Verdict};
+use flip_discover::{Mechanism, is_told};
 
 /// Maximum number of residual figures.
 const FIGURES_MAX: usize = 8;
@@ -102,7 +102,7 @@ pub fn evidence(report: &Report) -> String {
     let weights = || report.evidence.iter().map(|it| it.log10_evidence).filter(finite);
     let (low, high) = (weights().fold(0.0, f64::min), weights().fold(1.0, f64::max));
     let bars_of = |of_traces: bool| -> String {
-        let line = |it: &crate::discover::report::Evidence| {
+        let line = |it: &flip_discover::report::Evidence| {
             let class = if it.log10_evidence < 0.0 { "against" } else { "weight" };
             let family = it.family.as_deref().map_or(String::new(), |family| text(&lower(&words(family))));
             row(
@@ -169,7 +169,7 @@ fn told(it: &CauseReport) -> String {
         [] => String::new(),
         powders => format!(" Shows on {}.", super::words::listed(powders)),
     };
-    let parameter = |p: &crate::discover::report::ParameterReport| {
+    let parameter = |p: &flip_discover::report::ParameterReport| {
         let decimals = decimals_of(p.value);
         format!(
             " {}: {} {}.",
@@ -329,7 +329,7 @@ pub fn null_check(report: &Report) -> String {
         );
     }
     if !report.minimum_detectable.is_empty() {
-        let line = |it: &crate::discover::report::Detectable| {
+        let line = |it: &flip_discover::report::Detectable| {
             row(&text(&cause(&it.mechanism)), &[format!("{}°", num(it.effect_deg, 1)), percent(it.power)])
         };
         let rows: String = report.minimum_detectable.iter().map(line).collect();

@@ -1,14 +1,14 @@
 use super::figures::Scale;
 use super::html;
 use super::words::{cause, chance, column_with_unit, duration, interval, num, percent, signed, span, with_unit};
-use crate::discover::numerics::{Dependence, Varied};
-use crate::discover::reading::{ColumnRead, FileRead, LeftOut, NamedPowder, TakenAs};
-use crate::discover::report::{
+use flip_discover::numerics::{Dependence, Varied};
+use flip_discover::reading::{ColumnRead, FileRead, LeftOut, NamedPowder, TakenAs};
+use flip_discover::report::{
     CauseReport, Channel, ColumnLeftOut, Coverage, Curve, Detectable, Evidence, Experiment, Finding, FormClass, Gain,
     HeldOut, LogScore, NullCheck, Numerics, ParameterReport, PowderEffect, Row, SCHEMA_VERSION, SimulatorVersions,
     Unexplained, UntestableReport, Verdict, WeighingGain,
 };
-use crate::discover::{FitSet, Report};
+use flip_discover::{FitSet, Report};
 use std::collections::BTreeMap;
 
 /// A report with only a verdict.

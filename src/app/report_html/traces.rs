@@ -3,8 +3,8 @@
 use super::figures;
 use super::sections::{experiment_card, row, section, table};
 use super::words::{chance, counted, interval, num, signed, text, with_unit};
-use crate::discover::report::{Channel, Finding, Report};
-use crate::discover::traces::{TraceMechanism, WANDER};
+use flip_discover::report::{Channel, Finding, Report};
+use flip_discover::traces::{TraceMechanism, WANDER};
 
 /// Whether a cause is judged on balance readings.
 pub fn is_of_traces(name: &str) -> bool {

@@ -1,10 +1,10 @@
 //! Formatting of names and numbers in a report. Everything from a file passes through [`text`],
 //! including names: they arrive unescaped.
 
-pub use crate::discover::names::{cause, column, form, level, lower, parameter, with_unit, words};
+pub use flip_discover::names::{cause, column, form, level, lower, parameter, with_unit, words};
 
-use crate::discover::numerics::{Dependence, Varied};
-use crate::discover::report::Numerics;
+use flip_discover::numerics::{Dependence, Varied};
+use flip_discover::report::Numerics;
 
 /// Capitalizes the first letter, for the start of a sentence.
 pub fn upper(phrase: &str) -> String {

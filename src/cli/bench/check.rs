@@ -4,10 +4,10 @@ use super::super::Common;
 use super::super::benches::read;
 use super::super::failure::Failure;
 use super::super::session::with_writer;
-use crate::hardware::bench_file::BenchFile;
-use crate::hardware::clock::Clock;
-use crate::hardware::conformance::{Bounds, Check, Looked, Report, Verdict, check};
-use crate::hardware::wire::Tap;
+use flip_bench::hardware::bench_file::BenchFile;
+use flip_bench::hardware::clock::Clock;
+use flip_bench::hardware::conformance::{Bounds, Check, Looked, Report, Verdict, check};
+use flip_bench::hardware::wire::Tap;
 use serde::Serialize;
 use std::path::PathBuf;
 

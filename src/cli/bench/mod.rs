@@ -15,8 +15,8 @@ mod upkeep;
 
 use super::Common;
 use super::failure::Failure;
-use crate::domain::FieldError;
-use crate::sim::column;
+use flip_core::domain::FieldError;
+use flip_sim::column;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -108,7 +108,7 @@ fn bed(common: &Common, arguments: &BedArguments) -> Result<(), Failure> {
         diameter_m: column::DIAMETER_M,
         height_m: centres.iter().fold(0.0, |top, x| x[2].max(top)) + column::DIAMETER_M / 2.0,
         file: arguments.file.clone(),
-        simulator: crate::sim::VERSION,
+        simulator: flip_sim::VERSION,
     };
     common.print(&document, || format!("{} grains in {}", document.particles, document.file.display()))
 }

@@ -3,13 +3,13 @@
 
 use super::clock::{Spread, core_s};
 use super::{Failure, settle};
-use crate::domain::bench::Action;
-use crate::domain::parameters::ParameterSet;
-use crate::sim::Work;
-use crate::sim::column::Column;
-use crate::sim::dispense::{self, Dispenser};
-use crate::sim::law::SUBSTEP_S;
-use crate::sim::repose::{self, repose};
+use flip_core::domain::bench::Action;
+use flip_core::domain::parameters::ParameterSet;
+use flip_sim::Work;
+use flip_sim::column::Column;
+use flip_sim::dispense::{self, Dispenser};
+use flip_sim::law::SUBSTEP_S;
+use flip_sim::repose::{self, repose};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::time::Instant;

@@ -4,9 +4,9 @@
 use super::clock::{Spread, rss_mb};
 use super::ours::Windows;
 use super::{Failure, read_bed, settle, write_bed};
-use crate::domain::FieldError;
-use crate::sim;
 use crate::telemetry;
+use flip_core::domain::FieldError;
+use flip_sim as sim;
 use serde::{Deserialize, Serialize};
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};

@@ -2,12 +2,12 @@
 
 use super::super::Common;
 use super::super::failure::Failure;
-use crate::domain::FieldError;
-use crate::hardware::balance::Dialect;
-use crate::hardware::balance::probe::{Attempt, Probe, probe, usual_settings};
-use crate::hardware::line::{Parity, Serial};
-use crate::hardware::wire::{Direction, Exchange, Tap};
 use crate::telemetry;
+use flip_bench::hardware::balance::Dialect;
+use flip_bench::hardware::balance::probe::{Attempt, Probe, probe, usual_settings};
+use flip_bench::hardware::line::{Parity, Serial};
+use flip_bench::hardware::wire::{Direction, Exchange, Tap};
+use flip_core::domain::FieldError;
 use std::path::PathBuf;
 
 /// Arguments of `flip bench probe`.

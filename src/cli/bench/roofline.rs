@@ -3,8 +3,8 @@
 
 use super::clock::{Spread, core_s};
 use super::ours::Windows;
-use crate::sim::column;
-use crate::sim::law::SUBSTEP_S;
+use flip_sim::column;
+use flip_sim::law::SUBSTEP_S;
 use serde::Serialize;
 
 /// Buffer sizes for the bandwidth measurements, bytes: within a core's first- and second-level

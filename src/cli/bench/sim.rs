@@ -6,8 +6,8 @@ use super::ours::{self, Size, Threads, Windows};
 use super::peers::{Peers, Row};
 use super::roofline::{Roofline, roofline};
 use super::{Common, require_particles, text};
-use crate::domain::FieldError;
-use crate::sim::{self, column};
+use flip_core::domain::FieldError;
+use flip_sim::{self as sim, column};
 use serde::Serialize;
 use std::path::PathBuf;
 

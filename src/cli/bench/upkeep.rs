@@ -5,7 +5,7 @@ use super::super::benches::BenchArguments;
 use super::super::failure::Failure;
 use super::super::session::{with_idle_bench, with_reader, with_writer};
 use crate::app::{BenchStatus, ClearRequest, RepeatabilityRequest, ResumeRequest};
-use crate::domain::bench::BenchKind;
+use flip_core::domain::bench::BenchKind;
 
 /// Arguments of `flip bench clear`.
 #[derive(Debug, clap::Args)]

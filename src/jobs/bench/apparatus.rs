@@ -2,27 +2,27 @@
 //! it, or real devices.
 
 use super::stand::{self, PileStand};
-use crate::domain::bench::{BenchKind, Tick};
-use crate::domain::bench_check::ShakeCalibration;
-use crate::domain::parameters::ParameterSet;
-use crate::domain::spoon::Spoon;
-use crate::domain::vial::{EmptyVial, PanCheck};
-use crate::domain::weighing::{MeasuredMass, Outcome};
-use crate::emulate::arm::GrainsSpoon;
-use crate::emulate::lab::{self, Laboratory};
-use crate::hardware::DeviceError;
-use crate::hardware::arm::proto::Mode;
-use crate::hardware::arm::{Arm, Deadlines, Stopper};
-use crate::hardware::balance::StableBy;
-use crate::hardware::bench_file::BenchFile;
-use crate::hardware::clock::Clock;
-use crate::hardware::simulated::SimulatedBench;
-use crate::hardware::station::Station;
-use crate::hardware::wire::{Exchange, Tap};
-use crate::policy::{Controller, Rules};
-use crate::sim::{balance, dispense};
-use crate::weigh::forecast::Forecast;
-use crate::weigh::{self, Accuracy, Event, Order, Settings, Weighed, weigh};
+use flip_bench::emulate::arm::GrainsSpoon;
+use flip_bench::emulate::lab::{self, Laboratory};
+use flip_bench::hardware::DeviceError;
+use flip_bench::hardware::arm::proto::Mode;
+use flip_bench::hardware::arm::{Arm, Deadlines, Stopper};
+use flip_bench::hardware::balance::StableBy;
+use flip_bench::hardware::bench_file::BenchFile;
+use flip_bench::hardware::clock::Clock;
+use flip_bench::hardware::simulated::SimulatedBench;
+use flip_bench::hardware::station::Station;
+use flip_bench::hardware::wire::{Exchange, Tap};
+use flip_bench::weigh::forecast::Forecast;
+use flip_bench::weigh::{self, Accuracy, Event, Order, Settings, Weighed, weigh};
+use flip_core::domain::bench::{BenchKind, Tick};
+use flip_core::domain::bench_check::ShakeCalibration;
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::spoon::Spoon;
+use flip_core::domain::vial::{EmptyVial, PanCheck};
+use flip_core::domain::weighing::{MeasuredMass, Outcome};
+use flip_policy::{Controller, Rules};
+use flip_sim::{balance, dispense};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -186,7 +186,7 @@ pub fn emulated(settings: lab::Settings) -> Apparatus {
         let clock = Clock::standing();
         let spoon = GrainsSpoon::new(&pouring.set, &pouring.powder(), pouring.seed);
         let settings = lab::Settings {
-            balance: crate::emulate::balance::Settings { seed: pouring.seed, ..settings.balance.clone() },
+            balance: flip_bench::emulate::balance::Settings { seed: pouring.seed, ..settings.balance.clone() },
             ..settings.clone()
         };
         // A bench with uncalibrated shakes executes less than it is commanded, and the gentlest

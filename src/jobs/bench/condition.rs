@@ -6,16 +6,16 @@
 //! here.
 
 use super::sign::StopSign;
-use crate::domain::bench_check::{CheckKind, Repeatability};
-use crate::domain::timestamp::Timestamp;
-use crate::domain::vial::{Pan, Vial};
-use crate::domain::weighing::WeighingState;
-use crate::store::bench::Latch;
-use crate::store::holds::Held;
-use crate::store::pan::Reservation;
-use crate::store::weighings::{Waiting, Weighing};
-use crate::store::who::Who;
-use crate::store::{self, Store, now};
+use flip_core::domain::bench_check::{CheckKind, Repeatability};
+use flip_core::domain::timestamp::Timestamp;
+use flip_core::domain::vial::{Pan, Vial};
+use flip_core::domain::weighing::WeighingState;
+use flip_store::bench::Latch;
+use flip_store::holds::Held;
+use flip_store::pan::Reservation;
+use flip_store::weighings::{Waiting, Weighing};
+use flip_store::who::Who;
+use flip_store::{self as store, Store, now};
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -3,12 +3,12 @@
 use super::apparatus::{Poured, Pouring};
 use super::condition::{Condition, Unwritten};
 use super::lane::{Heard, LaneThread};
-use crate::domain::bench::Tick;
-use crate::domain::vial::{Dosed, Pan, Vial, VialFlaw};
-use crate::domain::weighing::{MeasuredMass, Outcome, WeighingState};
-use crate::store::bench::Latch;
-use crate::store::weighings::{Ending, Weighing};
-use crate::store::{self, Store, now};
+use flip_core::domain::bench::Tick;
+use flip_core::domain::vial::{Dosed, Pan, Vial, VialFlaw};
+use flip_core::domain::weighing::{MeasuredMass, Outcome, WeighingState};
+use flip_store::bench::Latch;
+use flip_store::weighings::{Ending, Weighing};
+use flip_store::{self as store, Store, now};
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 

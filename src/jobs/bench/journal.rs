@@ -5,14 +5,14 @@
 //! soon as the database allows, at the latest before the end of the dose.
 
 use super::condition::Condition;
-use crate::domain::bench::Tick;
-use crate::domain::timestamp::Timestamp;
-use crate::domain::vial::VialFlaw;
-use crate::domain::weighing::WeighingState;
-use crate::hardware::wire::{Direction, Exchange};
-use crate::store::audit::About;
-use crate::store::{self, Store, Tx, now};
-use crate::weigh::{Decision, Event, Phase};
+use flip_bench::hardware::wire::{Direction, Exchange};
+use flip_bench::weigh::{Decision, Event, Phase};
+use flip_core::domain::bench::Tick;
+use flip_core::domain::timestamp::Timestamp;
+use flip_core::domain::vial::VialFlaw;
+use flip_core::domain::weighing::WeighingState;
+use flip_store::audit::About;
+use flip_store::{self as store, Store, Tx, now};
 use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 

@@ -2,15 +2,15 @@
 //! recorded.
 
 use super::{Apparatus, Bench, Change, devices_by};
-use crate::domain::parameters::ParameterSet;
-use crate::domain::vial::VialCheck;
-use crate::domain::weighing::{Outcome, WeighRequest};
-use crate::emulate::arm::{self, Flow, FormulaSpoon};
-use crate::emulate::lab::{self, Laboratory};
-use crate::hardware::clock::Clock;
-use crate::policy::shipped;
-use crate::store::weighings::Intent;
-use crate::store::{Store, now};
+use flip_bench::emulate::arm::{self, Flow, FormulaSpoon};
+use flip_bench::emulate::lab::{self, Laboratory};
+use flip_bench::hardware::clock::Clock;
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::vial::VialCheck;
+use flip_core::domain::weighing::{Outcome, WeighRequest};
+use flip_policy::shipped;
+use flip_store::weighings::Intent;
+use flip_store::{Store, now};
 use sqlx::SqlitePool;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{Sqlite, Transaction};
@@ -113,7 +113,7 @@ fn stopped(
     let (laboratory, trial, store) = (laboratory.clone(), trial.clone(), store.clone());
     apparatus.pour = Arc::new(move |pouring, on_event, stop| {
         let (mut events, mut was_level) = (0, true);
-        let mut listening = |event: &crate::weigh::Event<'_>| {
+        let mut listening = |event: &flip_bench::weigh::Event<'_>| {
             events += 1;
             if events == *trial.at.lock().unwrap() {
                 was_level = laboratory.arm.is_level();

@@ -41,15 +41,15 @@ pub use stand::{Awaited, Inbox, Making, PileInMaking, PileStand, Piling, Unpiled
 pub use turns::Change;
 
 use super::spoon::holds_mg;
-use crate::domain::bench::BenchKind;
-use crate::domain::bench_check::Repeatability;
-use crate::domain::parameters::ParameterSet;
-use crate::domain::weighing::{Outcome, WeighingState};
-use crate::sim::balance;
-use crate::store::weighings::{Ending, Weighing};
-use crate::store::{self, Store, now};
 use condition::{Condition, Halted};
 use ending::record_interrupted;
+use flip_core::domain::bench::BenchKind;
+use flip_core::domain::bench_check::Repeatability;
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::weighing::{Outcome, WeighingState};
+use flip_sim::balance;
+use flip_store::weighings::{Ending, Weighing};
+use flip_store::{self as store, Store, now};
 use halter::Halter;
 use lane::LaneThread;
 use records::Records;

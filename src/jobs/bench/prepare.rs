@@ -3,16 +3,16 @@
 
 use super::apparatus::Pouring;
 use super::lane::LaneThread;
-use crate::domain::bench::Tick;
-use crate::domain::bench_check::{CheckKind, Repeatability, ShakeCalibration};
-use crate::domain::vial::{Pan, PanCheck};
-use crate::policy;
-use crate::sim::{balance, dispense};
-use crate::store::audit::About;
-use crate::store::weighings::Weighing;
-use crate::store::{self, now};
-use crate::weigh::forecast::{Fall, Forecast};
-use crate::weigh::{Accuracy, Order};
+use flip_bench::weigh::forecast::{Fall, Forecast};
+use flip_bench::weigh::{Accuracy, Order};
+use flip_core::domain::bench::Tick;
+use flip_core::domain::bench_check::{CheckKind, Repeatability, ShakeCalibration};
+use flip_core::domain::vial::{Pan, PanCheck};
+use flip_policy as policy;
+use flip_sim::{balance, dispense};
+use flip_store::audit::About;
+use flip_store::weighings::Weighing;
+use flip_store::{self as store, now};
 
 /// Maximum number of a powder's earlier doses that the forecast uses: older ones had another lot
 /// and other air.

@@ -2,8 +2,8 @@
 //! database allows.
 
 use super::condition::Halted;
-use crate::store::who::acting_maybe;
-use crate::store::{self, Store};
+use flip_store::who::acting_maybe;
+use flip_store::{self as store, Store};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;

@@ -2,15 +2,15 @@
 //! uploaded frames, or in an emulated laboratory with its own camera.
 
 use super::apparatus::Wires;
-use crate::emulate::arm::{Flow, FormulaSpoon};
-use crate::emulate::camera::{Noise, Optics, Pose, Scene, Studio, Surface, frames, upload};
-use crate::emulate::lab::{self, Laboratory};
-use crate::hardware::DeviceError;
-use crate::hardware::bench_file::BenchFile;
-use crate::hardware::camera::Upload;
-use crate::hardware::clock::Clock;
-use crate::hardware::stand::{Procedure, Stand};
-use crate::hardware::wire::{Exchange, Tap};
+use flip_bench::emulate::arm::{Flow, FormulaSpoon};
+use flip_bench::emulate::camera::{Noise, Optics, Pose, Scene, Studio, Surface, frames, upload};
+use flip_bench::emulate::lab::{self, Laboratory};
+use flip_bench::hardware::DeviceError;
+use flip_bench::hardware::bench_file::BenchFile;
+use flip_bench::hardware::camera::Upload;
+use flip_bench::hardware::clock::Clock;
+use flip_bench::hardware::stand::{Procedure, Stand};
+use flip_bench::hardware::wire::{Exchange, Tap};
 use std::ops::ControlFlow;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -282,7 +282,7 @@ impl Waiting {
 mod tests {
     use super::super::apparatus::Pour;
     use super::*;
-    use crate::domain::bench::BenchKind;
+    use flip_core::domain::bench::BenchKind;
     use std::sync::atomic::Ordering;
 
     #[test]

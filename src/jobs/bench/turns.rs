@@ -5,13 +5,13 @@
 //! carries the number of stops at the time it was made.
 
 use super::Bench;
-use crate::domain::timestamp::Timestamp;
-use crate::hardware::DeviceError;
-use crate::store::bench::Latch;
-use crate::store::holds::Held;
-use crate::store::pan::{Refused, Reservation};
-use crate::store::weighings::Weighing;
-use crate::store::{self, new_id, now};
+use flip_bench::hardware::DeviceError;
+use flip_core::domain::timestamp::Timestamp;
+use flip_store::bench::Latch;
+use flip_store::holds::Held;
+use flip_store::pan::{Refused, Reservation};
+use flip_store::weighings::Weighing;
+use flip_store::{self as store, new_id, now};
 use tokio::sync::OwnedMutexGuard;
 
 /// Result of a request to the bench.

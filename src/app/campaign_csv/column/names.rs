@@ -7,8 +7,8 @@ use super::super::{Cell, NAMES, is_name};
 use super::Column;
 use crate::app::csv_file::Told;
 use crate::app::csv_file::words::yes_or_no;
-use crate::discover::{LEVELS_MAX, Values};
-use crate::domain::powder_name::same_name;
+use flip_core::domain::powder_name::same_name;
+use flip_discover::{LEVELS_MAX, Values};
 use std::collections::BTreeMap;
 
 /// Number of names listed in a note.

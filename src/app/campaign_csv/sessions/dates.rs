@@ -4,7 +4,7 @@
 
 use crate::app::csv_file::date::{CAMPAIGN_MAX_D, DateOrder, Written};
 use crate::app::csv_file::{Refused, at};
-use crate::domain::FieldError;
+use flip_core::domain::FieldError;
 use time::Date;
 
 /// Dates that need an order, each with its row and its text.

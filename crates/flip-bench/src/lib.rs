@@ -1,0 +1,7 @@
+//! Everything that moves and is weighed: drivers and the devices that are emulated around the simulator, piles seen by a
+//! camera, and one dose from the first motion to the result.
+
+pub mod emulate;
+pub mod hardware;
+pub mod pile;
+pub mod weigh;

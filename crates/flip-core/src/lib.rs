@@ -1,0 +1,4 @@
+//! What everything speaks of, and the statistics under it: no I/O, no clock, no async.
+
+pub mod domain;
+pub mod stats;

@@ -1,0 +1,232 @@
+//! Simulated doses, one after another: the learner's training environment.
+
+use super::settings::Settings;
+use flip_core::domain::bench::Action;
+use flip_core::domain::conditions::Patch;
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::seed::derive;
+use flip_policy::{Episode, ON_TARGET_MG, Observation, Rules};
+use flip_sim::balance;
+use flip_sim::dispense::{self, Dispenser};
+
+/// A source of filled spoons. The simulator's is [`Simulated`]; tests use a formula.
+pub trait Filling: Sync {
+    /// The type of a filled spoon.
+    type Spoon: Spoon;
+    /// Fills a spoon with this powder; expensive, so the result is kept and cloned.
+    fn fill(&self, set: &ParameterSet, seed: u64) -> Self::Spoon;
+    /// Like [`Self::fill`], under conditions whose effect on the powder's parameters is already in
+    /// `set`; a spoon without mechanisms ignores the rest.
+    fn fill_under(&self, set: &ParameterSet, _patch: &Patch, seed: u64) -> Self::Spoon {
+        self.fill(set, seed)
+    }
+}
+
+/// A filled spoon over a vial.
+pub trait Spoon: Clone + Send + Sync {
+    /// Carries out one action and waits until the powder rests.
+    fn step(&mut self, action: Action);
+    /// Current pitch, degrees.
+    fn pitch_deg(&self) -> f64;
+    /// True mass in the vial, mg.
+    fn vial_mg(&self) -> f64;
+    /// Whether the simulation has left the range where its numbers are meaningful; the last step
+    /// must then not be used.
+    fn has_failed(&self) -> bool {
+        false
+    }
+}
+
+/// The simulator's spoon.
+#[derive(Debug, Clone, Copy)]
+pub struct Simulated {
+    /// Grains and pitch range.
+    pub settings: dispense::Settings,
+}
+
+impl Filling for Simulated {
+    type Spoon = Dispenser;
+    fn fill(&self, set: &ParameterSet, seed: u64) -> Dispenser {
+        Dispenser::new(set, &self.settings, seed)
+    }
+    fn fill_under(&self, set: &ParameterSet, patch: &Patch, seed: u64) -> Dispenser {
+        let extensions = self.settings.extensions.patched(patch).expect("checked before the training begins");
+        Dispenser::new(set, &dispense::Settings { extensions, ..self.settings }, seed)
+    }
+}
+
+impl Spoon for Dispenser {
+    fn step(&mut self, action: Action) {
+        Dispenser::step(self, action);
+    }
+    fn pitch_deg(&self) -> f64 {
+        Dispenser::pitch_deg(self)
+    }
+    fn vial_mg(&self) -> f64 {
+        Dispenser::vial_mg(self)
+    }
+    fn has_failed(&self) -> bool {
+        self.fault().is_some()
+    }
+}
+
+/// The published reward for the true mass in the vial, mg.
+///
+/// ```text
+/// D = -|target - true|          r = D + 1 if D > -1 mg, else D
+/// ```
+pub fn reward(target_mg: f64, true_mg: f64) -> f64 {
+    let d = -(target_mg - true_mg).abs();
+    if d > -ON_TARGET_MG { d + 1.0 } else { d }
+}
+
+/// One step as stored: nothing in it depends on the target, so it can be evaluated for any target
+/// afterwards.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step {
+    /// Mass that fell in the previous step according to the balance, mg; for the first step, the
+    /// reading of the tared balance.
+    pub fell_mg: f32,
+    /// Reading before the step, mg.
+    pub reading_mg: f32,
+    /// Pitch before the step, degrees.
+    pub pitch_deg: f32,
+    /// The policy's outputs in -1..=1.
+    pub action: [f32; 2],
+    /// Reading after the step, mg.
+    pub next_reading_mg: f32,
+    /// Pitch after the step, degrees.
+    pub next_pitch_deg: f32,
+    /// True mass in the vial after the step, mg.
+    pub next_true_mg: f32,
+}
+
+/// A finished episode.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Played {
+    /// Its steps.
+    pub steps: Vec<Step>,
+    /// Target, mg.
+    pub target_mg: f64,
+    /// True mass in the vial at the end, mg.
+    pub dispensed_mg: f64,
+    /// Last reading, mg.
+    pub reading_mg: f64,
+    /// Sum of the published rewards over the episode.
+    pub reward: f64,
+    /// Final state of the episode.
+    pub ending: Episode,
+}
+
+/// Seed indices of the random events within one episode.
+const BALANCE: u64 = 1;
+
+/// Plays one episode: `propose` is called before each step and returns values in -1..=1. The vial
+/// is tared first.
+///
+/// If the simulation fails, the episode ends before the failed step, as a time-out, so that nothing
+/// is learned from it.
+pub fn play(
+    spoon: &mut impl Spoon,
+    rules: &Rules,
+    balance: &balance::Settings,
+    target_mg: f64,
+    seed: u64,
+    mut propose: impl FnMut(&Observation) -> [f32; 2],
+) -> Played {
+    let noise = derive(seed, &[BALANCE]);
+    let read =
+        |before_mg: f64, after_mg: f64, index: u32| balance.read(before_mg, after_mg, noise, index.into()).mass_mg;
+    let tare_mg = spoon.vial_mg();
+    let mut true_mg = 0.0;
+    let mut seen = Observation { reading_mg: read(0.0, 0.0, 0), target_mg, pitch_deg: spoon.pitch_deg() };
+    let (mut steps, mut sum, mut fell_mg) = (Vec::new(), 0.0, seen.reading_mg);
+    let ending = loop {
+        let action = propose(&seen);
+        spoon.step(Action::from_unit(action.map(f64::from)));
+        if spoon.has_failed() {
+            break Episode::TimedOut;
+        }
+        let index = steps.len() as u32 + 1;
+        let before_mg = true_mg;
+        true_mg = spoon.vial_mg() - tare_mg;
+        let next = Observation { reading_mg: read(before_mg, true_mg, index), target_mg, pitch_deg: spoon.pitch_deg() };
+        steps.push(Step {
+            fell_mg: fell_mg as f32,
+            reading_mg: seen.reading_mg as f32,
+            pitch_deg: seen.pitch_deg as f32,
+            action,
+            next_reading_mg: next.reading_mg as f32,
+            next_pitch_deg: next.pitch_deg as f32,
+            next_true_mg: true_mg as f32,
+        });
+        sum += reward(target_mg, true_mg);
+        fell_mg = next.reading_mg - seen.reading_mg;
+        seen = next;
+        match rules.after(index, &seen, balance.readability_mg) {
+            Episode::Running => {}
+            ended => break ended,
+        }
+    };
+    Played { steps, target_mg, dispensed_mg: true_mg, reading_mg: seen.reading_mg, reward: sum, ending }
+}
+
+/// The simulator's spoon for these settings.
+pub fn simulated(settings: &Settings) -> Simulated {
+    Simulated { settings: dispense::Settings { pitch: settings.rules.pitch, ..settings.spoon } }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flip_core::domain::bench::PitchLimits;
+
+    #[test]
+    fn the_reward_is_the_published_one() {
+        for (target, true_mg, expected) in [(10.0, 10.0, 1.0), (10.0, 9.5, 0.5), (10.0, 9.0, -1.0), (10.0, 13.0, -3.0)]
+        {
+            assert_eq!(reward(target, true_mg), expected);
+        }
+    }
+
+    #[test]
+    fn an_extended_spoon_at_the_reference_is_the_base_in_every_bit_and_a_wet_one_is_not() {
+        let filling = Simulated {
+            settings: dispense::Settings { particles: 600, pitch: PitchLimits::WIDE, ..Default::default() },
+        };
+        let set = ParameterSet::default();
+        let pour = |mut spoon: Dispenser| {
+            for _ in 0..5 {
+                Spoon::step(&mut spoon, Action { incline_change_deg: 8.0, shake_mm: 16.0 });
+            }
+            Spoon::vial_mg(&spoon).to_bits()
+        };
+        let base = pour(filling.fill(&set, 3));
+        assert!(f64::from_bits(base) > 0.0, "nothing fell, so nothing can differ");
+        assert_eq!(pour(filling.fill_under(&set, &Patch::default(), 3)), base);
+        let wet = |amplitude: f64| {
+            let amplitudes = [("humidity".to_owned(), amplitude)].into();
+            pour(filling.fill_under(&set, &Patch { amplitudes, ..Patch::default() }, 3))
+        };
+        assert_eq!(wet(0.0), base);
+        assert_ne!(wet(0.5), base);
+    }
+
+    #[test]
+    fn the_papers_episodes_have_ten_steps_and_ours_stop_on_target() {
+        let filling = Simulated { settings: dispense::Settings { pitch: PitchLimits::WIDE, ..Default::default() } };
+        let filled = filling.fill(&ParameterSet::default(), 1);
+        let pour =
+            |rules: &Rules| play(&mut filled.clone(), rules, &balance::Settings::default(), 5.0, 2, |_| [1.0, 1.0]);
+        assert_eq!((pour(&Rules::PAPER).steps.len(), pour(&Rules::PAPER).ending), (10, Episode::TimedOut));
+        let ours = pour(&Rules::FLIP);
+        assert_eq!(ours.ending, Episode::Terminated);
+        assert!(ours.steps.len() < 10 && ours.reading_mg > 4.0);
+        assert_eq!(ours.steps.last().unwrap().next_reading_mg, ours.reading_mg as f32);
+        assert!(
+            ours.steps
+                .windows(2)
+                .all(|w| w[0].next_reading_mg == w[1].reading_mg && w[0].next_pitch_deg == w[1].pitch_deg)
+        );
+    }
+}

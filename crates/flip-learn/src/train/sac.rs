@@ -1,0 +1,245 @@
+//! Soft Actor-Critic: losses and one update, in reading order.
+//!
+//! Haarnoja et al., "Soft Actor-Critic Algorithms and Applications", arXiv:1812.05905 (2018). Twin
+//! critics with target networks, a squashed Gaussian actor, a learned temperature. Only the critics
+//! see the nine parameters of the simulated powder, since only training needs them (asymmetric
+//! actor and critic: Pinto et al., RSS 2018).
+//!
+//! | call            | arguments                                    | returns           |
+//! |-----------------|----------------------------------------------|-------------------|
+//! | `squash`        | head `[batch, 4]`, noise `[batch, 2]`        | action, log-prob  |
+//! | `td_target`     | reward, goes on, next Q and log-prob         | y `[batch]`       |
+//! | `critic_loss`   | Q `[2, batch]`, y `[batch]`, which           | scalar            |
+//! | `actor_loss`    | Q `[2, batch]`, log-prob `[batch]`           | scalar            |
+//! | `Learner::update` | batch, noise                               | one step of each  |
+
+use super::adam::Adam;
+use super::networks::{Networks, Seen};
+use super::record::Losses;
+use super::recurrent::Course;
+use super::replay::Batch;
+use super::settings::{CriticLoss, Settings};
+use flip_policy::{Actor, LOG_STD_MAX, LOG_STD_MIN, OUTPUTS};
+use rand::Rng;
+use tch::Tensor;
+
+/// Converts a network's outputs to actions and their log-probabilities.
+///
+/// ```text
+/// u = mean + exp(log_std) * noise,   a = tanh(u)
+/// log pi = sum_k [ -noise^2 / 2 - log_std - ln(2 pi) / 2 - 2 (ln 2 - u - softplus(-2 u)) ]
+/// ```
+///
+/// The last term is ln(1 - tanh(u)^2) of eq. 26, rewritten so that it stays finite where tanh
+/// rounds to one. Shapes: head `[batch, 4]`, noise `[batch, 2]` -> action `[batch, 2]`,
+/// log-probability `[batch]`.
+pub fn squash(head: &Tensor, noise: &Tensor) -> (Tensor, Tensor) {
+    let parts = head.split_with_sizes([OUTPUTS as i64, OUTPUTS as i64], 1);
+    let log_std = parts[1].clamp(f64::from(LOG_STD_MIN), f64::from(LOG_STD_MAX));
+    let u = &parts[0] + log_std.exp() * noise;
+    let gauss = noise.square() * -0.5 - log_std - 0.5 * (2.0 * std::f64::consts::PI).ln();
+    let slope = (std::f64::consts::LN_2 - &u - (&u * -2.0).softplus()) * 2.0;
+    let log_prob = (gauss - slope).sum_dim_intlist([1i64].as_slice(), false, None);
+    (u.tanh(), log_prob)
+}
+
+/// The critics' target (eq. 3 and 5): `y = r + gamma * goes_on * (min Q' - alpha log pi')`, all
+/// `[batch]`.
+///
+/// `goes_on` is 0 only where the episode terminated. Where it was cut off by its step limit the
+/// future still has value, so the target bootstraps through a time-out (Pardo et al., ICML 2018).
+pub fn td_target(
+    reward: &Tensor,
+    goes_on: &Tensor,
+    next_q: &Tensor,
+    next_log_prob: &Tensor,
+    alpha: f64,
+    gamma: f64,
+) -> Tensor {
+    let value = next_q.amin(0, false) - next_log_prob * alpha;
+    reward + goes_on * value * gamma
+}
+
+/// Eq. 5 for both critics: the sum over the twins of `mean d^2 / 2` with `d = Q - y`, or of Huber's
+/// `mean |d| - 1/2` where `|d| > 1`. Q `[2, batch]`, y `[batch]`.
+pub fn critic_loss(q: &Tensor, y: &Tensor, which: CriticLoss) -> Tensor {
+    // The mean over 2 * batch entries is half the sum of the two means.
+    match which {
+        CriticLoss::Squared => (q - y).square().mean(None),
+        CriticLoss::Huber => q.smooth_l1_loss(&y.expand_as(q), tch::Reduction::Mean, 1.0) * 2.0,
+    }
+}
+
+/// Eq. 9: `mean (alpha log pi - min Q)`. Q `[2, batch]`, log-probability `[batch]`.
+pub fn actor_loss(q: &Tensor, log_prob: &Tensor, alpha: f64) -> Tensor {
+    (log_prob * alpha - q.amin(0, false)).mean(None)
+}
+
+/// Derivative with respect to `ln alpha` of eq. 18, `mean (-alpha (log pi + target entropy))`.
+pub fn temperature_gradient(alpha: f64, mean_log_prob: f64, target_entropy: f64) -> f64 {
+    -alpha * (mean_log_prob + target_entropy)
+}
+
+/// All learnable state: networks, targets, temperature and their optimisers.
+///
+/// Parameters live in flat vectors; libtorch only computes gradients. A snapshot or a checkpoint is
+/// a copy.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Learner {
+    /// Actor's parameters.
+    pub actor: Vec<f32>,
+    /// Their mean over the last updates if the settings request averaging; otherwise equal to
+    /// `actor`.
+    pub averaged: Vec<f32>,
+    /// Both critics' parameters, one after the other.
+    pub critics: Vec<f32>,
+    /// The slow copies of the critics.
+    pub targets: Vec<f32>,
+    /// Logarithm of the temperature.
+    pub log_alpha: Vec<f32>,
+    /// Optimiser of the actor.
+    pub actor_adam: Adam,
+    /// Optimiser of the critics.
+    pub critics_adam: Adam,
+    /// Optimiser of the temperature.
+    pub alpha_adam: Adam,
+    networks: Networks,
+}
+
+impl Learner {
+    /// Creates newly initialised networks.
+    pub fn new(settings: &Settings, rng: &mut impl Rng) -> Self {
+        let networks = Networks::new(settings);
+        let (actor, critics) = networks.initialise(rng);
+        Self {
+            actor_adam: Adam::new(actor.len()),
+            critics_adam: Adam::new(critics.len()),
+            alpha_adam: Adam::new(1),
+            targets: critics.clone(),
+            log_alpha: vec![settings.initial_alpha.ln() as f32],
+            averaged: actor.clone(),
+            actor,
+            critics,
+            networks,
+        }
+    }
+
+    /// The temperature.
+    pub fn alpha(&self) -> f64 {
+        f64::from(self.log_alpha[0]).exp()
+    }
+
+    /// The current actor in plain Rust; `None` if its weights are no longer finite.
+    pub fn snapshot(&self, settings: &Settings) -> Option<Actor> {
+        self.networks.snapshot(settings.encoding, &self.actor)
+    }
+
+    /// The final actor of a training, likewise.
+    pub fn outcome(&self, settings: &Settings) -> Option<Actor> {
+        self.networks.snapshot(settings.encoding, &self.averaged)
+    }
+
+    /// Continues with this actor.
+    pub fn take(&mut self, actor: Vec<f32>) {
+        self.averaged.clone_from(&actor);
+        self.actor = actor;
+    }
+
+    /// Makes one update of critics, actor, temperature and targets from one batch; of critics and
+    /// targets only while the settings hold the actor fixed.
+    ///
+    /// `noise` holds `[2, rows, 2]` standard normal numbers: for the next actions, then for the
+    /// present ones.
+    pub fn update(&mut self, batch: &Batch, noise: &[f32], settings: &Settings) -> Losses {
+        // Set on every thread that ever updates: libtorch stores the number per thread, and one is
+        // reproducible.
+        tch::set_num_threads(1);
+        let ((now, action), next) = self.seen(batch);
+        let noise = Tensor::from_slice(noise).view([2, -1, OUTPUTS as i64]);
+        let alpha = self.alpha();
+
+        let y = tch::no_grad(|| self.target(&next, &noise.get(0), batch, alpha, settings.gamma));
+        let critics = Tensor::from_slice(&self.critics).view([2, -1]).set_requires_grad(true);
+        let critic_loss = critic_loss(&self.networks.values(&critics, &now, &action), &y, settings.critic_loss);
+        let gradient = gradient_of(&critic_loss, &critics);
+        self.critics_adam.step(&mut self.critics, &gradient, settings.learning_rate);
+
+        let actor = Tensor::from_slice(&self.actor).set_requires_grad(true);
+        let (action, log_prob) = squash(&self.networks.head(&actor, &now), &noise.get(1));
+        let critics = Tensor::from_slice(&self.critics).view([2, -1]);
+        let actor_loss = actor_loss(&self.networks.values(&critics, &now, &action), &log_prob, alpha);
+        let mean_log_prob = log_prob.mean(None).double_value(&[]);
+        let held = settings.from.as_ref().map_or(0, |from| from.held_updates.into());
+        if self.critics_adam.t > held {
+            let gradient = gradient_of(&actor_loss, &actor);
+            self.actor_adam.step(&mut self.actor, &gradient, settings.learning_rate);
+            let gradient = temperature_gradient(alpha, mean_log_prob, settings.target_entropy);
+            self.alpha_adam.step(&mut self.log_alpha, &[gradient as f32], settings.learning_rate);
+            self.average(settings);
+        }
+
+        let tau = settings.tau as f32;
+        for (slow, fast) in self.targets.iter_mut().zip(&self.critics) {
+            *slow += tau * (fast - *slow);
+        }
+        Losses {
+            critic: critic_loss.double_value(&[]),
+            actor: actor_loss.double_value(&[]),
+            entropy: -mean_log_prob,
+            alpha,
+        }
+    }
+
+    /// Adds the current actor to the average: `mean <- mean + (now - mean) / n` over n updates;
+    /// without averaging, takes the current one.
+    fn average(&mut self, settings: &Settings) {
+        match settings.from.as_ref().map_or(0, |from| from.averaged_updates) {
+            0 | 1 => self.averaged.clone_from(&self.actor),
+            n => {
+                for (mean, now) in self.averaged.iter_mut().zip(&self.actor) {
+                    *mean += (now - *mean) / n as f32;
+                }
+            }
+        }
+    }
+
+    /// Converts a batch to tensors: observations and actions, and next observations.
+    fn seen(&self, batch: &Batch) -> ((Seen, Tensor), Seen) {
+        let n = batch.reward.len() as i64;
+        let now = Tensor::from_slice(&batch.now).view([n, -1]);
+        let next = Tensor::from_slice(&batch.next).view([n, -1]);
+        let state = next.size()[1];
+        let action = now.narrow(1, state, OUTPUTS as i64);
+        let [before, after] = match (&self.networks, &batch.courses) {
+            (Networks::Recurrent { actor, .. }, Some(courses)) => Course::pair(courses, actor).map(Some),
+            _ => [None, None],
+        };
+        ((Seen { rows: now.narrow(1, 0, state), course: before }, action), Seen { rows: next, course: after })
+    }
+
+    /// The critics' targets for a batch, from the target networks: `[rows]`.
+    fn target(&self, next: &Seen, noise: &Tensor, batch: &Batch, alpha: f64, gamma: f64) -> Tensor {
+        let actor = Tensor::from_slice(&self.actor);
+        let (action, log_prob) = squash(&self.networks.head(&actor, next), noise);
+        let targets = Tensor::from_slice(&self.targets).view([2, -1]);
+        let next_q = self.networks.values(&targets, next, &action);
+        let (reward, goes_on) = (Tensor::from_slice(&batch.reward), Tensor::from_slice(&batch.goes_on));
+        td_target(&reward, &goes_on, &next_q, &log_prob, alpha, gamma)
+    }
+}
+
+/// The gradient of a scalar with respect to one block, flat.
+fn gradient_of(loss: &Tensor, block: &Tensor) -> Vec<f32> {
+    let gradient = &Tensor::run_backward(&[loss], &[block], false, false)[0];
+    let mut flat = vec![0.0; gradient.numel()];
+    gradient.contiguous().copy_data(&mut flat, gradient.numel());
+    flat
+}
+
+#[cfg(test)]
+#[path = "sac_tests.rs"]
+mod tests;
+
+#[cfg(test)]
+#[path = "lq_tests.rs"]
+mod lq_tests;

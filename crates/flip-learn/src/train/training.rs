@@ -1,0 +1,290 @@
+//! The training loop.
+
+use super::checkpoint;
+use super::collect::{Planned, plan, play_round, remembered, stream};
+use super::curriculum::Curriculum;
+use super::environment::{Filling, Played, simulated};
+use super::record::{EpisodeRecord, Event, Flow, Level, Losses, RANDOMISED, Start, TrainError, Trained};
+use super::replay::Replay;
+use super::sac::Learner;
+use super::settings::{Order, SURROGATE_EPISODES, Settings};
+use super::spoons::Spoons;
+use flip_core::domain::FieldError;
+use flip_core::domain::seed::derive;
+use flip_policy::{Actor, Controller, LevelManifest, Manifest, Policy, SetManifest, normal};
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+use std::ops::ControlFlow;
+
+/// Trains a policy in the simulator.
+///
+/// `on_event` is called with every episode and checkpoint; if it returns `Break`, the training
+/// stops with a checkpoint. If `flow` returns `Break`, it stops sooner: running episodes are played
+/// to their end, and their round is dropped and played again on resumption. Resuming from a
+/// checkpoint gives the same result, bit for bit, as an uninterrupted run.
+///
+/// # Errors
+/// [`TrainError`].
+pub fn train(
+    levels: &[Level],
+    settings: &Settings,
+    start: Start<'_>,
+    flow: &Flow<'_>,
+    on_event: impl FnMut(Event) -> ControlFlow<()>,
+) -> Result<Trained, TrainError> {
+    train_on(&simulated(settings), levels, settings, start, flow, on_event)
+}
+
+/// The mutable state of a training, as stored in a checkpoint.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct State {
+    pub learner: Learner,
+    pub replay: Replay,
+    pub curriculum: Curriculum,
+    pub progress: Progress,
+}
+
+/// Counters of a training.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Progress {
+    pub rounds: u32,
+    pub episodes: u32,
+    /// Simulator steps since the warm-up.
+    pub learning_steps: u64,
+    /// Surrogate steps since the warm-up.
+    pub surrogate_steps: u64,
+    pub updates: u64,
+    /// Errors of the last 20 episodes, mg.
+    pub recent: VecDeque<f64>,
+    /// Episodes by level.
+    pub on_level: Vec<u32>,
+}
+
+/// Number of episodes in the final error.
+const RECENT: usize = 20;
+
+/// [`train`] on any kind of spoon.
+///
+/// # Errors
+/// [`TrainError`].
+pub fn train_on<F: Filling>(
+    filling: &F,
+    levels: &[Level],
+    settings: &Settings,
+    start: Start<'_>,
+    flow: &Flow<'_>,
+    mut on_event: impl FnMut(Event) -> ControlFlow<()>,
+) -> Result<Trained, TrainError> {
+    let settings = &settings.clone().checked()?;
+    let levels = &ordered(levels, settings)?;
+    let mut state = match start {
+        Start::Checkpoint(bytes) => checkpoint::decode(bytes, levels, settings).map_err(TrainError::Checkpoint)?,
+        Start::Nothing => State::new(levels, settings),
+        Start::Policy(actor) => State::new(levels, settings).going_on_from(actor, settings)?,
+    };
+    let spoons = Spoons::new(filling, derive(settings.seed, &[stream::SPOONS]));
+    while state.progress.episodes < settings.episodes {
+        let Some(records) = state.round(levels, settings, &spoons, flow)? else {
+            return Err(TrainError::Stopped { checkpoint: checkpoint::encode(&state, levels, settings) });
+        };
+        let mut stop = false;
+        for record in records {
+            stop |= on_event(Event::Episode(Box::new(record))).is_break();
+        }
+        if state.progress.rounds.is_multiple_of(rounds_per_checkpoint(&state.progress, settings)) {
+            stop |= on_event(Event::Checkpoint(checkpoint::encode(&state, levels, settings))).is_break();
+        }
+        if stop && state.progress.episodes < settings.episodes {
+            return Err(TrainError::Stopped { checkpoint: checkpoint::encode(&state, levels, settings) });
+        }
+    }
+    state.finish(levels, settings)
+}
+
+/// Rounds between checkpoints at this point of the training: surrogate rounds take almost no time.
+fn rounds_per_checkpoint(progress: &Progress, settings: &Settings) -> u32 {
+    let on_surrogate = progress.episodes < settings.surrogate_episodes;
+    settings.rounds_per_checkpoint.saturating_mul(if on_surrogate { SURROGATE_EPISODES } else { 1 })
+}
+
+/// The levels in training order.
+fn ordered(levels: &[Level], settings: &Settings) -> Result<Vec<Level>, FieldError> {
+    if settings.order == Order::DomainRandomisation {
+        return Ok(Vec::new());
+    }
+    if levels.is_empty() {
+        return Err(FieldError::new("levels", "must name at least one powder"));
+    }
+    for (k, level) in levels.iter().enumerate() {
+        if level.sets.is_empty() {
+            let advice = format!("`{}` has no parameter set; calibrate it first", level.powder);
+            return Err(FieldError::new(format!("levels[{k}].sets"), advice));
+        }
+        flip_core::domain::bounded(&format!("levels[{k}].repose_deg"), level.repose_deg, 0.0, 90.0, "deg")?;
+    }
+    let mut levels = levels.to_vec();
+    levels.sort_by(|a, b| a.repose_deg.total_cmp(&b.repose_deg).then_with(|| a.powder.cmp(&b.powder)));
+    if settings.order == Order::Reverse {
+        levels.reverse();
+    }
+    Ok(levels)
+}
+
+impl State {
+    fn new(levels: &[Level], settings: &Settings) -> Self {
+        let mut rng = Pcg64Mcg::seed_from_u64(derive(settings.seed, &[stream::INITIALISE]));
+        let count = levels.len().max(1) as u32;
+        // A random order has no level to advance from.
+        let steps = if matches!(settings.order, Order::Curriculum | Order::Reverse) { count } else { 1 };
+        let first = if settings.surrogate_episodes > 0 { settings.surrogate_episodes } else { settings.episodes };
+        Self {
+            learner: Learner::new(settings, &mut rng),
+            replay: Replay::new(settings),
+            curriculum: Curriculum::new(steps, &settings.curriculum, settings.level_episodes_max(first, count)),
+            progress: Progress { on_level: vec![0; count as usize], ..Progress::default() },
+        }
+    }
+
+    /// Replaces the initial policy with a trained one.
+    fn going_on_from(mut self, actor: &Actor, settings: &Settings) -> Result<Self, FieldError> {
+        if actor.kind() != settings.policy_kind() {
+            let advice = "is a policy of another network than this training's: take one of the same preset";
+            return Err(FieldError::new("from", advice));
+        }
+        self.learner.take(actor.to_flat());
+        Ok(self)
+    }
+
+    /// Plays a round, learns from it, and reports its episodes; None, with nothing changed, if
+    /// `flow` requested a stop.
+    fn round<F: Filling>(
+        &mut self,
+        levels: &[Level],
+        settings: &Settings,
+        spoons: &Spoons<F>,
+        flow: &Flow<'_>,
+    ) -> Result<Option<Vec<EpisodeRecord>>, TrainError> {
+        let first = self.progress.episodes;
+        // A round is never split between the surrogate and the simulator.
+        let on_surrogate = first < settings.surrogate_episodes;
+        let end = if on_surrogate { settings.surrogate_episodes } else { settings.episodes };
+        let count = settings.episodes_per_round.min(end - first);
+        let planned =
+            (first..first + count).map(|index| plan(index, self.curriculum.level(), levels, settings)).collect();
+        let diverged = TrainError::Diverged { episodes: first };
+        let actor = self.learner.snapshot(settings).ok_or(diverged)?;
+        let learns = first >= settings.warmup_episodes;
+        let Some(played) = play_round(planned, learns.then_some(&actor), spoons, settings, flow) else {
+            return Ok(None);
+        };
+        for (plan, played) in &played {
+            self.replay.push(remembered(plan, played, &actor, settings));
+            self.count(plan, played);
+            let steps =
+                if on_surrogate { &mut self.progress.surrogate_steps } else { &mut self.progress.learning_steps };
+            *steps += if learns { played.steps.len() as u64 } else { 0 };
+        }
+        self.progress.rounds += 1;
+        let losses = self.learn(settings);
+        let left = settings.episodes - self.progress.episodes;
+        if on_surrogate && left > 0 && self.progress.episodes == settings.surrogate_episodes {
+            // Surrogate steps would dominate every batch, and the simulator behaves differently.
+            self.replay = Replay::new(settings);
+            let count = self.progress.on_level.len() as u32;
+            self.curriculum.begin_again(settings.level_episodes_max(left, count));
+        }
+        Ok(Some(played.iter().map(|(plan, played)| record(plan, played, levels, losses)).collect()))
+    }
+
+    fn count(&mut self, plan: &Planned, played: &Played) {
+        let error_mg = (played.target_mg - played.dispensed_mg).abs();
+        self.progress.episodes += 1;
+        if plan.randomised {
+            self.curriculum.pass();
+        } else {
+            // In a random order every episode belongs to the curriculum's only level.
+            self.curriculum.record(plan.level, error_mg);
+            self.progress.on_level[plan.level as usize] += 1;
+        }
+        if self.progress.recent.len() == RECENT {
+            self.progress.recent.pop_front();
+        }
+        self.progress.recent.push_back(error_mg);
+    }
+
+    /// Makes the updates that are due; returns the mean of their losses.
+    fn learn(&mut self, settings: &Settings) -> Option<Losses> {
+        let due = settings.updates_per_step * self.progress.learning_steps as f64
+            + settings.surrogate_updates_per_step * self.progress.surrogate_steps as f64;
+        let count = (due.floor() as u64).saturating_sub(self.progress.updates);
+        let mut sum = Losses::default();
+        for _ in 0..count {
+            let mut rng = Pcg64Mcg::seed_from_u64(derive(settings.seed, &[stream::UPDATE, self.progress.updates]));
+            let batch = self.replay.draw(settings, &mut rng);
+            let noise: Vec<f32> = (0..4 * batch.reward.len()).map(|_| normal(&mut rng)).collect();
+            let seen = self.learner.update(&batch, &noise, settings);
+            sum.critic += seen.critic;
+            sum.actor += seen.actor;
+            sum.entropy += seen.entropy;
+            sum.alpha += seen.alpha;
+            self.progress.updates += 1;
+        }
+        let n = count as f64;
+        let mean =
+            Losses { critic: sum.critic / n, actor: sum.actor / n, entropy: sum.entropy / n, alpha: sum.alpha / n };
+        (count > 0).then_some(mean)
+    }
+
+    fn finish(self, levels: &[Level], settings: &Settings) -> Result<Trained, TrainError> {
+        let episodes = self.progress.episodes;
+        let actor = self.learner.outcome(settings).ok_or(TrainError::Diverged { episodes })?;
+        let levels: Vec<LevelManifest> = levels
+            .iter()
+            .zip(&self.progress.on_level)
+            .map(|(level, &episodes)| LevelManifest {
+                powder: level.powder.clone(),
+                repose_deg: level.repose_deg,
+                sets: level.sets.iter().map(|set| SetManifest { id: set.id(), parameters: *set }).collect(),
+                episodes,
+            })
+            .collect();
+        let recent = &self.progress.recent;
+        let final_error_mg = recent.iter().sum::<f64>() / recent.len().max(1) as f64;
+        let manifest = Manifest {
+            kind: actor.kind(),
+            rules: settings.rules,
+            preset: match settings.preset {
+                super::Preset::Flip => "flip".to_owned(),
+                super::Preset::Paper => "paper".to_owned(),
+            },
+            settings: serde_json::to_value(settings).expect("settings are plain data"),
+            seed: settings.seed,
+            code_version: env!("CARGO_PKG_VERSION").to_owned(),
+            simulator_version: flip_sim::VERSION.to_owned(),
+            levels: levels.clone(),
+            switches: self.curriculum.switches().to_vec(),
+            episodes,
+            final_error_mg: Some(final_error_mg),
+        };
+        let policy = Policy { manifest: manifest.clone(), controller: Controller::Learned(actor) };
+        Ok(Trained { artifact: flip_policy::encode(&policy), manifest, episodes, final_error_mg, levels })
+    }
+}
+
+fn record(plan: &Planned, played: &Played, levels: &[Level], losses: Option<Losses>) -> EpisodeRecord {
+    EpisodeRecord {
+        index: plan.index,
+        level: plan.level,
+        powder: if plan.randomised { RANDOMISED } else { &levels[plan.level as usize].powder }.to_owned(),
+        parameter_set: plan.set.id(),
+        target_mg: played.target_mg,
+        dispensed_mg: played.dispensed_mg,
+        final_error_mg: (played.target_mg - played.dispensed_mg).abs(),
+        reward: played.reward,
+        steps: played.steps.len() as u32,
+        ending: played.ending,
+        losses,
+    }
+}

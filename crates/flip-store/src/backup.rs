@@ -1,0 +1,374 @@
+//! Consistent copies of a data folder: the database at one moment, the files it names, and all of
+//! it read back.
+//!
+//! A backup is an ordinary data folder, and restoring is the same procedure in reverse. Neither
+//! overwrites anything: the copy is made next to its destination under another name, verified, and
+//! renamed in one step.
+
+use super::archive::{self, Archives};
+use super::artifacts::{Artifacts, NAMED, sha256_hex};
+use super::holds::Held;
+use super::open::{DATABASE, archives, artifacts};
+use super::{Error, Result, Store, new_id, now, sound};
+use flip_core::domain::timestamp::Timestamp;
+use serde::Serialize;
+use std::fs::{self, DirBuilder, File, Permissions};
+use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
+
+/// Contents of a copy, as read back.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Copied {
+    /// The copy.
+    pub folder: PathBuf,
+    /// Size of its database.
+    pub database_bytes: u64,
+    /// Files next to the database, including archives of the audit trail, verified by their hashes.
+    pub files: usize,
+    /// Files named by the database that are missing or damaged in the original, by SHA-256, or by
+    /// name for an archive: their contents are lost, and nothing else.
+    pub lost: Vec<String>,
+    /// The damaged archives among them: they were copied as they are, and their other parts can
+    /// still be read.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub damaged: Vec<String>,
+    /// Records of the audit trail.
+    pub records: i64,
+    /// Hash of the last one, for `flip audit verify --hash`.
+    pub last_hash: String,
+    /// Why the audit trail is not what was written, if so: the copy keeps it as it is.
+    pub audit_broken: Option<String>,
+    /// Why the bench of a restored folder is held, which adds one record.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub held: Option<String>,
+    /// Tokens of the backup that were revoked in the restored data folder.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub revoked_tokens: Option<usize>,
+}
+
+/// Holder of the bench of a restored folder.
+const RESTORE: &str = "flip restore";
+
+/// Copy the data folder `from`, even while another process writes to it, to `to`, which must be
+/// missing or empty.
+///
+/// # Errors
+/// [`Error::Occupied`], [`Error::Absent`]; [`Error::Damaged`], [`Error::Newer`] of the database;
+/// [`Error::Full`], [`Error::File`]. Nothing is left behind.
+pub async fn copy(from: &Path, to: &Path) -> Result<Copied> {
+    let (beside, made) = copy_beside(from, to).await?;
+    beside.put_in_place(to)?;
+    Ok(Copied { folder: to.to_owned(), ..made })
+}
+
+/// As [`copy()`], from a backup to a data folder that is going to be served, including migration.
+/// The database does not know what was poured since the backup, so its bench is held until a person
+/// has checked; and a token that was revoked since would be valid again, so all are revoked unless
+/// `keep_tokens` is set.
+///
+/// # Errors
+/// As [`copy()`].
+pub async fn restore(backup: &Path, to: &Path, keep_tokens: bool) -> Result<Copied> {
+    let (beside, mut made) = copy_beside(backup, to).await?;
+    let written_at = written_at(&backup.join(DATABASE))?;
+    let store = Store::open(&beside.folder).await?;
+    made.held = Some(hold(&store, written_at).await?);
+    if !keep_tokens {
+        made.revoked_tokens = Some(revoke_tokens(&store).await?);
+    }
+    store.close().await;
+    beside.put_in_place(to)?;
+    Ok(Copied { folder: to.to_owned(), ..made })
+}
+
+/// Revoke every token that is still valid; returns how many.
+async fn revoke_tokens(store: &Store) -> Result<usize> {
+    let tokens = store.every_token().await?.into_iter().map(|token| token.entry);
+    let open: Vec<_> = tokens.filter(|token| token.revoked_at.is_none()).collect();
+    let mut tx = store.write().await?;
+    for token in &open {
+        tx.revoke_token(&token.id, now()).await?;
+    }
+    tx.commit().await?;
+    Ok(open.len())
+}
+
+async fn copy_beside(from: &Path, to: &Path) -> Result<(Beside, Copied)> {
+    if fs::read_dir(to).is_ok_and(|mut found| found.next().is_some()) || (to.exists() && !to.is_dir()) {
+        return Err(Error::Occupied(to.to_owned()));
+    }
+    if !fs::metadata(from.join(DATABASE)).is_ok_and(|it| it.len() > 0) {
+        return Err(Error::Absent(from.to_owned()));
+    }
+    let beside = Beside::make(to)?;
+    let made = fill(from, &beside.folder).await?;
+    Ok((beside, made))
+}
+
+/// When a backup's database was written, according to its file.
+fn written_at(database: &Path) -> Result<Timestamp> {
+    let modified = fs::metadata(database).and_then(|it| it.modified());
+    let modified = modified.map_err(|source| Error::File { path: database.to_owned(), source })?;
+    let since_1970 = modified.duration_since(UNIX_EPOCH).unwrap_or_default();
+    Ok(Timestamp::from_unix_ms(since_1970.as_millis() as i64))
+}
+
+/// Hold the bench, replacing an earlier hold; returns the reason.
+async fn hold(store: &Store, backup: Timestamp) -> Result<String> {
+    let mut reason = format!("restored from a backup of {backup}: look before resuming");
+    if let Some(before) = store.held().await? {
+        reason = format!("{reason}. It was held before: {}", before.reason);
+    }
+    let mut tx = store.write().await?;
+    tx.resume_bench(RESTORE, "held anew", now()).await?;
+    tx.hold_bench(&Held { at: now(), reason: reason.clone(), by: Some(RESTORE.to_owned()) }).await?;
+    tx.commit().await?;
+    Ok(reason)
+}
+
+/// Database first: every file it names already exists then.
+async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
+    let database = folder.join(DATABASE);
+    let original = Store::open_to_read(from).await?;
+    let name = database.to_string_lossy().into_owned();
+    let copied = sqlx::query("VACUUM INTO ?1").bind(name).execute(original.reader()).await;
+    copied.map_err(Error::from)?;
+    let failed = |source| Error::File { path: database.clone(), source };
+    fs::set_permissions(&database, Permissions::from_mode(0o600)).map_err(failed)?;
+    File::open(&database).and_then(|file| file.sync_all()).map_err(failed)?;
+
+    let copy = Store::open_to_read(folder).await?;
+    sound::check(copy.reader(), &database).await?;
+    let named: Vec<String> = sqlx::query_scalar(NAMED).fetch_all(copy.reader()).await?;
+    let mut lost = copy_files(&named, original.artifacts(), &artifacts(folder))?;
+    let named_archives: Vec<(String, String)> = sqlx::query_as(archive::NAMED).fetch_all(copy.reader()).await?;
+    let archives = copy_archives(&named_archives, &archives(from), &archives(folder))?;
+    lost.extend(archives.gone.into_iter().chain(archives.damaged.iter().cloned()));
+    let found = copy.verify_audit(None).await?;
+    original.close().await;
+    copy.close().await;
+    Ok(Copied {
+        folder: folder.to_owned(),
+        database_bytes: fs::metadata(&database).map_err(failed)?.len(),
+        files: named.len() + named_archives.len() - lost.len(),
+        lost,
+        damaged: archives.damaged,
+        records: found.records,
+        last_hash: found.last_hash,
+        audit_broken: found.broken.map(|broken| format!("record {}: {}", broken.seq, broken.why)),
+        held: None,
+        revoked_tokens: None,
+    })
+}
+
+/// Copy these files and read each copy back; returns those that are not intact in the original.
+fn copy_files(named: &[String], from: &Artifacts, to: &Artifacts) -> Result<Vec<String>> {
+    let mut lost = Vec::new();
+    for sha256 in named {
+        match from.get(sha256) {
+            Ok(bytes) => {
+                to.put(&bytes)?;
+                to.get(sha256)?;
+            }
+            Err(error) if error.is_lost_part() => lost.push(sha256.clone()),
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(lost)
+}
+
+/// Archives that are not intact in the original.
+#[derive(Debug, Default)]
+struct NotWhole {
+    gone: Vec<String>,
+    damaged: Vec<String>,
+}
+
+/// Copy these archives and read each copy back. A damaged one is copied as it is: its parts can be
+/// read independently.
+fn copy_archives(named: &[(String, String)], from: &Archives, to: &Archives) -> Result<NotWhole> {
+    let mut found = NotWhole::default();
+    for (file, sha256) in named {
+        match from.bytes(file) {
+            Ok(bytes) => {
+                to.put(file, &bytes)?;
+                let copied = sha256_hex(&bytes);
+                to.get(file, &copied)?;
+                found.damaged.extend((copied != *sha256).then(|| file.clone()));
+            }
+            Err(error) if error.is_lost_part() => found.gone.push(file.clone()),
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(found)
+}
+
+/// A temporary folder next to a copy's destination; removed if dropped before it is renamed.
+struct Beside {
+    folder: PathBuf,
+    parent: PathBuf,
+}
+
+impl Beside {
+    fn make(to: &Path) -> Result<Self> {
+        let parent = match to.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent.to_owned(),
+            _ => PathBuf::from("."),
+        };
+        let folder = parent.join(format!(".flip-{}.part", new_id()));
+        let failed = |source| Error::File { path: folder.clone(), source };
+        fs::create_dir_all(&parent).map_err(failed)?;
+        DirBuilder::new().mode(0o700).create(&folder).map_err(failed)?;
+        Ok(Self { folder, parent })
+    }
+
+    /// Rename it: replaces an empty folder at the destination, fails for anything else.
+    fn put_in_place(&self, to: &Path) -> Result<()> {
+        let failed = |source| Error::File { path: to.to_owned(), source };
+        File::open(&self.folder).and_then(|folder| folder.sync_all()).map_err(failed)?;
+        fs::rename(&self.folder, to).map_err(failed)?;
+        File::open(&self.parent).and_then(|folder| folder.sync_all()).map_err(failed)
+    }
+}
+
+impl Drop for Beside {
+    fn drop(&mut self) {
+        // After renaming it no longer exists.
+        let _ = fs::remove_dir_all(&self.folder);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tokens::{HashedToken, Role, TokenEntry};
+
+    async fn with_powders(folder: &Path, n: i64) -> Store {
+        let store = Store::open(folder).await.unwrap();
+        for k in 0..n {
+            let mut tx = store.write().await.unwrap();
+            tx.insert_powder(&format!("powder_{k}"), "Powder").await.unwrap();
+            let said = serde_json::json!({ "powder": { "id": format!("powder_{k}"), "name": "Powder" } });
+            tx.audit_deed(None, "new powder", said, Timestamp::from_unix_ms(k)).await.unwrap();
+            tx.commit().await.unwrap();
+        }
+        store
+    }
+
+    #[tokio::test]
+    async fn a_backup_while_serving_holds_every_committed_row_and_comes_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let (data, kept, back) = (folder.path().join("data"), folder.path().join("kept"), folder.path().join("back"));
+        // Open, so that everything may still be in the write-ahead log: a copy of flip.db alone had
+        // 0 of 20.
+        let store = with_powders(&data, 20).await;
+        let made = copy(&data, &kept).await.unwrap();
+        let again = copy(&kept, &back).await.unwrap();
+        // Including the records of the published powders it began with.
+        assert_eq!((made.records, &made.audit_broken, &made.lost), (22, &None, &Vec::new()));
+        assert_eq!((&again.last_hash, again.records), (&made.last_hash, 22));
+        let restored = Store::open(&back).await.unwrap();
+        let count = "SELECT count(*) FROM powder WHERE id LIKE 'powder_%'";
+        assert_eq!(sqlx::query_scalar::<_, i64>(count).fetch_one(restored.reader()).await.unwrap(), 20);
+        store.close().await;
+        for path in [&kept, &back] {
+            assert_eq!(fs::metadata(path).unwrap().permissions().mode() & 0o777, 0o700);
+            assert_eq!(fs::metadata(path.join(DATABASE)).unwrap().permissions().mode() & 0o777, 0o600);
+        }
+    }
+
+    #[tokio::test]
+    async fn a_restored_folder_holds_its_bench_until_a_person_resumes_and_the_backup_stays_as_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let (data, kept) = (folder.path().join("data"), folder.path().join("kept"));
+        let store = with_powders(&data, 3).await;
+        copy(&data, &kept).await.unwrap();
+        let mut tx = store.write().await.unwrap();
+        tx.hold_bench(&Held { at: now(), reason: "stop was pressed".into(), by: None }).await.unwrap();
+        tx.commit().await.unwrap();
+        let (stopped, before) = (folder.path().join("stopped"), fs::read(kept.join(DATABASE)).unwrap());
+        copy(&data, &stopped).await.unwrap();
+        for (backup, also) in [(&kept, ""), (&stopped, "It was held before: stop was pressed")] {
+            let back = folder.path().join("back").join(backup.file_name().unwrap());
+            let made = restore(backup, &back, false).await.unwrap();
+            let restored = Store::open(&back).await.unwrap();
+            let held = restored.held().await.unwrap().expect("held");
+            let at = written_at(&backup.join(DATABASE)).unwrap().to_string();
+            assert!(held.reason.starts_with(&format!("restored from a backup of {at}: look")), "{}", held.reason);
+            assert!(held.reason.ends_with(also) && made.held == Some(held.reason), "{:?}", made.held);
+            // The hash noted at the backup is in the chain, and the hold comes after it.
+            let verified = restored.verify_audit(Some(&made.last_hash)).await.unwrap();
+            assert_eq!((verified.broken, verified.holds_hash), (None, Some(true)));
+            assert!(verified.records > made.records);
+        }
+        assert_eq!(fs::read(kept.join(DATABASE)).unwrap(), before);
+    }
+
+    #[tokio::test]
+    async fn a_token_that_was_revoked_after_the_backup_does_not_live_again_in_the_restored_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let store = Store::open(&path("data")).await.unwrap();
+        let mut tx = store.write().await.unwrap();
+        for id in ["00", "01"] {
+            let (name, role, created_at) = ("Ada".to_owned(), Role::Admin, Timestamp::from_unix_ms(1));
+            let (expires_at, revoked_at, last_used_at) = (None, None, None);
+            let id = id.to_owned();
+            let entry =
+                TokenEntry { id, name, role, may_clear: true, created_at, expires_at, revoked_at, last_used_at };
+            tx.insert_token(&HashedToken { entry, sha256: vec![7; 32] }).await.unwrap();
+        }
+        tx.revoke_token("01", now()).await.unwrap();
+        tx.commit().await.unwrap();
+        copy(&path("data"), &path("kept")).await.unwrap();
+        let mut tx = store.write().await.unwrap();
+        tx.revoke_token("00", now()).await.unwrap();
+        tx.commit().await.unwrap();
+
+        let restored = restore(&path("kept"), &path("back"), false).await.unwrap();
+        let as_it_was = restore(&path("kept"), &path("as_it_was"), true).await.unwrap();
+        assert_eq!((restored.revoked_tokens, as_it_was.revoked_tokens), (Some(1), None), "one was revoked before");
+        let log = fs::metadata(path("back").join("flip.db-wal")).map_or(0, |it| it.len());
+        assert_eq!(log, 0, "nothing is left in a log beside the database");
+        for (name, left) in [("back", 0), ("as_it_was", 1)] {
+            let store = Store::open(&path(name)).await.unwrap();
+            let open = store.every_token().await.unwrap().into_iter().filter(|it| it.entry.revoked_at.is_none());
+            assert_eq!(open.count(), left, "{name}");
+            let found = store.verify_audit(Some(&restored.last_hash)).await.unwrap();
+            assert_eq!((found.broken, found.others, found.holds_hash), (None, Vec::new(), Some(true)), "{name}");
+        }
+    }
+
+    #[tokio::test]
+    async fn nothing_is_written_over_and_nothing_is_left_behind_where_there_is_nothing_to_copy() {
+        let folder = tempfile::tempdir().unwrap();
+        let data = folder.path().join("data");
+        with_powders(&data, 1).await.close().await;
+        let before = fs::read(data.join(DATABASE)).unwrap();
+        assert!(matches!(copy(&data, &data).await, Err(Error::Occupied(_))));
+        assert_eq!(fs::read(data.join(DATABASE)).unwrap(), before);
+        let none = copy(&folder.path().join("none"), &folder.path().join("copy")).await;
+        assert!(matches!(none, Err(Error::Absent(_))), "{none:?}");
+        fs::write(folder.path().join("file"), b"x").unwrap();
+        assert!(matches!(copy(&data, &folder.path().join("file")).await, Err(Error::Occupied(_))));
+        let names: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|it| it.unwrap().file_name()).collect();
+        assert_eq!(names.len(), 2, "{names:?}");
+    }
+
+    #[tokio::test]
+    async fn a_damaged_database_is_not_restored() {
+        let folder = tempfile::tempdir().unwrap();
+        let data = folder.path().join("data");
+        with_powders(&data, 50).await.close().await;
+        let path = data.join(DATABASE);
+        let mut bytes = fs::read(&path).unwrap();
+        // The second half, except the last page: trees point to pages that no longer exist.
+        let (from, to) = (bytes.len() / 2, bytes.len() - 4096);
+        bytes[from..to].fill(0x5a);
+        fs::write(&path, bytes).unwrap();
+        let refused = copy(&data, &folder.path().join("copy")).await.unwrap_err();
+        assert!(matches!(refused, Error::Damaged(_)), "{refused}");
+        assert!(!folder.path().join("copy").exists());
+    }
+}

@@ -1,0 +1,195 @@
+//! The ledger's guarantees, under a clock controlled by the test.
+
+use super::{Claim, Claimed, DEATHS_MAX, FAILURES_MAX};
+use crate::jobs::Job;
+use crate::{Error, Result, Store};
+use flip_core::domain::job::{JobKind, JobState, Progress};
+use flip_core::domain::timestamp::Timestamp;
+use tempfile::TempDir;
+
+/// A store, one queued job, and a clock that only the test moves.
+struct Ledger {
+    store: Store,
+    job: String,
+    _folder: TempDir,
+}
+
+fn at(seconds: i64) -> Timestamp {
+    Timestamp::from_unix_ms(1_800_000_000_000 + 1000 * seconds)
+}
+
+/// Lease duration in these tests, s.
+const LEASE: i64 = 30;
+
+impl Ledger {
+    async fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        let mut tx = store.write().await.unwrap();
+        let (job, created) = tx.insert_job("job", JobKind::Calibration, "{}", &[7; 32], at(0)).await.unwrap();
+        tx.commit().await.unwrap();
+        assert!(created);
+        Self { store, job: job.id, _folder: folder }
+    }
+
+    async fn claim(&self, owner: &str, seconds: i64) -> Claim {
+        let mut tx = self.store.write().await.unwrap();
+        let claim = tx.claim(&self.job, owner, at(seconds), at(seconds + LEASE)).await.unwrap();
+        tx.commit().await.unwrap();
+        claim
+    }
+
+    async fn granted(&self, owner: &str, seconds: i64) -> Claimed {
+        match self.claim(owner, seconds).await {
+            Claim::Granted(claimed) => claimed,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    async fn write<T>(&self, write: impl AsyncFnOnce(&mut crate::Tx) -> Result<T>) -> Result<T> {
+        let mut tx = self.store.write().await?;
+        let written = write(&mut tx).await?;
+        tx.commit().await?;
+        Ok(written)
+    }
+
+    async fn job(&self) -> Job {
+        self.store.job(&self.job).await.unwrap().unwrap().job
+    }
+}
+
+fn fenced<T: std::fmt::Debug>(result: Result<T>) -> bool {
+    matches!(result, Err(Error::Fenced))
+}
+
+#[tokio::test]
+async fn a_job_has_one_worker_until_its_lease_ends() {
+    let ledger = Ledger::new().await;
+    let first = ledger.granted("a", 0).await;
+    assert_eq!(ledger.claim("b", 10).await, Claim::Held(at(LEASE)));
+    ledger.write(async |tx| tx.renew(&first.lease, at(60)).await).await.unwrap();
+    assert_eq!(ledger.claim("b", 59).await, Claim::Held(at(60)));
+    let second = ledger.granted("b", 61).await;
+    assert_eq!((first.lease.fence, second.lease.fence), (1, 2));
+}
+
+#[tokio::test]
+async fn nothing_that_a_zombie_writes_is_kept() {
+    let ledger = Ledger::new().await;
+    let zombie = ledger.granted("zombie", 0).await.lease;
+    let heir = ledger.granted("heir", LEASE + 1).await.lease;
+    let progress = Progress { fraction: 0.9, message: "from beyond".into() };
+    assert!(fenced(ledger.write(async |tx| tx.renew(&zombie, at(999)).await).await));
+    assert!(fenced(ledger.write(async |tx| tx.report(&zombie, &progress).await).await));
+    assert!(fenced(ledger.write(async |tx| tx.advance(&zombie).await).await));
+    assert!(fenced(ledger.write(async |tx| tx.set_checkpoint(&zombie, &"a".repeat(64)).await).await));
+    assert!(fenced(ledger.write(async |tx| tx.succeed(&zombie, "{}", at(40)).await).await));
+    assert!(fenced(ledger.write(async |tx| tx.end(&zombie, JobState::Failed, Some("no"), at(40)).await).await));
+    assert!(fenced(ledger.write(async |tx| tx.retry(&zombie, "no", at(40)).await).await));
+    assert!(fenced(ledger.write(async |tx| tx.release(&zombie).await).await));
+    let job = ledger.job().await;
+    assert_eq!((job.state, job.progress.fraction, job.error), (JobState::Running, 0.0, None));
+    ledger.write(async |tx| tx.succeed(&heir, "{}", at(50)).await).await.unwrap();
+    assert!(fenced(ledger.write(async |tx| tx.succeed(&heir, "{}", at(51)).await).await), "and nobody succeeds twice");
+    assert_eq!(ledger.claim("late", 60).await, Claim::Ended);
+}
+
+#[tokio::test]
+async fn a_transaction_that_a_zombie_loses_half_way_leaves_nothing() {
+    let ledger = Ledger::new().await;
+    let zombie = ledger.granted("zombie", 0).await.lease;
+    ledger.granted("heir", LEASE + 1).await;
+    let lost = ledger.write(async |tx| {
+        tx.emit("job:job", "trial", &"half").await?;
+        tx.prove(&zombie).await.map(drop)
+    });
+    assert!(fenced(lost.await));
+    let events = ledger.store.events_after(Some("job:job"), 0, 100).await.unwrap();
+    assert!(events.iter().all(|event| event.kind == "state"));
+}
+
+#[tokio::test]
+async fn an_error_is_tried_again_until_the_third_which_is_final() {
+    let ledger = Ledger::new().await;
+    for attempt in 1..=FAILURES_MAX {
+        let lease = ledger.granted("worker", i64::from(attempt)).await.lease;
+        ledger.write(async |tx| tx.retry(&lease, "the disk is full", at(0)).await).await.unwrap();
+        let job = ledger.job().await;
+        let expected = if attempt < FAILURES_MAX { JobState::Queued } else { JobState::Failed };
+        assert_eq!((job.state, job.attempts), (expected, attempt));
+    }
+    assert!(ledger.job().await.error.unwrap().contains("after 3 attempts"));
+    assert_eq!(ledger.claim("worker", 99).await, Claim::Ended);
+}
+
+#[tokio::test]
+async fn a_job_that_ends_its_process_every_time_is_given_up_and_one_that_saves_is_not() {
+    for (saves, gives_up) in [(false, true), (true, false)] {
+        let ledger = Ledger::new().await;
+        let mut now = 0;
+        for _ in 0..DEATHS_MAX {
+            let lease = ledger.granted("worker", now).await.lease;
+            if saves {
+                ledger.write(async |tx| tx.advance(&lease).await).await.unwrap();
+            }
+            now += LEASE + 1;
+        }
+        let last = ledger.claim("worker", now).await;
+        assert_eq!(last == Claim::Ended, gives_up);
+        assert_eq!(ledger.job().await.state, if gives_up { JobState::Failed } else { JobState::Running });
+    }
+}
+
+#[tokio::test]
+async fn a_released_job_waits_as_if_nobody_had_touched_it() {
+    let ledger = Ledger::new().await;
+    for round in 0..10 {
+        let lease = ledger.granted("worker", round).await.lease;
+        ledger.write(async |tx| tx.release(&lease).await).await.unwrap();
+    }
+    let job = ledger.job().await;
+    assert_eq!((job.state, job.attempts), (JobState::Queued, 0));
+    assert_eq!(ledger.store.claimable(at(0)).await.unwrap().len(), 1);
+}
+
+#[tokio::test]
+async fn a_cancelled_job_is_not_claimed_again_after_its_worker_died() {
+    let ledger = Ledger::new().await;
+    let lease = ledger.granted("worker", 0).await.lease;
+    ledger.write(async |tx| tx.request_cancel("job", at(1)).await).await.unwrap().unwrap();
+    assert!(ledger.write(async |tx| tx.renew(&lease, at(40)).await).await.unwrap(), "the worker hears of it");
+    assert_eq!(ledger.claim("next", 99).await, Claim::Ended);
+    assert_eq!(ledger.job().await.state, JobState::Cancelled);
+}
+
+#[tokio::test]
+async fn leases_of_a_process_that_is_gone_end_at_the_next_start() {
+    let ledger = Ledger::new().await;
+    ledger.granted("gone", 0).await;
+    assert!(ledger.store.claimable(at(1)).await.unwrap().is_empty());
+    ledger.store.end_leases().await.unwrap();
+    assert_eq!(ledger.store.claimable(at(1)).await.unwrap().len(), 1);
+    assert_eq!(ledger.granted("next", 1).await.lease.fence, 2);
+}
+
+#[tokio::test]
+async fn a_job_that_nobody_computes_after_a_restart_is_not_said_to_run() {
+    let ledger = Ledger::new().await;
+    let lease = ledger.granted("gone", 0).await.lease;
+    let progress = Progress { fraction: 0.9, message: "heap 9 of 10".into() };
+    ledger.write(async |tx| tx.report(&lease, &progress).await).await.unwrap();
+    let before = ledger.store.newest_event().await.unwrap();
+    ledger.store.end_leases().await.unwrap();
+    let job = ledger.job().await;
+    assert_eq!((job.state, job.progress.fraction), (JobState::Queued, 0.9));
+    assert!(job.progress.message.contains("the process ended"), "{}", job.progress.message);
+    let told = ledger.store.events_after(Some("job:job"), before, 10).await.unwrap();
+    assert_eq!(told.iter().map(|event| event.data["state"].as_str().unwrap()).collect::<Vec<_>>(), ["queued"]);
+    // An ended process still counts against a job that ends it every time.
+    for _ in 1..DEATHS_MAX {
+        ledger.granted("next", 1).await;
+        ledger.store.end_leases().await.unwrap();
+    }
+    assert_eq!(ledger.claim("next", 1).await, Claim::Ended);
+    assert_eq!(ledger.job().await.state, JobState::Failed);
+}

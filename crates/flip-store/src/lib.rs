@@ -1,0 +1,187 @@
+//! All SQL and all stored files: one SQLite database and a folder of content-addressed artifacts.
+//!
+//! One connection writes and four read; two more read for answers that grow with the whole history.
+//! A transaction that writes begins with `BEGIN IMMEDIATE`: a deferred one that reads first and
+//! writes later can fail with a snapshot conflict, which the busy timeout does not cover.
+
+pub mod archive;
+pub mod archiving;
+pub mod artifacts;
+pub mod audit;
+pub mod backup;
+pub mod bench;
+pub mod counts;
+pub mod current_simulator;
+mod error;
+pub mod evaluations;
+pub mod events;
+pub mod health;
+pub mod holds;
+pub mod jobs;
+pub mod ledger;
+mod lock;
+pub mod observations;
+mod open;
+pub mod page;
+pub mod pan;
+pub mod parameter_sets;
+pub mod piles;
+mod place;
+pub mod policies;
+pub mod powders;
+mod row;
+pub mod said;
+pub mod simulators;
+mod sound;
+mod stock;
+pub mod tokens;
+mod trail;
+pub mod trials;
+pub mod verify;
+pub mod weighings;
+pub mod who;
+
+pub use error::{Error, Result};
+
+use archive::Archives;
+use artifacts::Artifacts;
+use flip_core::domain::timestamp::Timestamp;
+use lock::DataLock;
+use place::Place;
+use sqlx::{Sqlite, SqliteConnection, SqlitePool, Transaction};
+use std::sync::{Arc, Mutex, PoisonError};
+use tokio::sync::watch;
+
+/// An open data folder. Cheap to clone.
+#[derive(Clone, Debug)]
+pub struct Store {
+    reader: SqlitePool,
+    /// One more read connection, for queries that must not wait behind other readers.
+    apart: SqlitePool,
+    /// For answers that grow with the whole history: nobody else waits for these.
+    long: SqlitePool,
+    /// `None` when opened read-only.
+    writer: Option<SqlitePool>,
+    artifacts: Artifacts,
+    archives: Archives,
+    /// Number of the latest committed event.
+    newest_event: watch::Sender<i64>,
+    /// The open database: its path, and the file found there.
+    place: Place,
+    /// Error of the last write transaction, if it failed.
+    unwritten: Arc<Mutex<Option<String>>>,
+    /// Held until the last clone is gone.
+    lock: Option<Arc<DataLock>>,
+}
+
+impl Store {
+    /// Begin a write transaction.
+    ///
+    /// # Errors
+    /// [`Error::ReadOnly`]; [`Error::Locked`] when the write lock is not free within the timeouts;
+    /// [`Error::Gone`].
+    pub async fn write(&self) -> Result<Tx> {
+        let writer = self.writer()?;
+        self.place.check()?;
+        let begun = writer.begin_with("BEGIN IMMEDIATE").await.map_err(Error::from);
+        let inner = begun.inspect_err(|error| self.note_written(Some(error)))?;
+        Ok(Tx { inner, store: self.clone(), newest_event: None, unnamed: Vec::new() })
+    }
+
+    /// The write connection, for the queue library, which brings its own statements.
+    ///
+    /// # Errors
+    /// [`Error::ReadOnly`].
+    pub fn writer(&self) -> Result<&SqlitePool> {
+        self.writer.as_ref().ok_or(Error::ReadOnly)
+    }
+
+    /// Read connections, for statements about the queue library's tables.
+    pub fn reader(&self) -> &SqlitePool {
+        &self.reader
+    }
+
+    /// Remember whether a transaction was written, for health checks.
+    fn note_written(&self, error: Option<&Error>) {
+        let mut unwritten = self.unwritten.lock().unwrap_or_else(PoisonError::into_inner);
+        // Closing is not an error.
+        *unwritten = error.filter(|error| !error.is_closed()).map(ToString::to_string);
+    }
+
+    /// Check that the database is still where it was opened.
+    ///
+    /// # Errors
+    /// [`Error::Gone`]
+    pub fn is_in_place(&self) -> Result<()> {
+        self.place.check()
+    }
+
+    /// Artifacts: checkpoints and traces.
+    pub fn artifacts(&self) -> &Artifacts {
+        &self.artifacts
+    }
+
+    /// Close every connection, after checkpointing the write-ahead log into the database.
+    /// Idempotent.
+    pub async fn close(&self) {
+        // Readers would block the checkpoint.
+        self.reader.close().await;
+        self.apart.close().await;
+        self.long.close().await;
+        if let Some(writer) = self.writer.as_ref().filter(|writer| !writer.is_closed()) {
+            if let Err(error) = sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(writer).await {
+                tracing::warn!(%error, "the write-ahead log was not checkpointed; SQLite does it at the next start");
+            }
+            writer.close().await;
+        }
+    }
+}
+
+/// A write transaction. Dropping it rolls everything back.
+#[derive(Debug)]
+pub struct Tx {
+    inner: Transaction<'static, Sqlite>,
+    store: Store,
+    newest_event: Option<i64>,
+    /// Artifacts that this transaction's rows no longer name.
+    unnamed: Vec<String>,
+}
+
+impl Tx {
+    /// Commit durably, then notify followers of events, and remove files that no row names any
+    /// more.
+    ///
+    /// # Errors
+    /// [`Error::Database`], [`Error::Gone`]: nothing was written.
+    pub async fn commit(self) -> Result<()> {
+        self.store.place.check()?;
+        let committed = self.inner.commit().await.map_err(Error::from);
+        self.store.note_written(committed.as_ref().err());
+        committed?;
+        if let Some(seq) = self.newest_event {
+            self.store.newest_event.send_if_modified(|newest| std::mem::replace(newest, seq.max(*newest)) < seq);
+        }
+        for sha256 in self.unnamed {
+            if let Err(error) = self.store.forget_artifact(&sha256).await {
+                tracing::warn!(sha256, %error, "a file that no row names was left; the next start removes it");
+            }
+        }
+        Ok(())
+    }
+
+    /// The connection, for the queue library.
+    pub fn connection(&mut self) -> &mut SqliteConnection {
+        &mut self.inner
+    }
+}
+
+/// Current wall-clock time.
+pub fn now() -> Timestamp {
+    let since_1970 = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+    Timestamp::from_unix_ms(since_1970.as_millis() as i64)
+}
+
+/// A new id: 48 bits of time, then random bits, so that ids sort by age.
+pub fn new_id() -> String {
+    uuid::Uuid::now_v7().to_string()
+}

@@ -1,0 +1,170 @@
+//! Powders and their measurements.
+
+use super::page::{LONG_BATCH, Page, Window};
+use super::row::{Columns, word};
+use super::{Result, Store, Tx, new_id, now};
+use flip_core::domain::powder::{Flowability, Method, PUBLISHED, PUBLISHED_SOURCE};
+use flip_core::domain::timestamp::Timestamp;
+use serde::{Deserialize, Serialize};
+use sqlx::sqlite::SqliteRow;
+
+/// A real powder.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Powder {
+    /// Short name in lower case, e.g. `sodium_bicarbonate`.
+    pub id: String,
+    /// Display name.
+    pub name: String,
+    /// The flowability that calibrations target: the latest automated measurement, else the latest
+    /// manual one.
+    pub flowability: Option<Flowability>,
+    /// When it was registered.
+    pub created_at: Timestamp,
+}
+
+/// One measurement of a powder's flowability.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Measurement {
+    /// Id.
+    pub id: String,
+    /// Powder id.
+    pub powder: String,
+    /// How it was measured.
+    pub method: Method,
+    /// Mean angle of repose, degrees.
+    pub repose_deg: f64,
+    /// Standard deviation over the repeats, degrees.
+    pub sd_deg: f64,
+    /// A single value has no known spread: `sd_deg` is 0 then, and carries no information.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub sd_unknown: bool,
+    /// Number of repeats.
+    pub n: u32,
+    /// Where the numbers come from.
+    pub source: String,
+    /// When it was registered.
+    pub created_at: Timestamp,
+}
+
+impl Store {
+    /// Powders, oldest first.
+    pub async fn powders(&self, window: Window) -> Result<Page<Powder>> {
+        let rows = sqlx::query("SELECT * FROM powder_now WHERE seq > ?1 ORDER BY seq LIMIT ?2")
+            .bind(window.after())
+            .bind(window.rows())
+            .fetch_all(&self.reader)
+            .await?;
+        window.page_of(&rows, powder)
+    }
+
+    /// One powder.
+    pub async fn powder(&self, id: &str) -> Result<Option<Powder>> {
+        let row = sqlx::query("SELECT * FROM powder_now WHERE id = ?1").bind(id).fetch_optional(&self.reader).await?;
+        row.as_ref().map(powder).transpose()
+    }
+
+    /// Id and name of every powder, oldest first.
+    pub async fn powder_names(&self) -> Result<Vec<(String, String)>> {
+        Ok(sqlx::query_as("SELECT id, name FROM powder ORDER BY seq").fetch_all(&self.reader).await?)
+    }
+
+    /// Measurements of a powder, oldest first.
+    pub async fn measurements(&self, powder: &str, window: Window) -> Result<Page<Measurement>> {
+        let rows = sqlx::query("SELECT * FROM measurement WHERE powder = ?1 AND seq > ?2 ORDER BY seq LIMIT ?3")
+            .bind(powder)
+            .bind(window.after())
+            .bind(window.rows())
+            .fetch_all(&self.reader)
+            .await?;
+        window.page_of(&rows, measurement)
+    }
+
+    /// Every measurement, oldest first; of one powder if given.
+    pub async fn all_measurements(&self, powder: Option<&str>) -> Result<Vec<Measurement>> {
+        let sql = "SELECT * FROM measurement WHERE ?1 IS NULL OR powder = ?1 ORDER BY seq";
+        sqlx::query(sql).bind(powder).fetch_all(&self.reader).await?.iter().map(measurement).collect()
+    }
+
+    /// Measurements after a position, oldest first, at most a few thousand, and the position of the
+    /// last one; of one powder if given.
+    pub async fn measurements_after(&self, powder: Option<&str>, after: i64) -> Result<(Vec<Measurement>, i64)> {
+        let sql = "SELECT * FROM measurement WHERE seq > ?2 AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
+        let rows = sqlx::query(sql).bind(powder).bind(after).bind(LONG_BATCH).fetch_all(&self.long).await?;
+        let last = rows.last().map_or(Ok(after), |row| row.plain("seq"))?;
+        Ok((rows.iter().map(measurement).collect::<Result<_>>()?, last))
+    }
+
+    /// Register the published powders, once: any that a user later removes or renames are left
+    /// alone.
+    pub(super) async fn seed_published_powders(&self) -> Result<()> {
+        let mut tx = self.write().await?;
+        let seeded: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM powder)").fetch_one(&mut *tx.inner).await?;
+        if seeded {
+            return Ok(());
+        }
+        for row in PUBLISHED {
+            tx.insert_powder(row.id, row.name).await?;
+            for (method, flowability) in [(Method::Automated, row.automated), (Method::Manual, row.manual)] {
+                tx.insert_measurement(row.id, method, flowability, PUBLISHED_SOURCE).await?;
+            }
+        }
+        tx.commit().await
+    }
+}
+
+impl Tx {
+    /// Add a powder; returns when. `None`: the id is taken.
+    pub async fn insert_powder(&mut self, id: &str, name: &str) -> Result<Option<Timestamp>> {
+        let at = now();
+        let sql = "INSERT INTO powder (id, name, created_at) VALUES (?1, ?2, ?3) ON CONFLICT (id) DO NOTHING";
+        let done = sqlx::query(sql).bind(id).bind(name).bind(at.unix_ms()).execute(&mut *self.inner).await?;
+        Ok((done.rows_affected() == 1).then_some(at))
+    }
+
+    /// Add a measurement of an existing powder.
+    pub async fn insert_measurement(
+        &mut self,
+        powder: &str,
+        method: Method,
+        flowability: Flowability,
+        source: &str,
+    ) -> Result<Measurement> {
+        let sql = "INSERT INTO measurement (id, powder, method, repose_deg, sd_deg, n, source, created_at) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8) RETURNING *";
+        let row = sqlx::query(sql)
+            .bind(new_id())
+            .bind(powder)
+            .bind(word(&method))
+            .bind(flowability.repose_deg)
+            .bind(flowability.sd_deg)
+            .bind(flowability.n)
+            .bind(source)
+            .bind(now().unix_ms())
+            .fetch_one(&mut *self.inner)
+            .await?;
+        measurement(&row)
+    }
+}
+
+fn powder(row: &SqliteRow) -> Result<Powder> {
+    let flowability = match row.plain::<Option<f64>>("repose_deg")? {
+        Some(repose_deg) => Some(Flowability { repose_deg, sd_deg: row.plain("sd_deg")?, n: row.count("n")? }),
+        None => None,
+    };
+    Ok(Powder { id: row.plain("id")?, name: row.plain("name")?, flowability, created_at: row.time("created_at")? })
+}
+
+fn measurement(row: &SqliteRow) -> Result<Measurement> {
+    let (sd_deg, n) = (row.plain("sd_deg")?, row.count("n")?);
+    Ok(Measurement {
+        id: row.plain("id")?,
+        powder: row.plain("powder")?,
+        method: row.word("method")?,
+        repose_deg: row.plain("repose_deg")?,
+        sd_deg,
+        sd_unknown: n == 1 && sd_deg == 0.0,
+        n,
+        source: row.plain("source")?,
+        created_at: row.time("created_at")?,
+    })
+}

@@ -1,0 +1,73 @@
+//! Reading columns as FLIP's types.
+
+use super::{Error, Result};
+use flip_core::domain::timestamp::Timestamp;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, Sqlite, Type};
+
+/// Typed access to the columns of a row.
+pub(super) trait Columns {
+    /// A column of a plain type.
+    fn plain<'r, T: sqlx::Decode<'r, Sqlite> + Type<Sqlite>>(&'r self, column: &str) -> Result<T>;
+    /// A count.
+    fn count(&self, column: &str) -> Result<u32>;
+    /// A time.
+    fn time(&self, column: &str) -> Result<Timestamp>;
+    /// An optional time.
+    fn maybe_time(&self, column: &str) -> Result<Option<Timestamp>>;
+    /// An enum, by its name.
+    fn word<T: DeserializeOwned>(&self, column: &str) -> Result<T>;
+    /// A JSON document.
+    fn json<T: DeserializeOwned>(&self, column: &str) -> Result<T>;
+    /// An optional JSON document.
+    fn maybe_json<T: DeserializeOwned>(&self, column: &str) -> Result<Option<T>>;
+}
+
+impl Columns for SqliteRow {
+    fn plain<'r, T: sqlx::Decode<'r, Sqlite> + Type<Sqlite>>(&'r self, column: &str) -> Result<T> {
+        Ok(self.try_get(column)?)
+    }
+
+    fn count(&self, column: &str) -> Result<u32> {
+        let value: i64 = self.plain(column)?;
+        value.try_into().map_err(|_| Error::Corrupt(format!("{column}: {value} is no count")))
+    }
+
+    fn time(&self, column: &str) -> Result<Timestamp> {
+        Ok(Timestamp::from_unix_ms(self.plain(column)?))
+    }
+
+    fn maybe_time(&self, column: &str) -> Result<Option<Timestamp>> {
+        Ok(self.plain::<Option<i64>>(column)?.map(Timestamp::from_unix_ms))
+    }
+
+    fn word<T: DeserializeOwned>(&self, column: &str) -> Result<T> {
+        let name: String = self.plain(column)?;
+        serde_json::from_value(name.into()).map_err(|error| Error::Corrupt(format!("{column}: {error}")))
+    }
+
+    fn json<T: DeserializeOwned>(&self, column: &str) -> Result<T> {
+        self.maybe_json(column)?.ok_or_else(|| Error::Corrupt(format!("{column} is empty")))
+    }
+
+    fn maybe_json<T: DeserializeOwned>(&self, column: &str) -> Result<Option<T>> {
+        let text: Option<String> = self.plain(column)?;
+        let read = |text: String| serde_json::from_str(&text);
+        text.map(read).transpose().map_err(|error| Error::Corrupt(format!("{column}: {error}")))
+    }
+}
+
+/// The name of an enum's variant, as in JSON.
+pub(super) fn word<T: Serialize>(value: &T) -> String {
+    match serde_json::to_value(value) {
+        Ok(serde_json::Value::String(name)) => name,
+        other => unreachable!("stored enums are written as one name, not {other:?}"),
+    }
+}
+
+/// A JSON document.
+pub(super) fn json<T: Serialize>(value: &T) -> Result<String> {
+    serde_json::to_string(value).map_err(|error| Error::Corrupt(format!("cannot be written as JSON: {error}")))
+}
